@@ -135,7 +135,6 @@ def judge(heads: dict[str, DescriptorHead], episode: EpisodeForces) -> dict[str,
 
 
 def make_heads(config: DescriptorHeadsConfig) -> dict[str, Any]:
-    """Fit, score and save the heads; return the report."""
     first = config.first_seed
     lessons = worn(list(described_episodes(config.level, range(first, first + config.scenes))))
     heads = {s: DescriptorHead.fit(s, wipes, config.stretch, config.steps) for s, wipes in lessons.items()}

@@ -45,7 +45,6 @@ class PhysicsCommand:
 
 
 def measure(command: PhysicsCommand) -> dict[str, Any]:
-    """Return every panel's numbers."""
     panels: dict[str, Callable[[], Any]] = {
         "indentation": indentation,
         "slip": slip,

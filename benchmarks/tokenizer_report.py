@@ -12,10 +12,10 @@ from tqdm import tqdm
 
 from benchmarks.baselines.rows import trained
 from benchmarks.baselines.speed import speed_report
-from benchmarks.probes.labelled_set import LabelledSet
+from benchmarks.probes.labelled_set import LabelledSet, set_facts
 from benchmarks.probes.latent_and_pictures import latent_correlation, reconstructions
 from benchmarks.probes.recorded_set import user_data
-from benchmarks.probes.report_sets import REPORT_SETS, ReportSet, get_report_set
+from benchmarks.probes.report_sets import REPORT_SETS, ReportSet
 from benchmarks.probes.worn_sequences import WornSequences, draw_worn
 from benchmarks.probes.zero_shot import (
     POOL,
@@ -26,7 +26,6 @@ from benchmarks.probes.zero_shot import (
     encode_set,
     learnt_row,
     mean_row,
-    set_facts_of,
     shipped_cell,
     summary,
     transfer_name,
@@ -86,9 +85,8 @@ class TokenizerReportCommand:
 
 
 def freeze(command: TokenizerReportCommand, report_set: ReportSet, side: int) -> Path:
-    """Write a frozen set's recipe and hash."""
     frozen = report_set.draw(report_set.frozen, report_set.targets(), side, Path(command.cache))
-    facts = set_facts_of(report_set.frozen, frozen)
+    facts = set_facts(report_set.frozen, frozen)
     return write_json(Path(command.results) / report_set.facts_file, facts | provenance())
 
 
@@ -123,7 +121,7 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
         "seeds": seeds,
         "tokenizer_hash": tokenizer.hash,
         "own_sensor_fz_mae_N": own_sensor_mae(rows["UniForce"], table.training) if "UniForce" in rows else None,
-        "summary": {name: summary(row, table.transfers()) for name, row in rows.items()},
+        "summary": {name: summary(row) for name, row in rows.items()},
         "rows": rows,
         "measured_by": kept_origins(committed, rows) | dict.fromkeys(measured, origin),
     }
@@ -243,7 +241,7 @@ def _say_if_redrawn(command: TokenizerReportCommand, report_set: ReportSet, froz
 
 
 def _report(command: TokenizerReportCommand) -> str:
-    results, report_set = Path(command.results), get_report_set(command.set)
+    results, report_set = Path(command.results), REPORT_SETS[command.set]
     tokenizer = Tokenizer.from_pretrained(command.tokenizer or None)
     if command.freeze:
         return f"set frozen in {freeze(command, report_set, tokenizer.config.side)}"

@@ -30,7 +30,6 @@ Predictor = Callable[[Pictures], np.ndarray]  # → (n, T, 3) N
 
 
 def pictures(labelled: LabelledSet) -> Pictures:
-    """Return the images of a set."""
     return Pictures(labelled.reference, labelled.frames)
 
 
@@ -64,4 +63,4 @@ def add_score(scores: Scores, table: Table, transfer: tuple[str, str], predict: 
     """Append one seed's score of ``transfer``; the target's labels meet the prediction here and nowhere else."""
     target = transfer[1]
     said = predict(pictures(table.frozen[target]))
-    scores.setdefault(transfer_name(*transfer), []).append(score(table.forces(target), said))
+    scores.setdefault(transfer_name(*transfer), []).append(score(table.frozen[target].force_N, said))

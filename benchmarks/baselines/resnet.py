@@ -76,12 +76,10 @@ RESNET = ResNetConfig()
 
 
 def resnet_row(table: Table, seeds: int, config: ResNetConfig = RESNET) -> Cells:
-    """Return the row of ResNets trained on each source sensor."""
     return fitted_row(table, lambda source, seed: fit_resnet(source, config, seed), seeds)
 
 
 def fit_resnet(source: LabelledSet, config: ResNetConfig, seed: int) -> Predictor:
-    """Return a predictor trained on one sensor's labelled set."""
     return fit_pictures(pictures(source), labels(source), config, seed)
 
 

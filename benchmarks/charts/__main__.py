@@ -8,7 +8,7 @@ from typing import Any
 from benchmarks.charts.front import Point, draw_chart, front
 from benchmarks.charts.tokenizer import accuracies, latencies_ms, name_of
 from benchmarks.probes.labelled_set import ARRAYS, LabelledSet
-from benchmarks.probes.report_sets import get_report_set
+from benchmarks.probes.report_sets import REPORT_SETS
 from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.options import Count, CountOrZero, OutFolder
 from uniforce_vtla.results_file import provenance, write_json
@@ -33,7 +33,7 @@ class ChartCommand:
 
 def frozen_set(name: str, config: ChartCommand) -> dict[str, LabelledSet]:
     """Return sensor → the first labelled sequences of a frozen set, all where ``config.sequences`` is 0."""
-    chosen = get_report_set(name)
+    chosen = REPORT_SETS[name]
     side = Tokenizer.from_pretrained().config.side
     drawn = chosen.draw(chosen.frozen, chosen.targets(), side, Path(config.cache))
     return {sensor: first(labelled, config.sequences or None) for sensor, labelled in drawn.items()}

@@ -94,4 +94,4 @@ def _accuracy(latents: dict[str, torch.Tensor], size: str, frozen: dict[str, Lab
     pairs = [(source, target) for source in frozen for target in frozen if source != target]
     heads = {source: ForceHead.from_pretrained(source, size) for source in frozen}
     cells = {transfer_name(a, b): score(frozen[b].force_N, heads[a].sequence(latents[b]).numpy()) for a, b in pairs}
-    return summary(cells, pairs) | {"cells": {name: cell["r2"] for name, cell in cells.items()}}
+    return summary(cells) | {"cells": {name: cell["r2"] for name, cell in cells.items()}}

@@ -51,7 +51,6 @@ def dome_slope() -> float:
 
 
 def measure(contacts: int, seed: int) -> dict[str, Any]:
-    """Return every check."""
     parts: dict[str, Callable[[], Any]] = {
         "hertz": theory.hertz,
         "bonded_layer": theory.bonded_layer,

@@ -46,7 +46,6 @@ _SPREAD = ((0.8, 0.9, 1.02, 1.3), (1.0, 1.0, 1.0, 1.0), (1.2, 1.1, 0.98, 0.75))
 
 
 def bodies(sensor: VirtualSensor) -> list[VirtualSensor]:
-    """Return ``sensor`` with three bodies."""
     return [replace(sensor, material=_changed(sensor.material, *factors)) for factors in _SPREAD]
 
 

@@ -158,7 +158,6 @@ def _with_interval(flagged: np.ndarray, bad: np.ndarray, grasp: np.ndarray) -> d
 
 
 def draw_scores(scored: Sequence[ScoredPairs], content: dict[str, Any], path: Path) -> Path:
-    """Write the figure."""
     figure = Figure(figsize=(10.5, 4.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     _draw_errors(left, scored, content["settings"]["limit"])

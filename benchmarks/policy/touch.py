@@ -28,7 +28,6 @@ LEARNING_RATE = 2.5e-5  # peak of base
 
 
 def variants() -> dict[str, TouchSettings]:
-    """Return settings per variant."""
     return {
         "none": TouchSettings(slots={}, input="none"),
         "prefix": TouchSettings(slots=SLOTS, input="latent", site="prefix", start_at_base=True),

@@ -58,8 +58,7 @@ def draw_hard(settings: HardSettings, sensor: VirtualSensor, side: int) -> Label
 
     The digest is that of the sensor's own images; what is read are those at nominal scale.
 
-    Raises:
-        SensorError: the canonicalizer finds no markers; nothing is skipped.
+    Raises SensorError: the canonicalizer finds no markers; nothing is skipped.
     """
     contacts = np.random.default_rng(settings.seed)
     objects = sample_objects(contacts, settings.sequences, settings.indenters)

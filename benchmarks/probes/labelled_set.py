@@ -67,14 +67,14 @@ def draw_labelled(config: SetConfig, sensor: str, side: int) -> LabelledSet:
     return LabelledSet(np.stack(reference), np.stack(frames), np.stack(descriptor), batch.force_N, digest.hexdigest())
 
 
-def set_facts(config: Any, digests: dict[str, str]) -> dict[str, Any]:
-    """Return what is committed before training: the set's recipe and one hash over all sensors."""
-    return {"recipe": asdict(config), "digests": digests, "set": config.name, "set_hash": set_hash(digests)}
+def set_facts(config: Any, drawn: dict[str, LabelledSet]) -> dict[str, Any]:
+    """Return what is committed before training: the set's recipe, its sensors' digests and one hash over them."""
+    digests = {sensor: labelled.digest for sensor, labelled in drawn.items()}
+    return {"recipe": asdict(config), "digests": digests, "set": config.name, "set_hash": set_hash(drawn)}
 
 
-def set_hash(digests: dict[str, str]) -> str:
-    """Return one hash over all sensors' digests."""
-    joined = "".join(f"{sensor} {digests[sensor]}\n" for sensor in sorted(digests))
+def set_hash(drawn: dict[str, LabelledSet]) -> str:
+    joined = "".join(f"{sensor} {drawn[sensor].digest}\n" for sensor in sorted(drawn))
     return hashlib.sha256(joined.encode()).hexdigest()
 
 

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from scipy import optimize
 
 from benchmarks.probes.labelled_set import LabelledSet
-from benchmarks.probes.zero_shot import Table
+from benchmarks.probes.zero_shot import Table, abs_r
 from uniforce_vtla.contact.indenters import UNSEEN
 from uniforce_vtla.contact.pairs import PairSettings, equilibrium_pairs
 from uniforce_vtla.errors import ContractError, expected
@@ -60,13 +60,9 @@ def fit_rotation(z: np.ndarray, force_N: np.ndarray, source: str) -> Rotation:
     if the latent were as wide in every direction: a little of a strong shear hides a weak normal force.  What is left
     of the space is filled with its own principal axes.
 
-    Args:
-        z: (..., L) latents of the source's training set, L ≥ 3.
-        force_N: (..., 3).
-        source: the sensor's name.
+    ``z`` are (..., L) latents of the training set of ``source``, L ≥ 3, ``force_N`` is (..., 3).
 
-    Raises:
-        ContractError: shapes that don't go together, non-finite values, latents that hold no three directions.
+    Raises ContractError: shapes that don't go together, non-finite values, latents that hold no three directions.
     """
     latent, force = _paired(z, force_N)
     centred = latent - latent.mean(axis=0)
@@ -125,7 +121,7 @@ def latent_correlation(tokenizer: Tokenizer, table: Table) -> dict[str, Any]:
     def per_sensor(features: Any) -> dict[str, list[float]]:
         turned = fit_rotation(features(table.training[SOURCE]), table.training[SOURCE].force_N, SOURCE)
         return {
-            name: _abs_r(turned(features(labelled)), labelled.force_N).tolist()
+            name: abs_r(turned(features(labelled))[..., :3].reshape(-1, 3), labelled.force_N.reshape(-1, 3))
             for name, labelled in table.frozen.items()
         }
 
@@ -139,12 +135,6 @@ def latent_correlation(tokenizer: Tokenizer, table: Table) -> dict[str, Any]:
 
 def _descriptor(labelled: LabelledSet) -> np.ndarray:
     return labelled.descriptor.astype(np.float64) / np.asarray(NATURAL_UNITS)
-
-
-def _abs_r(z: np.ndarray, force_N: np.ndarray) -> np.ndarray:
-    """Return (3,) |r| of the first three of (n, T, L) latents with (n, T, 3) forces."""
-    flat, force = z.reshape(-1, z.shape[-1]), force_N.reshape(-1, 3)
-    return np.array([abs(np.corrcoef(flat[:, k], force[:, k])[0, 1]) for k in range(3)])
 
 
 @torch.no_grad()

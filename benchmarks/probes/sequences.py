@@ -36,25 +36,14 @@ def force_sequences(
     options: ContactOptions | None = None,
     transform: Transform | None = None,
 ) -> SequenceBatch:
-    """Return ``n`` sequences of ``length`` frames.
+    """Return ``n`` sequences of ``length`` frames of a registered sensor.
 
-    Args:
-        rng: draws everything.
-        sensor: registry name.
-        n: number of sequences.
-        length: frames per sequence.
-        indenters: names to draw from.
-        force_range: bounds; the default is the paper's 0–12 N and ±3 N.
-        unit_strength: unit-to-unit variation, 0 for the drawing.
-        flat_share: share of flat faces beside the indenters.
-        units: how many units of the sensor take turns.
-        options: terms of the contact model.
-        transform: applied to (B, 480, 640) images before they are kept.
+    ``units`` of it take turns, which differ as much as ``unit_strength`` says, 0 for the drawing; ``flat_share`` of the
+    objects are flat faces. ``transform`` is applied to (B, 480, 640) images before they are kept.
     """
     objects = sample_objects(rng, n, indenters, flat_share)
     force = np.stack([press_shear_release(rng, length, force_range) for _ in range(n)])
-    options = options or ContactOptions()
-    pool = [draw_simulator(rng, sensor, unit_strength, options) for _ in range(min(units, n))]
+    pool = [draw_simulator(rng, sensor, unit_strength, options or ContactOptions()) for _ in range(min(units, n))]
     references, frames = [], []
     for index, (gap, load) in enumerate(zip(objects.gap_mm, force, strict=True)):
         simulator = pool[index % len(pool)]

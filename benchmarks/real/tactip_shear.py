@@ -34,7 +34,6 @@ class TactipSet:
 
 
 def is_tactip_shear(folder: Path) -> bool:
-    """Return whether ``folder`` is such a recording."""
     return (folder / TARGETS).is_file()
 
 

@@ -47,7 +47,6 @@ class Bench:
     rng: random.Random
 
     def session(self, **settings: object) -> Session:
-        """Return a session into a fresh folder."""
         return self.rig.session(self.root, **settings)
 
     def into_an_episode(self, session: Session, after: int = 0) -> int:
@@ -194,7 +193,6 @@ class SmallDisk:
 
     @property
     def kind(self) -> str:
-        """Which of the two, for the result."""
         return "tmpfs of its own" if self.is_own else "guard's limit raised to the free space"
 
     def reserve_MB(self, wanted_MB: float) -> float:  # noqa: N802  units

@@ -41,7 +41,6 @@ class IdleLoop:
 
     @property
     def pid(self) -> int:
-        """Of the process."""
         return int(self._process.pid or 0)
 
     def __enter__(self) -> IdleLoop:

@@ -98,7 +98,6 @@ class Rig:
 
     @property
     def pids(self) -> list[int]:
-        """Of every stand-in."""
         owned = [*self.cameras.values(), self.gelsight, self.uskin]
         pids = [standin.process.pid for standin in owned] + [self.arm.process.pid]
         return [pid for pid in pids if psutil.pid_exists(pid)]

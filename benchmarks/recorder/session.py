@@ -61,12 +61,10 @@ class Session:
 
     @property
     def lines(self) -> list[Line]:
-        """Everything said so far."""
         with self._new:
             return list(self._lines)
 
     def said(self, pattern: str) -> list[Line]:
-        """Return the lines that hold a pattern."""
         return [line for line in self.lines if re.search(pattern, line.text)]
 
     def wait_for(self, pattern: str, timeout_s: float, after: int = 0) -> tuple[int, Line]:
@@ -105,7 +103,6 @@ class Session:
         return code
 
     def processes(self) -> list[psutil.Process]:
-        """The session's process and all its children that run."""
         try:
             loop = psutil.Process(self.pid)
             return [loop, *loop.children(recursive=True)]
@@ -113,7 +110,6 @@ class Session:
             return []
 
     def close(self) -> None:
-        """Let go of the terminal; what still runs is killed."""
         if self._program.exit_code() is None:
             self._kill()
         os.close(self._slave)
@@ -177,12 +173,10 @@ class Program(StandIn):
         return self._exit
 
     def write_down(self, lines: list[Line]) -> None:
-        """Keep what a session said."""
         self._log.writelines(f"{line.time_s:.3f} {line.text}\n" for line in lines)
         self._log.flush()
 
     def close(self) -> None:
-        """End it."""
         self._log.close()
         super().close()
 

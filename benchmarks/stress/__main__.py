@@ -50,7 +50,6 @@ class StressCommand:
 
     @property
     def result(self) -> Path:
-        """Where the part's result goes."""
         return Path(self.out or Path(self.work) / f"{self.part}.json")
 
 

@@ -45,7 +45,6 @@ class DisturbedEnv(WipeEnv):
         self._disturbance = disturbance
 
     def scene_of(self, seed: int) -> SceneParams:
-        """Return the changed scene."""
         return self._disturbance.scene(super().scene_of(seed))
 
     def start(self, seed: int) -> None:
@@ -90,7 +89,6 @@ class SceneOperator(Operator):
 
     @property
     def unit(self) -> str:
-        """Unit of a dose."""
         return self.in_words
 
 

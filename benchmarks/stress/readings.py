@@ -72,7 +72,6 @@ class ReadsWorn(WipeExpert):
         self._read = np.zeros(3)
 
     def reset(self, env: WipeEnv) -> None:
-        """Start a new episode."""
         self._read = np.zeros(3)
         super().reset(env)
 

@@ -54,7 +54,6 @@ class Room:
     folder: Path
 
     def build(self) -> Room:
-        """Make everything; return the room."""
         record_synthetic(self.folder / "dataset", 1, 20)
         build_view(self.folder / "dataset", self.folder / "view")
         (self.folder / "some_folder").mkdir()
@@ -77,7 +76,6 @@ class Room:
 
 
 def bad_inputs(options: Mapping[str, Option], room: Room) -> Iterator[BadInput]:
-    """Yield what a command with these options must refuse."""
     for option in options.values():
         for kind, text in bad_values(option, room):
             yield BadInput(kind, (f"{option.name}={text}",), option.name)

@@ -75,13 +75,11 @@ class Trial:
 
     @property
     def words(self) -> tuple[str, ...]:
-        """The whole command line."""
         given = {word.removeprefix("--").partition("=")[0] for word in self.bad.words}
         return (*(w for w in self.sound if w.partition("=")[0] not in given), *self.bad.words)
 
 
 def trials(command: str, room: Room) -> list[Trial]:
-    """Return every trial of an entry point."""
     if command == "train":
         return _train_trials(room)
     options = options_of(_entry(command).config_class)
@@ -132,7 +130,6 @@ def _robot_trials(room: Room) -> list[Trial]:
 
 
 def judge(trial: Trial, ended: Ended) -> str:
-    """Return which of ``VERDICTS`` it is."""
     if "Traceback" in ended.said or ended.code == 70:
         return "tracebacks"
     if ended.code != REFUSED:
@@ -175,7 +172,6 @@ def _how(ended: Ended) -> str:
 
 
 def hashes(folder: Path) -> dict[str, str]:
-    """Return the hash of every file below a folder."""
     return {str(f): hashlib.sha256(f.read_bytes()).hexdigest() for f in sorted(folder.rglob("*")) if f.is_file()}
 
 
@@ -187,7 +183,6 @@ def prepare(folder: Path) -> Room:
 
 
 def attack(config: CommandLineConfig) -> dict[str, Any]:
-    """Return the table."""
     chosen = split(config.only) or list(COMMANDS)
     import_once([MODULES[name] for name in chosen])
     with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(config.workers) as pool:

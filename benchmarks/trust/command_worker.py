@@ -51,7 +51,6 @@ class CommandWorker:
             return Ended(None, "the process ended")
 
     def close(self) -> None:
-        """Kill the process and its children."""
         if self._process is not None:
             os.killpg(self._process.pid, signal.SIGKILL)
             self._process.join()

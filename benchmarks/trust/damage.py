@@ -74,7 +74,6 @@ def _once(root: Path, verify: str) -> tuple[float, float]:
 
 
 def attack(frames: int) -> dict[str, Any]:
-    """Return the table with its counts."""
     with tempfile.TemporaryDirectory() as work:
         folder = Path(work)
         whole = record_whole(folder)

@@ -27,7 +27,6 @@ Tensors = dict[str, torch.Tensor]
 
 
 def link(file: Path, target: Path) -> None:
-    """Let a file be a link to another one."""
     file.unlink()
     file.symlink_to(target)
 
@@ -46,7 +45,6 @@ def save_weights(folder: Path, change: Callable[[Tensors], object]) -> None:
 
 
 def save_config(folder: Path, **settings: object) -> None:
-    """Change settings and write the hashes again."""
     stored = json.loads((folder / CONFIG).read_text())
     (folder / CONFIG).write_text(json.dumps(stored | settings))
     write_hashes(folder)

@@ -60,12 +60,10 @@ def _frame(episode: int, step: int, rng: np.random.Generator) -> dict[str, Any]:
 
 
 def video(root: Path, key: str = LEFT, episode: int = HIT) -> Path:
-    """Return an episode's video."""
     return root / "videos" / key / "chunk-000" / f"file-{episode:03d}.mp4"
 
 
 def data(root: Path, episode: int = HIT) -> Path:
-    """Return an episode's table of numbers."""
     return root / "data" / "chunk-000" / f"file-{episode:03d}.parquet"
 
 
@@ -109,20 +107,17 @@ def set_value(file: Path, column: str, value: float, row: int = SECTION.start) -
 
 
 def shorten(file: Path) -> None:
-    """Leave the last row of a table out."""
     table = pq.read_table(file)
     pq.write_table(table.slice(0, len(table) - 1), file)
 
 
 def edit_array(file: Path) -> None:
-    """Change one number of an array."""
     values = np.load(file)
     values.flat[values.size // 2] += 1
     np.save(file, values)
 
 
 def stats(root: Path) -> Path:
-    """Return the file of statistics."""
     return root / "meta" / "stats.json"
 
 

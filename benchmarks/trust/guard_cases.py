@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.trust.guard_oracle import SLACK, axes_of, pose_of, wrong_action, wrong_pose
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka import robot as robot_module
-from uniforce_robots.franka.arm import ArmState, Gains
+from uniforce_robots.franka.arm import ArmState
 from uniforce_robots.franka.guards import GuardLimits
 from uniforce_robots.franka.hand_command import HandReading
 from uniforce_robots.franka.limits import StreamSettings
@@ -55,7 +55,6 @@ class Clock:
     now_s: float = 100.0
 
     def __call__(self) -> float:
-        """Return the time, s."""
         return self.now_s
 
 
@@ -96,7 +95,6 @@ class ScriptedArm:
         return ArmState(now_s, robot_s, said["q"], said["dq"], said["pose"], said["wrench"], mode, 1.0)
 
     def set_target(self, ee_to_base: np.ndarray) -> None:
-        """Keep the target and move."""
         target = axes_of(ee_to_base)
         self.sent.append((self.clock(), target, self.axes))
         step = target - self.axes
@@ -108,16 +106,12 @@ class ScriptedArm:
         self.axes = self.axes + step * 0.004 / max(float(np.linalg.norm(step)), 0.004)
 
     def recover(self) -> None:
-        """Be well again."""
         self.right_names, self.readings = (), 0
-
-    def set_gains(self, gains: Gains) -> None:
-        """Do nothing."""
 
     def stop(self, at_once: bool = False) -> None:
         """Do nothing."""
 
-    connect = close = stop
+    connect = close = set_gains = stop
 
 
 class ScriptedHand:
@@ -133,11 +127,9 @@ class ScriptedHand:
 
     @property
     def reading(self) -> HandReading:
-        """Where the fingers are."""
         return HandReading(self._clock(), self.width_m, 0.08, False)
 
     def submit(self, width_m: float) -> None:
-        """Go there."""
         self.width_m = width_m
 
 
@@ -145,11 +137,9 @@ class TickedStream(ArmStream):
     """A stream without its thread: the cases tick it themselves."""
 
     def start(self) -> None:
-        """Read the arm once."""
         self.read_first()
 
     def stop(self) -> None:
-        """End."""
         self._ending.set()
 
 

@@ -104,7 +104,6 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
 
 
 def attack(faults: list[str], times: int, folder: Path) -> list[dict[str, Any]]:
-    """Return every trial of both clients."""
     done = {client: Counter(row["fault"] for row in Ledger(folder).read(client)) for client in CLIENTS}
     left = sum(max(times - done[client][fault], 0) for client in CLIENTS for fault in faults)
     with tqdm(total=left, desc="trials") as bar, ThreadPoolExecutor(len(CLIENTS)) as pool:

@@ -52,7 +52,6 @@ class Babble(p.Header):
     """A header in whose place, and its message's, random bytes are sent."""
 
     def encode(self, message: p.Message) -> bytes:
-        """Return 1 to 200 random bytes."""
         return SOURCE.randbytes(SOURCE.randint(*GARBAGE_BYTES))
 
 
@@ -76,12 +75,10 @@ class HostileArm(ArmService):
         self.link.header = p.ARM_HEADER
 
     def receive_command(self, datagram: bytes) -> None:
-        """Take a command of the control loop, if it arrives."""
         if self.takes_commands:
             super().receive_command(datagram)
 
     def is_due(self, now_s: float) -> bool:
-        """Whether the next millisecond may begin."""
         return super().is_due(now_s) or (self.starved and now_s - self.sent_s >= TICK_s)
 
     def tick(self) -> None:
@@ -92,7 +89,6 @@ class HostileArm(ArmService):
             self.last_moving_ms = self.milliseconds
 
     def send(self, state: RobotState) -> None:
-        """Send what the fault makes of a state."""
         if self.outgoing is None:
             self.sent.append(state)
             super().send(state)
@@ -135,12 +131,10 @@ class HostileHand(HandService):
         return self.pending is not None and time.monotonic() - self._begun_s > MIDWAY_s
 
     def begin(self, message: p.Message, request: p.Grasp | p.HandMove | None) -> None:
-        """Start a motion."""
         super().begin(message, request)
         self._begun_s = time.monotonic()
 
     def answer(self, message: p.Message) -> None:
-        """Answer one request, none while the hand hangs."""
         if not self.hung or message.command == p.HandCommand.CONNECT:
             super().answer(message)
 
@@ -151,7 +145,6 @@ class HostileHand(HandService):
         super().tick(now_s)
 
     def send(self, state: p.HandState) -> None:
-        """Send what the fault makes of a state."""
         for datagram in [state.encode()] if self.outgoing is None else self.outgoing(state):
             self.link.send_state(datagram)
 
@@ -246,7 +239,6 @@ def babble(service: HostileArm | HostileHand) -> None:
 
 
 def drop(service: HostileArm | HostileHand) -> None:
-    """Close the connection."""
     service.link.drop("fault")
     service.client_gone()
 
@@ -275,7 +267,6 @@ def hand_sends(datagrams: Callable[[], Iterable[bytes]]) -> Act:
 
 
 def lose_width(arm: HostileArm, hand: HostileHand) -> None:
-    """Send a width that is no number."""
     hand.outgoing = lambda state: [state._replace(width_m=float("nan")).encode()]
 
 
@@ -371,7 +362,6 @@ class Faults:
             FAULTS[name].begin(self.arm, self.hand)
 
     def tick(self) -> None:
-        """Do what the fault does each millisecond."""
         if self.name != NONE:
             FAULTS[self.name].watch(self.arm, self.hand)
 
@@ -402,12 +392,10 @@ class HostileServer(Server):
         self.orders["fault"] = self.faults.order
 
     def tick(self) -> None:
-        """Let one millisecond of the robot's time pass."""
         super().tick()
         self.faults.tick()
 
     def describe(self) -> dict[str, object]:
-        """Add the fault."""
         return super().describe() | {"fault": self.faults.describe()}
 
 
