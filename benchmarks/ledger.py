@@ -1,10 +1,11 @@
-"""What trials found, a line each, so that a stopped run goes on where it was."""
+"""What trials found, a line each, so that a stopped run goes on where it was; and result files several of them fill."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from uniforce_vtla.results_file import append_line, read_lines
+from uniforce_vtla.results_file import append_line, provenance, read_lines, write_json
 
 
 class Ledger:
@@ -23,3 +24,10 @@ class Ledger:
 
     def read(self, name: str) -> list[dict[str, Any]]:
         return read_lines(self._folder / f"{name}.jsonl")
+
+
+def update(path: Path, key: str, content: dict[str, Any]) -> Path:
+    """Replace one key of a result file, and under ``made_by`` the command that made it; the others stay."""
+    whole = json.loads(path.read_text()) if path.is_file() else {}
+    origin = whole.get("made_by", {}) | {key: provenance()}
+    return write_json(path, whole | {key: content, "made_by": origin})

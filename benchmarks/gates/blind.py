@@ -1,20 +1,15 @@
 """Scripts without touch: the expert's own sequence with grip and press from positions, nominal or measured."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lerobot_env_uniforce_wiping.env import WipeEnv
 from lerobot_env_uniforce_wiping.expert import CLEARANCE_m, CLOSING_m_s, SLOW_m_s, lowering_speed
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ, Layout
 from lerobot_env_uniforce_wiping.mjcf import GRIPPER_N_m, STIFFNESS_N_m
 from lerobot_env_uniforce_wiping.sequence import Regulator, WipeSequence, look_back
-
-if TYPE_CHECKING:
-    from lerobot_env_uniforce_wiping.env import WipeEnv
 
 SETTLE_steps = 12  # waited at a position before the next phase
 STALLED = 0.9  # share of the grip's distance by which the width lags when the eraser stops it

@@ -3,21 +3,16 @@
 It sees what a policy without touch could remember. The ink is the simulator's own, which cameras show less exactly.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import nn
 from tqdm import tqdm
 
+from lerobot_env_uniforce_wiping.env import WipeEnv
 from lerobot_env_uniforce_wiping.expert import Contact
-
-if TYPE_CHECKING:
-    from lerobot_env_uniforce_wiping.env import WipeEnv
 
 HIDDEN, WINDOW_STEPS, BATCH, EPOCHS = 64, 120, 32, 40
 HELD_OUT = 0.1  # of the episodes, for the R² that is reported

@@ -1,21 +1,16 @@
 """The expert with another reading of grip and press: scaled, shifted, seldom, frozen, or worked out without touch."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lerobot_env_uniforce_wiping.env import WipeEnv
 from lerobot_env_uniforce_wiping.expert import Contact, WipeExpert
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ
 from uniforce_vtla.contracts import Finger
 
-if TYPE_CHECKING:
-    from lerobot_env_uniforce_wiping.env import WipeEnv
-
-Change = Callable[[Contact, "WipeEnv", str], Contact]  # what is read, the scene and the phase → what is believed
+Change = Callable[[Contact, WipeEnv, str], Contact]  # what is read, the scene and the phase → what is believed
 FEELS_s = 0.5  # of wiping, before touch freezes
 
 

@@ -1,22 +1,17 @@
 """Scripts without touch that are cleverer than the scene's own: they identify stiffness, learn from looks, remember."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from benchmarks.gates.blind import BlindScript, BlindSettings, MeasuredPress, MeasuredRelative
 from benchmarks.gates.readings import FEELS_s
+from lerobot_env_uniforce_wiping.env import WipeEnv
 from lerobot_env_uniforce_wiping.expert import Contact, TouchRegulator, TouchSettings, WipeExpert
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ, Layout
 from lerobot_env_uniforce_wiping.mjcf import GRIPPER_N_m, STIFFNESS_N_m
 from lerobot_env_uniforce_wiping.sequence import LOOKS_BACK, Regulator, WipeSequence, look_back
-
-if TYPE_CHECKING:
-    from lerobot_env_uniforce_wiping.env import WipeEnv
 
 HEIGHT_GAIN = 4.0  # 1/s: how fast a kept height is regulated
 STEADY_STEPS = 12  # of a speed, after which the lag is that speed's

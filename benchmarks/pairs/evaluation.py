@@ -167,18 +167,14 @@ def draw_scores(scored: Sequence[ScoredPairs], content: dict[str, Any], path: Pa
 
 
 def _draw_errors(axis: Axes, scored: Sequence[ScoredPairs], limit: float) -> None:
-    fault = np.concatenate([s.fault for s in scored])
-    error = np.maximum(np.concatenate([s.error for s in scored]), FLOOR)
-    estimated = np.maximum(np.concatenate([s.estimated for s in scored]), FLOOR)
+    fault = _joined(scored, "fault")
+    error, estimated = (np.maximum(_joined(scored, name), FLOOR) for name in ("error", "estimated"))
     for name, colour in COLOURS.items():
         here = fault == name
         axis.plot(error[here], estimated[here], ".", color=colour, markersize=2, label=name)
     axis.axvline(LIMIT, color="black", linewidth=0.8)
     axis.axhline(limit, color="black", linewidth=0.8, linestyle="--")
-    axis.set_xscale("log")
-    axis.set_yscale("log")
-    axis.set_xlabel("true equilibrium error")
-    axis.set_ylabel("estimated")
+    axis.set(xscale="log", yscale="log", xlabel="true equilibrium error", ylabel="estimated")
     axis.legend(markerscale=5, fontsize=8, title="what went wrong in the grasp", title_fontsize=8)
 
 
@@ -188,7 +184,6 @@ def _draw_thresholds(axis: Axes, content: dict[str, Any]) -> None:
         axis.plot(limits, [row[key] for row in content["by_threshold"].values()], "o-", label=key)
     axis.axhline(content["bar"], color="black", linewidth=0.8, linestyle="--", label="bar")
     axis.axvline(content["settings"]["limit"], color="0.7", linewidth=0.8)
-    axis.set_ylim(0.7, 1.005)
-    axis.set_xlabel("threshold on the estimated error")
+    axis.set(ylim=(0.7, 1.005), xlabel="threshold on the estimated error")
     axis.set_title("without leaning along the closing axis", fontsize=9)
     axis.legend(fontsize=8)

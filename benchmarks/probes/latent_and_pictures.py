@@ -3,7 +3,6 @@
 The axes of the latent that follow force come from a rotation fitted once, on one simulated sensor's labels.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,18 +30,6 @@ PAIRS_SEED = 7_003
 BRANCHES = ((0, 0), (1, 1), (1, 0), (0, 1))  # (whose latent, whose picture)
 
 
-@dataclass(frozen=True)
-class Rotation:
-    """Orthogonal change of the latent's axes: ``z @ matrix`` carries fx, fy, fz on its first three."""
-
-    source: str  # the sensor whose labels it was fitted to
-    matrix: np.ndarray  # (L, L) orthogonal
-
-    def __call__(self, z: np.ndarray) -> np.ndarray:
-        """Return latents (..., L) on the new axes."""
-        return z @ self.matrix
-
-
 def pad_latent(tokenizer: Tokenizer, labelled: LabelledSet) -> np.ndarray:
     """Return (n, T, L) float64 latents, averaged over all patches (worn on the left finger)."""
     rows = [
@@ -52,15 +39,15 @@ def pad_latent(tokenizer: Tokenizer, labelled: LabelledSet) -> np.ndarray:
     return torch.stack(rows).double().numpy()
 
 
-def fit_rotation(z: np.ndarray, force_N: np.ndarray, source: str) -> Rotation:
-    """Return the rotation that lines the latent's axes up with force.
+def fit_rotation(z: np.ndarray, force_N: np.ndarray) -> np.ndarray:
+    """Return (L, L), orthogonal: ``z @ rotation`` carries fx, fy, fz on its first three axes.
 
     The first three axes are the orthonormal triple whose squared correlations with Fx, Fy, Fz sum to the most.  The
     search starts at the nearest triple (Procrustes) to the three regression directions; that one alone would do only
     if the latent were as wide in every direction: a little of a strong shear hides a weak normal force.  What is left
     of the space is filled with its own principal axes.
 
-    ``z`` are (..., L) latents of the training set of ``source``, L ≥ 3, ``force_N`` is (..., 3).
+    ``z`` are (..., L) latents of a sensor's training set, L ≥ 3, ``force_N`` is (..., 3).
 
     Raises ContractError: shapes that don't go together, non-finite values, latents that hold no three directions.
     """
@@ -76,7 +63,7 @@ def fit_rotation(z: np.ndarray, force_N: np.ndarray, source: str) -> Rotation:
     matrix = np.concatenate([carries, rest @ principal[:, ::-1]], axis=1)
     if matrix.shape[1] > 3 and np.linalg.det(matrix) < 0:
         matrix[:, -1] *= -1  # a rotation, not a reflection
-    return Rotation(source, matrix)
+    return matrix
 
 
 def _orthonormal(directions: np.ndarray) -> np.ndarray:
@@ -119,9 +106,9 @@ def latent_correlation(tokenizer: Tokenizer, table: Table) -> dict[str, Any]:
     """
 
     def per_sensor(features: Any) -> dict[str, list[float]]:
-        turned = fit_rotation(features(table.training[SOURCE]), table.training[SOURCE].force_N, SOURCE)
+        rotation = fit_rotation(features(table.training[SOURCE]), table.training[SOURCE].force_N)
         return {
-            name: abs_r(turned(features(labelled))[..., :3].reshape(-1, 3), labelled.force_N.reshape(-1, 3))
+            name: abs_r((features(labelled) @ rotation)[..., :3].reshape(-1, 3), labelled.force_N.reshape(-1, 3))
             for name, labelled in table.frozen.items()
         }
 
@@ -129,12 +116,8 @@ def latent_correlation(tokenizer: Tokenizer, table: Table) -> dict[str, Any]:
         "what": "simulated; |r| of Fx, Fy, Fz with their axes, unseen indenters",
         "source": SOURCE,
         "best_abs_r": per_sensor(lambda s: pad_latent(tokenizer, s)),
-        "hand_descriptor": per_sensor(_descriptor),
+        "hand_descriptor": per_sensor(lambda s: s.descriptor.astype(np.float64) / np.asarray(NATURAL_UNITS)),
     }
-
-
-def _descriptor(labelled: LabelledSet) -> np.ndarray:
-    return labelled.descriptor.astype(np.float64) / np.asarray(NATURAL_UNITS)
 
 
 @torch.no_grad()

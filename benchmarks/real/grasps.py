@@ -45,9 +45,8 @@ class Trial:
 def read_trials(folder: Path, lender: str = LENDER) -> list[Trial]:
     """Return all trials of a ``data_set`` folder, by name.
 
-    Raises:
-        DatasetError: no trials, no lender, or tables of different length.
-        SensorError: a log that isn't uSkin counts, or a free-air stretch that isn't steady.
+    Raises DatasetError: no trials, no lender, or tables of different length; SensorError: a log that isn't uSkin
+    counts, or a free-air stretch that isn't steady.
     """
     paths = sorted(p for p in folder.iterdir() if p.is_dir()) if folder.is_dir() else []
     if lender not in [path.name for path in paths]:
@@ -84,8 +83,7 @@ def _free_air(counts: np.ndarray) -> np.ndarray:
 def read_uskin_csv(path: Path | str) -> np.ndarray:
     """Return a trial's raw counts, (N, 16, 3) int64; extra columns are left aside.
 
-    Raises:
-        SensorError: no such file, a missing column, no rows, or a value that isn't a whole number.
+    Raises SensorError: no such file, a missing column, no rows, or a value that isn't a whole number.
     """
     table = _read_table(Path(path), SensorError)
     missing = [column for column in COLUMNS if column not in table.columns]

@@ -20,9 +20,7 @@ from uniforce_vtla.results_file import provenance, write_json
 def try_recorder(plan: Plan) -> dict[str, Any]:
     """Run the chosen parts; return the whole result.
 
-    Raises:
-        ContractError: an unknown part or fault.
-        TrialError: a trial that didn't come to its point outside the faults, which note it and go on.
+    Raises ContractError: an unknown part or fault; TrialError: a trial outside the faults that missed its point.
     """
     from benchmarks.recorder.verdict import bars
 

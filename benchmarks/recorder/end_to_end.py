@@ -28,11 +28,7 @@ EPISODE_MAX = 4.0  # times its length: waiting for references and storing includ
 
 
 def run(plan: Plan, ledger: Ledger) -> dict[str, Any]:
-    """Record what is missing of the episodes; return the findings of all of them.
-
-    Raises:
-        TrialError: every session ends before its time.
-    """
+    """Record what is missing of the episodes; return the findings of all; TrialError: every session ends too early."""
     root = plan.folder / "end_to_end" / "data"
     if _judged(root) < plan.episodes:
         with Rig(plan, plan.folder / "end_to_end") as rig:
@@ -141,12 +137,7 @@ def observe_p95_ms(stamps_s: np.ndarray) -> float:
 
 
 def lateness_ms(tick_s: np.ndarray, fps: int) -> tuple[np.ndarray, int]:
-    """Return (how late each tick came after its deadline, ms, deadlines missed), as the ticker counts them.
-
-    Args:
-        tick_s: (N,) stored times of ticks; the first one sets the beat.
-        fps: of the beat.
-    """
+    """Return (how late each of (N,) ticks came, ms, deadlines missed), from the first one on as the ticker counts."""
     period_s, due_s, missed = 1 / fps, float(tick_s[0]), 0
     late_s = np.zeros(len(tick_s))
     for number, now_s in enumerate(tick_s):

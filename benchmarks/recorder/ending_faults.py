@@ -172,15 +172,7 @@ def _held_at(root: Path, card: dict[str, Any]) -> float:
 
 
 class SmallDisk:
-    """A folder on a small disk.
-
-    Args:
-        root: the folder.
-        size_MB: of the disk.
-
-    Attributes:
-        is_own: whether it could be mounted; only then can it really be filled up.
-    """
+    """A folder on a small disk; ``is_own`` says whether it could be mounted: only then can it really be filled up."""
 
     def __init__(self, root: Path, size_MB: int) -> None:
         self._root = root

@@ -108,11 +108,8 @@ def measure(address: str, seconds: float, folder: Path) -> dict[str, float]:
 def measure_rate(seconds: float, rate_hz: float = 500.0) -> dict[str, float]:
     """Read a stand-in of its own for some time; every scan it sent is waited for.
 
-    Returns:
-        seconds: it lasted.
-        rate_hz: scans received per second at its end.
-        sent, samples, lost, bad: scans sent, received, torn, and lines not understood.
-        age_p50_ms, age_p99_ms: of the newest scan, asked for at random times.
+    Returns scans sent, received (``samples``), torn (``lost``), not understood (``bad``) and received per second at its
+    end; percentiles of the newest scan's age, asked for at random times.
     """
     with StandIn("slcan", f"rate_hz={rate_hz}") as stand_in:
         source = SlcanUSkin(stand_in.address)

@@ -34,12 +34,7 @@ def new_address() -> str:
 
 
 class Rig:
-    """Stand-ins that run, sessions of ``uniforce record`` against them, and what breaks them.
-
-    Args:
-        plan: what the rig is like.
-        folder: for the rig file and the wire's log.
-    """
+    """Stand-ins that run, sessions of ``uniforce record`` against them, and what breaks them; files in ``folder``."""
 
     def __init__(self, plan: Plan, folder: Path) -> None:
         self.plan, self.folder = plan, folder
@@ -108,11 +103,9 @@ class Rig:
         return self._log.stat().st_size
 
     def rest(self, mark: int, fault_s: float) -> dict[str, Any]:
-        """Wait until the arm rests; return when it was held and how well its own clock ran.
+        """Wait until the arm rests; return when it was held, if ever, and how well its own clock ran.
 
-        Args:
-            mark: where its log stood before the fault.
-            fault_s: when it was broken, ``time.monotonic``; no hold is returned where it never rests.
+        ``mark`` is where its log stood before the fault, which came at ``fault_s``, ``time.monotonic``.
         """
         deadline_s = time.monotonic() + REST_MAX_s * self.plan.patience
         hold = None

@@ -43,12 +43,7 @@ class Line:
 
 
 class Session:
-    """One run of ``uniforce record`` on a pseudo-terminal.
-
-    Args:
-        program: forks it.
-        argv: its command line.
-    """
+    """One run of ``uniforce record`` on a pseudo-terminal, forked by ``program``."""
 
     def __init__(self, program: Program, argv: list[str]) -> None:
         self._program, self._patience = program, program.patience
@@ -70,10 +65,8 @@ class Session:
     def wait_for(self, pattern: str, timeout_s: float, after: int = 0) -> tuple[int, Line]:
         """Return (its number, the line) of the first line at or after number ``after`` that holds a pattern.
 
-        Times are multiplied by the plan's patience, here and in ``wait_end``.
-
-        Raises:
-            TrialError: it ended before, or said nothing of the kind in time.
+        Times are multiplied by the plan's patience, here and in ``wait_end``. Raises TrialError: it ended before, or
+        said nothing of the kind in time.
         """
         deadline_s = time.monotonic() + timeout_s * self._patience
         while True:
@@ -144,11 +137,9 @@ class Session:
 
 
 class Program(StandIn):
-    """The warm program that sessions are forked from; one session at a time.
+    """The warm program that sessions are forked from; one session at a time. All they say is added to the file ``log``.
 
-    Args:
-        log: file that everything they say is added to.
-        patience: what waiting times are multiplied by.
+    Waiting times are multiplied by ``patience``.
     """
 
     def __init__(self, log: Path, patience: float = 1.0) -> None:

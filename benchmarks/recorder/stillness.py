@@ -14,11 +14,8 @@ WATCHED_s = 0.3  # at the end
 def find_hold(wire: Sequence[dict], fault_s: float) -> dict[str, float] | None:
     """Return {"hold_s": until it began to brake for good, "rest_s": until it was within 1 mm of where it stayed}.
 
-    Seconds from the fault, 0 for what was so before it; None where the arm went on moving.
-
-    Args:
-        wire: the arm's log from the fault until well after the rest.
-        fault_s: when it was broken, ``time.monotonic``.
+    Seconds from the fault at ``fault_s``, ``time.monotonic``, 0 for what was so before it; None where the arm went on
+    moving. ``wire`` is the arm's log from the fault until well after the rest.
     """
     states = [line for line in wire if line["what"] == "state"]
     if not states:

@@ -39,7 +39,7 @@ def _benches() -> dict[str, Callable[[float], dict[str, Any]]]:
         "cached": bench_cached,
         "stream": bench_stream,
         "env": bench_env,
-        "loader": lambda seconds: bench_loader(None, seconds),
+        "loader": bench_loader,
     }
 
 

@@ -38,8 +38,7 @@ def encode_now(env: WipeEnv, finger: Finger, tokenizer: Tokenizer) -> Latent:
 def read_scenes(level: str, finger: Finger, sensor: str, seeds: range, tokenizer: Tokenizer) -> Readings:
     """Let the expert wipe by the true wrench with ``sensor`` on ``finger``, and read it every few steps.
 
-    Raises:
-        SensorError: the reference of a scene's unit is refused.
+    Raises SensorError: the reference of a scene's unit is refused.
     """
     worn: dict[str, Any] = {f"{finger}_sensor": sensor}
     env, latents, truth, press, refused = WipeEnv(level, drawn=(finger,), **worn), [], [], [], 0

@@ -18,9 +18,9 @@ from typing import Annotated, Any
 
 from tqdm import tqdm
 
+from benchmarks.ledger import update
 from benchmarks.trust.bad_words import BadInput, Room, bad_inputs
 from benchmarks.trust.command_worker import CommandWorker, Ended, import_once
-from benchmarks.trust.report import update
 from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
 from uniforce_cli.boundary import REFUSED, guarded
 from uniforce_cli.main import VERBS

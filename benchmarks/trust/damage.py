@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from benchmarks.ledger import update
 from benchmarks.trust.damaged_checkpoints import CHECKPOINT_DAMAGES
 from benchmarks.trust.damaged_datasets import DATASET_DAMAGES, record_whole
 from benchmarks.trust.injuries import Damage
-from benchmarks.trust.report import update
 from uniforce_cli.boundary import command
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.synthetic import record_synthetic

@@ -14,8 +14,8 @@ from typing import Any
 
 from tqdm import tqdm
 
+from benchmarks.ledger import update
 from benchmarks.trust.guard_cases import drive
-from benchmarks.trust.report import update
 from uniforce_cli.boundary import command
 from uniforce_robots.franka.arm import Gains
 from uniforce_robots.franka.config import NESTED, UniforceFrankaConfig

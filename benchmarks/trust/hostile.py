@@ -18,9 +18,8 @@ from typing import Any
 
 from tqdm import tqdm
 
-from benchmarks.ledger import Ledger
+from benchmarks.ledger import Ledger, update
 from benchmarks.trust.hostile_trials import RIGHT_NAMES, HOLD_s, Trial, is_right
-from benchmarks.trust.report import update
 from uniforce_cli.boundary import command
 from uniforce_vtla.arguments import choose
 

@@ -165,10 +165,7 @@ def trial(client: str, fault: str, address: str, folder: Path) -> Trial:
 def begun_trial(client: str, fault: str, address: str, folder: Path) -> Trial:
     """Return a trial; what a starved machine stopped, before the fault or for another reason, is tried again, counted.
 
-    The last of ``STARTS`` counts, whatever came of it.
-
-    Raises:
-        RobotError: it never began.
+    The last of ``STARTS`` counts, whatever came of it; RobotError: it never began.
     """
     for starved in range(STARTS):
         with Sleeper() as sleeper:
