@@ -14,8 +14,7 @@ from benchmarks.speed.canonicalizer import canonicalizer_rate
 from uniforce_cli.boundary import Sensor, command, one_thread
 from uniforce_vtla.options import Count, OutFile
 from uniforce_vtla.results_file import provenance, write_json
-from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 
 
 @dataclass

@@ -64,7 +64,6 @@ def indentation() -> dict[str, Any]:
 
 
 def slip() -> dict[str, Any]:
-    """Return Coulomb's slip loads and the measured ones."""
     loads = [rig.slip_load(mu, width) for mu, width in itertools.product(FRICTIONS, GRIPS_m)]
     worst = max(abs(load["measured_N"] / load["coulomb_N"] - 1) for load in loads)
     return {"loads": loads, "worst_relative_error": worst}

@@ -1,8 +1,4 @@
-"""A test rig inside the scene: nothing hidden, the eraser held or pressed as asked, one number read off.
-
-What a laboratory would measure on the real pads before trusting them: stiffness, slip load, creep, wear, and how
-much of it hangs on the time step.
-"""
+"""A rig inside the scene to measure what a laboratory would: stiffness, slip load, creep, wear, the time step."""
 
 import time
 from dataclasses import dataclass, replace

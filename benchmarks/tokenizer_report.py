@@ -146,10 +146,7 @@ def in_order(committed: dict[str, Any], rows: dict[str, Cells]) -> dict[str, Cel
 
 
 def kept_origins(committed: dict[str, Any], rows: Mapping[str, Cells]) -> dict[str, Any]:
-    """Return which command measured each row taken over from a committed table, and when.
-
-    A table written before rows had origins of their own says so only once, for the last of them.
-    """
+    """Return which command measured each row taken over from a committed table, and when, if it says so row by row."""
     return {name: origin for name, origin in committed.get("measured_by", {}).items() if name in rows}
 
 
@@ -174,8 +171,7 @@ def _facts(command: TokenizerReportCommand, report_set: ReportSet) -> dict[str, 
 def _committed_table(command: TokenizerReportCommand, report_set: ReportSet, facts: dict[str, Any]) -> dict[str, Any]:
     """Return the committed table whose rows ``only=`` keeps; empty where nothing is kept.
 
-    Raises:
-        DatasetError: a table of another set or other seeds.
+    Raises DatasetError: a table of another set or other seeds.
     """
     path = _table_path(command, report_set)
     if not command.only or not path.exists():
@@ -256,7 +252,10 @@ def _report(command: TokenizerReportCommand) -> str:
         return _latent_or_pictures(command, report_set, tokenizer)
     content = measure(command, report_set, tokenizer)
     path = write_json(_table_path(command, report_set), content)
-    lines = [f"{name:16s} " + _numbers(values) for name, values in content["summary"].items()]
+    lines = [
+        f"{name:16s} " + "  ".join(f"{key} {value:.2f}" for key, value in values.items())
+        for name, values in content["summary"].items()
+    ]
     return "\n".join([*lines, f"table: {path}"])
 
 
@@ -269,10 +268,6 @@ def _latent_or_pictures(command: TokenizerReportCommand, report_set: ReportSet, 
         found, name = reconstructions(tokenizer, PICTURED, results / "reconstruction.png"), "reconstruction.json"
     found |= {"tokenizer_hash": tokenizer.hash}
     return f"written to {write_json(results / name, found | provenance())}"
-
-
-def _numbers(values: dict[str, float]) -> str:
-    return "  ".join(f"{name} {value:.2f}" for name, value in values.items())
 
 
 @command(TokenizerReportCommand)

@@ -1,7 +1,4 @@
-"""Cells of a row whose whole network is fitted to the source sensor: ResNet, fine-tuning, translation.
-
-A row may look at pictures when it predicts, never at labels.
-"""
+"""Cells of a row whose whole network is fitted to the source sensor; it may look at pictures, never at labels."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

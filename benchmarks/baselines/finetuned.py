@@ -9,9 +9,8 @@ from benchmarks.baselines.cells import Predictor, fitted_row, labels, pictures
 from benchmarks.baselines.end_to_end import EndToEnd, EndToEndConfig, predictor, train_end_to_end
 from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.zero_shot import POOL, Cells, Table, encode_set, sized_head
-from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer import Tokenizer, pool_latent
 from uniforce_vtla.tokenizer.force_head import HeadTrainingConfig, train_head
-from uniforce_vtla.tokenizer.latent import pool_latent
 from uniforce_vtla.tokenizer.model import Encoder
 
 # The second stage, after the usual head on frozen latents. A tenth of pretraining's rate for the encoder: it is to

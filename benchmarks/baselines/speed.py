@@ -92,10 +92,7 @@ def our_size(tokenizer: Tokenizer) -> dict[str, Any]:
 
 
 def size_facts(encoder: T3Encoder) -> dict[str, Any]:
-    """Return ``params`` and ``flops_per_frame``, 2 per multiply-add.
-
-    Counted on the meta device: the counter has no entry for the CPU's fused attention and would leave it out.
-    """
+    """Return ``params`` and ``flops_per_frame``, 2 per multiply-add; the meta device doesn't hide fused attention."""
     side = encoder.config.image_size
     with torch.device("meta"):
         shadow, image = T3Encoder(encoder.config), torch.empty(1, 3, side, side)
@@ -109,10 +106,7 @@ def size_facts(encoder: T3Encoder) -> dict[str, Any]:
 
 
 def per_frame_ms(turn: Callable[[], int]) -> tuple[float, float]:
-    """Return the time per frame of a turn, which says how many it took: by the clock, and of the processor alone.
-
-    No other job lengthens the second one.
-    """
+    """Return the time per frame of a turn: by the clock, and of the processor alone, which no other job lengthens."""
     start, cpu_start = time.perf_counter(), time.process_time()
     frames = turn()
     clock, cpu = time.perf_counter() - start, time.process_time() - cpu_start

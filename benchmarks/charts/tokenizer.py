@@ -16,8 +16,7 @@ from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.zero_shot import encode_set, score, summary, transfer_name
 from benchmarks.timing import in_turns
 from uniforce_vtla.contracts import FINGERS
-from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 from uniforce_vtla.tokenizer.weights import SIZES
 
 PRECISIONS = ("float32", "bfloat16", "int8")

@@ -13,12 +13,11 @@ from tqdm import tqdm
 from benchmarks.finite_elements import theory
 from benchmarks.finite_elements.contacts import PRESS_STEPS, Contact, fine_gel, solve_contacts
 from uniforce_cli.boundary import command
+from uniforce_vtla.contact import TactileSimulator, flat_face_gap
 from uniforce_vtla.contact.elastic import influence
-from uniforce_vtla.contact.indenters import flat_face_gap
 from uniforce_vtla.contact.pads import build_pad
 from uniforce_vtla.contact.pressure import solve_pressure
 from uniforce_vtla.contact.responses import ContactOptions, PointMotion
-from uniforce_vtla.contact.simulator import TactileSimulator
 from uniforce_vtla.contact.traction import Traction
 from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual, gel_of
 from uniforce_vtla.contracts import ContactState

@@ -32,8 +32,7 @@ from uniforce_vtla.errors import DatasetError
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.options import Count, FilePath, FolderPath, Names, OutFile, OutFolder, TokenizerFolder
 from uniforce_vtla.results_file import provenance, write_json
-from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 from uniforce_vtla.tokenizer.latent import POOL
 
 SETS = {settings.name: settings for settings in (FE_DEV, FE_CONTACTS)}

@@ -12,10 +12,8 @@ from tqdm import tqdm
 
 from benchmarks.finite_elements.contacts import CELL_MM, Contact, solve_contacts
 from benchmarks.probes.labelled_set import LabelledSet
-from uniforce_vtla.contact.responses import ContactOptions
-from uniforce_vtla.contact.simulator import TactileSimulator
+from uniforce_vtla.contact import ContactOptions, TactileSimulator, UnitVariation
 from uniforce_vtla.contact.traction import Traction
-from uniforce_vtla.contact.units import UnitVariation
 from uniforce_vtla.contact.virtual import VirtualSensor
 from uniforce_vtla.markers.registration import to_nominal_scale
 from uniforce_vtla.sensors.material import Layer, Material

@@ -17,9 +17,8 @@ from benchmarks.gates.readings import EverySixth, Frozen, PlaneKnown, ReadingExp
 from benchmarks.gates.scripts import HarderEachLook, KeepingExpert, LagIdentifying
 from benchmarks.ledger import Ledger
 from benchmarks.scene_blocks import BLOCKS
-from lerobot_env_uniforce_wiping.env import WipeEnv
+from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.episodes import Script, run_script
-from lerobot_env_uniforce_wiping.expert import WipeExpert
 from lerobot_env_uniforce_wiping.levels import get_level, level_hash
 from uniforce_cli.boundary import Level, command, one_thread
 from uniforce_vtla.arguments import choose

@@ -56,7 +56,6 @@ class OpenLoopRegulator:
         self._closed, self._lowered = Settled(), Settled()
 
     def close(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
-        """Close to the nominal width, wait for the gripper to settle."""
         nxt = max(self._width_m, target_m - CLOSING_m_s / CONTROL_HZ)
         return nxt, self._closed(nxt == self._width_m)
 
@@ -64,7 +63,6 @@ class OpenLoopRegulator:
         return target_m
 
     def lower(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
-        """Go to the nominal depth, wait for the arm to settle."""
         nxt = max(self._z_m, target_m - lowering_speed(target_m, self._layout) / CONTROL_HZ)
         return nxt, self._lowered(nxt == self._z_m)
 
@@ -77,17 +75,13 @@ class OpenLoopRegulator:
 
 
 class MeasuredPress(OpenLoopRegulator):
-    """Targets a fixed distance below the *measured* height: a force command, if the arm's stiffness were known.
-
-    Contact shows as lag: the measured height stops following the target.
-    """
+    """Targets a fixed distance below the *measured* height, which lags on contact: a force, if K were known."""
 
     def __init__(self, layout: Layout, settings: BlindSettings) -> None:
         super().__init__(layout, settings)
         self._depth_m = settings.press_depth_m
 
     def lower(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
-        """Go down until the tool lags behind, then press by a fixed distance."""
         near = target_m < self._layout.board_height_m + self._layout.grasp_height_m + CLEARANCE_m
         touches = near and measured[2] - target_m > LAG_m
         pressed = self._lowered(touches)
@@ -96,7 +90,6 @@ class MeasuredPress(OpenLoopRegulator):
         return float(max(measured[2] - self._depth_m, target_m - SLOW_m_s / CONTROL_HZ)), pressed
 
     def press(self, target_m: float, measured: np.ndarray) -> float:
-        """Stay a fixed distance below the measured height."""
         wanted_m = measured[2] - self._depth_m
         return float(target_m + np.clip(wanted_m - target_m, -STEP_m, STEP_m))
 
@@ -109,12 +102,10 @@ class MeasuredRelative(MeasuredPress):
         self._inside_m = settings.grip_depth_m
 
     def close(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
-        """Close until the width stops following, then hold a fixed distance inside it."""
         nxt = max(measured[4] - self._inside_m, target_m - CLOSING_m_s / CONTROL_HZ)
         return float(nxt), self._closed(measured[4] - target_m > STALLED * self._inside_m)
 
     def hold(self, target_m: float, measured: np.ndarray) -> float:
-        """Stay a fixed distance inside the measured width."""
         return float(measured[4] - self._inside_m)
 
 

@@ -47,10 +47,7 @@ class Fitted:
 
 
 def fit(level: str, episodes: int, swept: int, first_seed: int, workers: int, folder: Path) -> Fitted:
-    """Return what the scripts learn on ``episodes`` scenes, set points on ``swept`` of them.
-
-    It is kept in ``folder``, where a second run finds it.
-    """
+    """Return what the scripts learn on ``episodes`` scenes, set points on ``swept`` of them; ``folder`` keeps it."""
     path = folder / "fitted.json"
     if path.is_file():
         stored = json.loads(path.read_text())
@@ -140,7 +137,6 @@ def _line(found: list[Observation]) -> tuple[float, float]:
 
 
 def _law(pairs: list[tuple[float | None, float]]) -> LagLaw:
-    """Return the line of log stiffness over log lag."""
     if len(pairs) < 2:
         return LagLaw(0.0, 0.0)
     lag, scale = np.log(np.array(pairs, dtype=np.float64)).T

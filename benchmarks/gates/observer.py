@@ -1,7 +1,4 @@
-"""A recurrent observer of press, from measured pose and commands alone; optionally also from the ink that is left.
-
-It sees what a policy without touch could remember. The ink is the simulator's own, which cameras show less exactly.
-"""
+"""A recurrent observer of press: what a policy without touch could remember of pose, commands, and the ink left."""
 
 from dataclasses import replace
 from pathlib import Path

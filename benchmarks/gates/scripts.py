@@ -65,14 +65,12 @@ class LagIdentifying(MeasuredRelative):
         self.arm, self.gripper = LagMeter(), LagMeter()
 
     def close(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
-        """Close, and look at the gripper's lag until the eraser stops it."""
         self.gripper(target_m, measured[4])
         if (lag_s := self.gripper.lag_s) is not None:
             self._inside_m = self._settings.grip_N / self.laws[1].stiffness(GRIPPER_N_m, lag_s)
         return super().close(target_m, measured)
 
     def lower(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
-        """Go down, and look at the arm's lag in free air."""
         self.arm(target_m, measured[2])
         if (lag_s := self.arm.lag_s) is not None:
             self._depth_m = self._settings.press_N / self.laws[0].stiffness(STIFFNESS_N_m[2], lag_s)
@@ -109,7 +107,6 @@ class Keeping(TouchRegulator):
         return self._felt < FEELS_s * CONTROL_HZ
 
     def press(self, target_m: float, measured: np.ndarray) -> float:
-        """Regulate by touch at first; then without."""
         if self._feels:
             self._felt += 1
             self._height_m = float(measured[2])
@@ -119,7 +116,6 @@ class Keeping(TouchRegulator):
         return float(target_m + HEIGHT_GAIN * (self._height_m - measured[2]) / CONTROL_HZ)
 
     def lower(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
-        """Go down by touch the first time; later to the height it had."""
         if self._feels:
             return super().lower(target_m, measured)
         step_m = np.clip(self._height_m - measured[2], -0.02, 0.02) / CONTROL_HZ

@@ -11,9 +11,8 @@ from uniforce_cli.boundary import command, one_thread
 from uniforce_cli.calibrate import CalibrateCommand, Unit, pooled_latents, simulated_grasps
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.options import Count, OutFolder, Seed, TokenizerFolder
-from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer import Latent, Tokenizer
 from uniforce_vtla.tokenizer.calibration import Calibration, fit_map
-from uniforce_vtla.tokenizer.latent import Latent
 from uniforce_vtla.tokenizer.plain_touch import descriptors
 
 

@@ -1,8 +1,4 @@
-"""Does the score find the pairs that are out of equilibrium? Precision and recall against the truth.
-
-Sessions are judged in order, as a recorder would: the first grasps with nothing learnt of the session yet. Intervals
-respect that frames of one grasp are alike.
-"""
+"""Does the score find the pairs out of equilibrium? Judged in order as a recorder would; intervals over grasps."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -88,7 +84,6 @@ def precision_recall(flagged: np.ndarray, bad: np.ndarray) -> dict[str, float]:
 
 
 def report(scored: Sequence[ScoredPairs]) -> dict[str, Any]:
-    """Return everything worth knowing of the score as JSON."""
     error, flagged, fault = (_joined(scored, name) for name in ("error", "flagged", "fault"))
     gate, indenter, estimated = (_joined(scored, name) for name in ("gate_open", "indenter", "estimated"))
     rig = np.concatenate([np.repeat(s.sensors, len(s.error)) for s in scored])

@@ -55,7 +55,6 @@ class _Operations(TorchDispatchMode):
 
 
 def count_operations(call: Callable) -> int:
-    """Return what one call asks the dispatcher for, views aside."""
     with _Operations() as counter:
         call()
     return counter.count

@@ -11,6 +11,7 @@ Training steps on one random sample ask besides: does the gradient reach touch, 
 
 import statistics
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import torch
@@ -42,7 +43,7 @@ def bench_touch(case: BenchCase, device: str, rounds: int, steps: int, train: bo
     for name, settings in variants().items():
         network = build(case, device, settings)
         given, noise = with_touch(network, *observe(case, network, device))
-        calls[name] = _sampling(network, given, noise, steps)
+        calls[name] = partial(network.sample_actions, *given, noise=noise, num_steps=steps)
         trains[name] = _training(network, given, noise)
         if name == "suffix":
             calls["refresh"] = _refresh(network, given, noise, steps)
@@ -62,10 +63,6 @@ def with_touch(network: PI05UniforcePytorch, given: Given, noise: torch.Tensor) 
         images = [*images, torch.randn(1, config.tokens_per_slot, config.latent_size, device=noise.device)]
         masks = [*masks, torch.ones(1, dtype=torch.bool, device=noise.device)]
     return (images, masks, tokens[:, :used], text_mask[:, :used]), noise
-
-
-def _sampling(network: PI05UniforcePytorch, given: Given, noise: torch.Tensor, steps: int) -> Call:
-    return lambda: network.sample_actions(*given, noise=noise, num_steps=steps)
 
 
 def _refresh(network: PI05UniforcePytorch, given: Given, noise: torch.Tensor, steps: int) -> Call:
@@ -139,7 +136,6 @@ def bench_training(case: BenchCase, device: str, steps: int, learning_rate: floa
 
 
 def gradient_norm(module: torch.nn.Module) -> float:
-    """Return the norm of a module's gradient; 0 without one."""
     grads = [p.grad.float().square().sum() for p in module.parameters() if p.grad is not None]
     return float(torch.stack(grads).sum().sqrt()) if grads else 0.0
 

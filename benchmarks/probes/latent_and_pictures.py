@@ -1,7 +1,4 @@
-"""Does the latent hold force (the paper's Q1), and does it redraw what the other finger saw (Q2)?  Unseen indenters.
-
-The axes of the latent that follow force come from a rotation fitted once, on one simulated sensor's labels.
-"""
+"""Does the latent hold force (Q1)? Does it redraw what the other finger saw (Q2)? Unseen indenters."""
 
 from pathlib import Path
 from typing import Any
@@ -13,8 +10,7 @@ from scipy import optimize
 
 from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.zero_shot import Table, abs_r
-from uniforce_vtla.contact.indenters import UNSEEN
-from uniforce_vtla.contact.pairs import PairSettings, equilibrium_pairs
+from uniforce_vtla.contact import UNSEEN, PairSettings, equilibrium_pairs
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.figure_file import save_figure
 from uniforce_vtla.markers.mirror import to_canonical

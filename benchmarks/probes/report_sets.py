@@ -37,7 +37,6 @@ class ReportSet:
         return f"{self.name}_set.json"
 
     def draw(self, recipe: Recipe, sensors: Sensors, side: int, folder: Path) -> dict:
-        """Return name → LabelledSet, drawn once and kept in ``folder``."""
         found = {}
         for name, sensor in tqdm(sensors.items(), desc=f"drawing {recipe.name}"):
             drawn = partial(draw, recipe, sensor, side)

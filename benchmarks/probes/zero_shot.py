@@ -1,7 +1,4 @@
-"""Zero-shot force: train a head on one sensor, read another through the same tokenizer.
-
-Sets are frozen: they must draw to the hash committed before the shipped checkpoint was trained.
-"""
+"""Zero-shot force on frozen sets: train a head on one sensor, read another through the same tokenizer."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -37,7 +34,6 @@ class Table:
     head: HeadTrainingConfig = field(default_factory=HeadTrainingConfig)
 
     def transfers(self) -> list[tuple[str, str]]:
-        """Return the ordered pairs (source, target) of different sensors."""
         return [(source, target) for source in self.training for target in self.frozen if source != target]
 
 
@@ -84,7 +80,6 @@ def learnt_row(table: Table, features: Callable[[LabelledSet], torch.Tensor], se
 
 
 def mean_row(table: Table) -> Cells:
-    """Return the row that always says the source's mean force."""
     row: Cells = {}
     for source, target in table.transfers():
         mean = table.training[source].force_N.reshape(-1, 3).mean(axis=0)

@@ -1,7 +1,4 @@
-"""Real grasps: two uSkins of one Franka hand, pick-and-move trials. Do both fingers read the same force?
-
-Labels of force there are none. Their logs are one csv per finger, columns ``txl1_x … txl16_z``.
-"""
+"""Real grasps without labels: two uSkins of one Franka hand. Do both fingers read the same force?"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,8 +11,7 @@ from uniforce_vtla.contracts import FINGERS, TAXEL_SHAPE, Finger
 from uniforce_vtla.errors import DatasetError, SensorError, UniForceError, expected
 from uniforce_vtla.markers.canonicalizer import Canonicalizer
 from uniforce_vtla.markers.reference import capture_taxel_reference
-from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 
 LOGS: dict[Finger, str] = {"left": "xela_sensor1.csv", "right": "xela_sensor2.csv"}
 COLUMNS = [f"txl{taxel}_{axis}" for taxel in range(1, TAXEL_SHAPE[0] + 1) for axis in "xyz"]
@@ -66,7 +62,6 @@ def read_trials(folder: Path, lender: str = LENDER) -> list[Trial]:
 
 
 def _read_tables(path: Path) -> tuple[np.ndarray, pd.DataFrame]:
-    """Return counts (2, T, 16, 3) and labels of one trial."""
     counts = [read_uskin_csv(path / log) for log in LOGS.values()]
     labels = _read_table(path / "slip_label.csv", DatasetError)
     lengths = {len(counts[0]), len(counts[1]), len(labels)}

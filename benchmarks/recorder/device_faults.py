@@ -1,7 +1,4 @@
-"""What can break while an episode runs: how it is broken and mended, and what has to come of it.
-
-In one attended session again and again, and once unattended.
-"""
+"""What can break while an episode runs: how it is broken and mended, and what has to come of it."""
 
 import random
 import time

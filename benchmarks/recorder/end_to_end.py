@@ -92,7 +92,6 @@ def _who(session: Session, rig: Rig, idle: IdleLoop) -> dict[str, list[psutil.Pr
 
 
 def spans(lines: list[Line], episode_s: float) -> list[tuple[float, float]]:
-    """Return when each episode began and was over."""
     return [(line.time_s, line.time_s + episode_s) for line in lines if re.search(BEGUN, line.text)]
 
 

@@ -89,7 +89,6 @@ def _load(root: Path, first: int = 0) -> int:
 
 
 def finish(rig: Rig, root: Path) -> dict[str, Any]:
-    """Resume once more, record one episode, end in order."""
     rig.new_arm()
     before = _episodes(root)
     wanted = judged_episodes(root, before) + 1  # aborted ones don't count

@@ -34,7 +34,6 @@ ANY_AGE_MS = 1e4
 
 
 def run(plan: Plan, ledger: Ledger) -> dict[str, Any]:
-    """Measure what is missing; return the newest of each."""
     plan.folder.mkdir(parents=True, exist_ok=True)
     parts: dict[str, Callable[[Plan], dict[str, Any]]] = {
         "observation_read": _read,
@@ -88,7 +87,6 @@ def _beat(root: Any) -> dict[str, Any]:
 
 
 def measure(address: str, seconds: float, folder: Path) -> dict[str, float]:
-    """Return percentiles of the time one read takes."""
     config = UniforceFrankaConfig(id="trial", calibration_dir=folder, address=address, guards=BOX)
     robot, ticker, took_ms = UniforceFranka(config), Ticker(RATE_HZ), []
     robot.connect()

@@ -151,7 +151,6 @@ class Program(StandIn):
             super().__init__("benchmarks.recorder.program")
 
     def fork(self, tty: str, argv: list[str]) -> int:
-        """Start a session; return its pid."""
         self._exit = None
         return int(self._ask(json.dumps({"tty": tty, "argv": argv}), "pid"))
 

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.stress.operators import Operator
-from lerobot_env_uniforce_wiping import WipeEnv
+from lerobot_env_uniforce_wiping import SceneParams, WipeEnv
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ
-from lerobot_env_uniforce_wiping.scene_params import SceneParams
 from lerobot_env_uniforce_wiping.touch import PadImages
 from uniforce_vtla.contact.worn import wear
 from uniforce_vtla.evaluation.episode import WIPING_PHASE
@@ -93,8 +92,6 @@ class SceneOperator(Operator):
 
 
 def _scaled(*names: str) -> Callable[[float], Disturbance]:
-    """Multiply numbers of the scene."""
-
     def disturb(factor: float) -> Disturbance:
         def change(scene: SceneParams) -> SceneParams:
             return replace(scene, **{name: _times(getattr(scene, name), factor) for name in names})
@@ -109,8 +106,6 @@ def _times(value: Any, factor: float) -> Any:
 
 
 def _hidden(name: str, sd: str) -> Callable[[float], Disturbance]:
-    """Multiply the spread of a hidden disturbance of the level."""
-
     def disturb(factor: float) -> Disturbance:
         def change(scene: SceneParams) -> SceneParams:
             usual = getattr(scene.level, name)

@@ -1,7 +1,4 @@
-"""Bad command lines for every command: ``python -m benchmarks.trust.command_line out=docs/results/trust.json``.
-
-Each must end at once with one line that names what is wrong, exit code 2 and every published file as it was.
-"""
+"""Bad command lines for every command: each must end at once with one line, code 2 and no published file changed."""
 
 import hashlib
 import importlib
@@ -157,18 +154,18 @@ def try_command(command: str, room: Room, folder: Path, limit_s: float, most: in
     finally:
         worker.close()
     counted = {"inputs": len(chosen), **{verdict: counts[verdict] for verdict in VERDICTS}}
-    sound = {_portable(" ".join(words), room): _portable(_how(ended), room) for words, ended in control.items()}
+    sound = {
+        _portable(" ".join(words), room): _portable(
+            "at work" if ended.code is None else f"{ended.code}: {ended.said[-300:]}", room
+        )
+        for words, ended in control.items()
+    }
     return counted | {"failures": failures, "sound_words": sound}
 
 
 def _portable(text: str, room: Room) -> str:
     """Return a text without this machine's folders, for a published file."""
     return text.replace(str(room.folder), "ROOM").replace(str(ROOT), "ROOT")
-
-
-def _how(ended: Ended) -> str:
-    """Return how sound words ended; where they are refused, only a refusal that names the bad ones counts for much."""
-    return "at work" if ended.code is None else f"{ended.code}: {ended.said[-300:]}"
 
 
 def hashes(folder: Path) -> dict[str, str]:

@@ -86,7 +86,6 @@ def _serve(entry: str, folder: str, connection: Connection) -> None:
 
 @contextmanager
 def _redirected(output: IO[bytes]) -> Any:
-    """Send what Python and libraries print into ``output``."""
     kept = os.dup(1), os.dup(2)
     try:
         os.dup2(output.fileno(), 1)

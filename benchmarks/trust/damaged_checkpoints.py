@@ -32,7 +32,6 @@ def link(file: Path, target: Path) -> None:
 
 
 def change_tensors(file: Path, change: Callable[[Tensors], object]) -> None:
-    """Change the tensors of a file; its hash stays the old one."""
     tensors = load_file(file)
     change(tensors)
     save_file(tensors, file)
@@ -51,12 +50,10 @@ def save_config(folder: Path, **settings: object) -> None:
 
 
 def other_numbers(tensors: Tensors) -> None:
-    """Give one tensor the numbers another training would."""
     next(tensor for tensor in tensors.values() if tensor.is_floating_point()).add_(0.01)
 
 
 def made_nan(tensors: Tensors) -> None:
-    """Make one number of one tensor NaN."""
     next(iter(tensors.values())).view(-1)[0] = torch.nan
 
 

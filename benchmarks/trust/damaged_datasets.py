@@ -82,22 +82,18 @@ def encode_again(file: Path, change: Change) -> None:
 
 
 def blurred(number: int, frame: np.ndarray) -> np.ndarray:
-    """Return a frame as a lossy codec leaves it, in the middle of the episode only."""
     return cv2.GaussianBlur(frame, (5, 5), 0) if number in SECTION else frame
 
 
 def coloured(number: int, frame: np.ndarray) -> np.ndarray:
-    """Return a frame without red in the middle of the episode."""
     return frame * np.array([number not in SECTION, 1, 1], np.uint8)
 
 
 def moved(number: int, frame: np.ndarray) -> np.ndarray:
-    """Return a frame that stands elsewhere from the middle on."""
     return np.roll(frame, 6, axis=1) if number >= SECTION.start else frame
 
 
 def set_value(file: Path, column: str, value: float, row: int = SECTION.start) -> None:
-    """Set (the first number of) a column in one row of a table."""
     table = pq.read_table(file)
     values = table[column].to_pylist()
     values[row] = [value, *values[row][1:]] if isinstance(values[row], list) else value

@@ -73,7 +73,6 @@ class ScriptedArm:
     readings: int = 0
 
     def state(self) -> ArmState:
-        """Return where it is; now and then something impossible."""
         lie = ""
         if self.lies and self.rng.random() < LIE_SHARE:
             lie = str(self.rng.choice(list(LIES)[: None if self.readings else -LATER]))
@@ -144,7 +143,6 @@ class TickedStream(ArmStream):
 
 
 def random_limits(rng: np.random.Generator) -> GuardLimits:
-    """Return valid limits, from narrow to the hard ones."""
     centre = rng.uniform([0.3, -0.3, 0.1, -1, 0.03], [0.6, 0.3, 0.4, 1, 0.05])
     half = rng.uniform(0.01, 0.03, 5) * [*rng.uniform(1, 8, 4), 1]
     hardest = {"step_m": 0.1, "step_rad": 0.8, "speed_m_s": 0.5, "speed_rad_s": 2.5, "speed_width_m_s": 0.2}
@@ -204,7 +202,6 @@ class Episode:
             self._stopped(fault)
 
     def _begin(self, start: Any) -> None:
-        """Start or recover, as often as the arm's first reading is a lie."""
         while True:
             try:
                 start()
@@ -276,7 +273,6 @@ class Episode:
         return ToolPose(asked[:3], float(asked[3]))
 
     def _stopped(self, fault: RobotError) -> None:
-        """Judge the name, see that nothing goes on, and recover."""
         self._judge_name(fault)
         count = len(self.arm.sent)
         try:

@@ -1,7 +1,4 @@
-"""Attack the robot's guards: ``python -m benchmarks.trust.guards [episodes=2000] [out=docs/results/trust.json]``.
-
-Tries every bad setting, then drives the whole chain with random limits, states and actions, and counts what was sent.
-"""
+"""Attack the robot's guards: every bad setting, then the whole chain with random limits, states and actions."""
 
 import logging
 import math
@@ -61,7 +58,7 @@ def bad_settings() -> Iterator[tuple[type, dict[str, Any], str]]:
             sound = getattr(kind(**needed), name)
             for place, row in enumerate(allowed if isinstance(allowed, tuple) else (allowed,)):
                 for value in bad_values(row):
-                    wrong = _placed(sound, value, place) if isinstance(sound, tuple) else value
+                    wrong = (*sound[:place], value, *sound[place + 1 :]) if isinstance(sound, tuple) else value
                     yield kind, needed | {name: wrong}, name
             if isinstance(sound, tuple):
                 yield kind, needed | {name: sound[1:]}, name
@@ -75,11 +72,6 @@ def bad_settings() -> Iterator[tuple[type, dict[str, Any], str]]:
             yield UniforceFrankaConfig, {name: value}, name
     yield UniforceFrankaConfig, {"backend": "ros"}, "backend"
     yield UniforceFrankaConfig, {"realtime": "please"}, "realtime"
-
-
-def _placed(sound: tuple[Any, ...], value: Any, place: int) -> tuple[Any, ...]:
-    """Return a tuple with the value in that place."""
-    return (*sound[:place], value, *sound[place + 1 :])
 
 
 def _unchecked(kind: type) -> object:

@@ -1,7 +1,4 @@
-"""Both clients against every fault of the stand-in: ``python -m benchmarks.trust.hostile [times=10]``; ``make faults``.
-
-Each client is a program of its own, the two side by side. What is there already isn't tried again.
-"""
+"""Both clients against every fault of the stand-in, side by side; what is there already isn't tried again."""
 
 import os
 import signal
@@ -84,7 +81,6 @@ def _watch(child: subprocess.Popen, rows: Callable[[], list[dict[str, Any]]], ba
 
 
 def summarise(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Return a line for each fault and client."""
     groups = defaultdict[str, list[dict[str, Any]]](list)
     for row in rows:
         groups[f"{row['fault']} {row['client']}"].append(row)

@@ -82,7 +82,6 @@ class HostileArm(ArmService):
         return super().is_due(now_s) or (self.starved and now_s - self.sent_s >= TICK_s)
 
     def tick(self) -> None:
-        """Let one millisecond pass, and see whether the arm moved."""
         super().tick()
         twist = self.arm.twist
         if twist[:3] @ twist[:3] > MOVING_m_s**2 or twist[3:] @ twist[3:] > MOVING_rad_s**2:
@@ -139,7 +138,6 @@ class HostileHand(HandService):
             super().answer(message)
 
     def tick(self, now_s: float) -> None:
-        """Let time pass, none for the fingers while the hand hangs."""
         if self.hung:
             self.last_tick_s = now_s
         super().tick(now_s)
@@ -149,7 +147,6 @@ class HostileHand(HandService):
             self.link.send_state(datagram)
 
     def describe(self) -> dict[str, object]:
-        """Add when a fault came that waited for its moment."""
         return super().describe() | {"struck_s": self.struck_s}
 
 
@@ -183,8 +180,6 @@ def corrupt(change: Change) -> Act:
 
 
 def fill(values: Mapping[str, np.ndarray | float]) -> Change:
-    """Return what replaces these fields."""
-
     def change(floats: np.ndarray) -> None:
         for name, value in values.items():
             floats[STATE_SLICES[name]] = value
@@ -217,7 +212,6 @@ def starve(datagrams: Callable[[], Iterable[bytes]]) -> Act:
 
 
 def stop_clock(arm: HostileArm, hand: HostileHand) -> None:
-    """Send the newest state again and again."""
     newest = arm.newest().encode()
     starve(lambda: [newest])(arm, hand)
 
@@ -232,7 +226,6 @@ def send_old(arm: HostileArm, hand: HostileHand) -> None:
 
 
 def babble(service: HostileArm | HostileHand) -> None:
-    """Send random bytes at once, and in place of every answer."""
     header = service.link.header
     service.link.header = Babble(header.layout, header.device)
     service.link.send_bytes(service.link.header.encode(p.Message(0, 0)))
@@ -254,7 +247,6 @@ def end_misses(arm: HostileArm, hand: HostileHand) -> None:
 
 
 def reflex(bit: ErrorBit) -> Act:
-    """Return what stops the arm by reflex for this reason."""
     return lambda arm, _: arm.reflex(frozenset({bit}))
 
 
@@ -262,7 +254,6 @@ def reflex(bit: ErrorBit) -> Act:
 
 
 def hand_sends(datagrams: Callable[[], Iterable[bytes]]) -> Act:
-    """Return what is sent in place of each of the hand's states."""
     return lambda _, hand: setattr(hand, "outgoing", lambda _: datagrams())
 
 
@@ -278,13 +269,11 @@ def drop_hand_midway(arm: HostileArm, hand: HostileHand) -> None:
 
 
 def hang_hand(arm: HostileArm, hand: HostileHand) -> None:
-    """Stop the fingers once a command is under way."""
     if hand.is_midway and not hand.hung:
         hand.hung, hand.struck_s = True, time.monotonic()
 
 
 def slip(arm: HostileArm, hand: HostileHand) -> None:
-    """Lose what is held."""
     if hand.hand.is_grasped:
         hand.struck_s = time.monotonic()
         hand.hand.object_m = 0.0

@@ -51,7 +51,6 @@ def flip_bit(file: Path, at: float = 0.5) -> None:
 
 
 def overwrite(file: Path, at: float, content: bytes) -> None:
-    """Overwrite bytes of a file from a share of its length on."""
     with file.open("r+b") as handle:
         handle.seek(int(file.stat().st_size * at))
         handle.write(content)

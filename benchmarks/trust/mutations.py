@@ -1,8 +1,4 @@
-"""Would the attack notice a broken guard? ``python -m benchmarks.trust.mutations [out=docs/results/trust.json]``.
-
-Each mutation breaks one place of a copy of the robot's package; then the cases of ``guard_cases`` run on the copy
-until they find a violation. A mutation without one survives.
-"""
+"""Would the attack notice a broken guard? Each mutation breaks one place of a copy of the package."""
 
 import importlib.util
 import logging

@@ -104,8 +104,7 @@ class IssuedTarget:
     def base(self, measured: Tensor) -> Tensor:
         """Return the (B, A) base of the next chunk: what was issued last, else the measured state.
 
-        Raises:
-            RolloutError: the number of environments changed without a reset.
+        Raises RolloutError: the number of environments changed without a reset.
         """
         if self.last is None:
             return measured
@@ -171,8 +170,7 @@ class CheckActionStep(PolicyActionProcessorStep):
     def action(self, action: Tensor) -> Tensor:
         """Return the action (…, A) unchanged.
 
-        Raises:
-            RolloutError: NaN, inf, or an axis outside the range: hold the robot.
+        Raises RolloutError: NaN, inf, or an axis outside the range: hold the robot.
         """
         if not bool(action.isfinite().all()):
             do = "Hold the robot; the policy or its input is broken."

@@ -94,8 +94,7 @@ def check_processors(folder: Path) -> None:
     LeRobot imports and calls whatever class a step names; only steps that registered themselves are let through, so
     that a checkpoint can't run a program of its choice.
 
-    Raises:
-        CheckpointError: damaged, a step that names a class, or a state outside the folder, or with NaN or inf.
+    Raises CheckpointError: damaged, a step that names a class, or a state outside the folder, or with NaN or inf.
     """
     for name in PROCESSORS:
         if not (folder / name).is_file():

@@ -109,8 +109,7 @@ class SamplerSettings:
 class PI05UniforceConfig(PI05Config):
     """π0.5 with force tokens.  A field left out takes its size's default (``sizes.py``).
 
-    Raises:
-        ContractError: an unknown choice, slot, finger or token site, or settings that don't go together.
+    Raises ContractError: an unknown choice, slot, finger or token site, or settings that don't go together.
     """
 
     size: str = "auto"  # "tiny" (CPU, from scratch) | "base" (real π0.5) | "auto": base where CUDA is

@@ -29,8 +29,7 @@ def model_card(
 ) -> ModelCard:
     """Return the card of a policy, trained with ``train_config.json``'s settings, scored by ``uniforce score``.
 
-    Raises:
-        ContractError: scores without arms.
+    Raises ContractError: scores without arms.
     """
     base, asked = config.size == "base", ("steps", "batch_size", "seed")
     trained_on = config.trained_on.get("repo_id") or ""

@@ -104,8 +104,7 @@ def read_provenance(dataset_meta: Any, config: PI05UniforceConfig) -> None:
 def read_view(dataset_meta: Any, config: PI05UniforceConfig) -> None:
     """Take provenance from a training view: refuse latents of another tokenizer, note which sensors it holds.
 
-    Raises:
-        DatasetError: the view's latents were made by another tokenizer than the policy's.
+    Raises DatasetError: the view's latents were made by another tokenizer than the policy's.
     """
     marker = Path(getattr(dataset_meta, "root", "")) / VIEW_MARKER
     if dataset_meta is None or not config.slots or not marker.is_file():

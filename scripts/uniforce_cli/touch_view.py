@@ -14,8 +14,7 @@ from uniforce_robots.sensors.finger import TactileFinger
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.mirror import to_canonical, to_finger_frame
-from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 from uniforce_vtla.tokenizer.streaming import StreamingEncoder
 
 WAIT_MS = 1000.0

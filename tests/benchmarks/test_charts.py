@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.charts import __main__ as charts
-from benchmarks.charts.front import TIE, Point, front
+from benchmarks.charts.__main__ import TIE, Point, front
 from benchmarks.charts.tokenizer import PRECISIONS, running_in
 from benchmarks.probes.labelled_set import FROZEN, SENSORS, draw_labelled
 from uniforce_vtla.tokenizer.api import Tokenizer

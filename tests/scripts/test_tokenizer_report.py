@@ -15,9 +15,8 @@ from benchmarks.probes.zero_shot import Table
 from benchmarks.tokenizer_report import TokenizerReportCommand, main, measure
 from uniforce_vtla.arguments import choose, parse
 from uniforce_vtla.contact.virtual import as_virtual
-from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
 from uniforce_vtla.tokenizer.force_head import HeadTrainingConfig
-from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
 
 def test_a_table_needs_a_frozen_set(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -49,8 +49,7 @@ class LatentRange(nn.Module):
     def fit(cls, latents: torch.Tensor, kind: str, tokenizer_hash: str) -> LatentRange:
         """Return the range of (n, P, L) pooled latents; its limits are infinite until they are set.
 
-        Raises:
-            ContractError: fewer latents than numbers in one.
+        Raises ContractError: fewer latents than numbers in one.
         """
         rows = latents.flatten(1)
         count, size = rows.shape
@@ -66,8 +65,7 @@ class LatentRange(nn.Module):
     def from_pretrained(cls, kind: str, path: str | Path | None = None) -> LatentRange:
         """Load a shipped kind's range for a size of tokenizer ("small" by default, "nano"), or any range's folder.
 
-        Raises:
-            CheckpointError: no range for that kind, or a checkpoint that doesn't fit.
+        Raises CheckpointError: no range for that kind, or a checkpoint that doesn't fit.
         """
         folder = checkpoint_folder(path, f"latent_range_{kind}")
         facts = read_config(folder)
@@ -113,8 +111,7 @@ class HealthMonitor:
     def see(self, latents: torch.Tensor) -> None:
         """Take in the (B, P, L) pooled latents of one look; of several environments the worst counts.
 
-        Raises:
-            SensorError: farther from healthy units than any of them was; FreeAirError at the start of an episode.
+        Raises SensorError: farther from healthy units than any of them was; FreeAirError at the start of an episode.
         """
         if not self.active:
             return

@@ -49,8 +49,7 @@ class Replayed:
     def __call__(self, *inputs: Tensor) -> tuple[Tensor, ...]:
         """Return the outputs for ``inputs``, in buffers that the next call overwrites.
 
-        Raises:
-            ContractError: inputs of other shapes than the example's.
+        Raises ContractError: inputs of other shapes than the example's.
         """
         wanted, came = ([tuple(value.shape) for value in values] for values in (self._inputs, inputs))
         if wanted != came:

@@ -96,8 +96,7 @@ class PrefixEncoder:
     def refreshed(self, prefix: Prefix, touch: SuffixTouch, chunk: int) -> Prefix:
         """Return the same cameras and text with new touch: nothing of the VLM runs again.
 
-        Raises:
-            ContractError: a network whose touch is not in the suffix.
+        Raises ContractError: a network whose touch is not in the suffix.
         """
         if prefix.touch is None or prefix.touch.tokens.shape != touch.tokens.shape:
             came = None if prefix.touch is None else tuple(prefix.touch.tokens.shape)

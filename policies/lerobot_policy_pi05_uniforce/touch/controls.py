@@ -65,8 +65,7 @@ class ControlInput(TouchInput):
 class NewtonInput(TouchInput):
     """Reads force in newtons: a frozen force head on the slot's latents, mapped by its calibration where it wears one.
 
-    Raises:
-        CheckpointError: as ``read_head``.
+    Raises CheckpointError: as ``read_head``.
     """
 
     def __init__(self, latents: TouchInput) -> None:
@@ -88,8 +87,7 @@ class NewtonInput(TouchInput):
 def read_head(head: str, tokenizer_hash: str) -> ForceHead:
     """Return the force head of a kind of sensor for a packaged tokenizer.
 
-    Raises:
-        CheckpointError: no such head; another tokenizer, which has none.
+    Raises CheckpointError: no such head; another tokenizer, which has none.
     """
     size = packaged_hashes().get(tokenizer_hash)
     if size is None:

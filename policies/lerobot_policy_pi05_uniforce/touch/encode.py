@@ -90,8 +90,7 @@ def build_encoder(config: PI05UniforceConfig, empty: bool = False) -> TactileEnc
 
     That is the packaged tokenizer of its hash, or one that is rebuilt, ``empty``, and filled from the checkpoint.
 
-    Raises:
-        CheckpointError: it was made behind another canonicalizer.
+    Raises CheckpointError: it was made behind another canonicalizer.
     """
     facts = config.touch.tokenizer
     if facts is not None and is_packaged(config):
@@ -125,8 +124,7 @@ def load_calibrations(
 
     ``made_for`` is a tokenizer's hash, "" the policy's own; or "descriptor".
 
-    Raises:
-        CheckpointError: made for another tokenizer, or of other sizes than this policy's input.
+    Raises CheckpointError: made for another tokenizer, or of other sizes than this policy's input.
     """
     found: dict[Finger, LatentMap] = {}
     for finger in FINGERS:

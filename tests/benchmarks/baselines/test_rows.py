@@ -17,8 +17,7 @@ from benchmarks.baselines.speed import T3Encoder, our_size, size_facts, speed_re
 from benchmarks.probes.zero_shot import Cells, Table, encode_set, score
 from benchmarks.timing import in_turns
 from uniforce_vtla.errors import ContractError
-from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.settings import TokenizerConfig
+from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
 
 SHORT = EndToEndConfig(steps=3, frames_per_step=16)
 RESNET = ResNetConfig(width=8, blocks=(1, 1, 1), training=replace(SHORT, steps=80))
