@@ -44,10 +44,8 @@ def views(
 ) -> Iterator[TouchView]:
     """Yield a view of each new sample of a connected finger that has its reference, worn on ``side``.
 
-    Raises:
-        CheckpointError: a head of another tokenizer.
-        ContractError: a finger without reference.
-        SensorError: no new sample.
+    Raises CheckpointError: a head of another tokenizer; ContractError: a finger without reference; SensorError: no new
+    sample.
     """
     encoder = StreamingEncoder(tokenizer, side, head)
     reference = finger.reference_image()[..., 0]
@@ -144,10 +142,7 @@ def counts_picture(change: np.ndarray) -> np.ndarray:
 
 
 def save_panel(view: TouchView, path: str) -> Path:
-    """Write the panel as a picture file; return its path.
-
-    Raises ContractError: OpenCV can't write there, or not that kind of file.
-    """
+    """Write the panel as a picture file; return its path; ContractError: OpenCV can't write there, or not that kind."""
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     try:
