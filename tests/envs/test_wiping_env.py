@@ -21,7 +21,6 @@ EASY_SEEDS = (1, 2, 4)
 
 @pytest.fixture(scope="module")
 def grasped() -> WipeEnv:
-    """An environment whose expert has just put the eraser on the board."""
     env, expert = WipeEnv(), WipeExpert()
     env.start(SEED)
     steps_to_the_first_sweep(env, expert)

@@ -106,8 +106,6 @@ def test_every_script_can_be_scored() -> None:
 
 
 class Watching:
-    """A controller that keeps what it was shown."""
-
     def __init__(self) -> None:
         self.seen: list[dict[str, Any]] = []
 

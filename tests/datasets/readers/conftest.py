@@ -16,8 +16,6 @@ LENGTH = 6
 
 @dataclass(frozen=True)
 class MarkerTrial:
-    """A simulated trial: reference, frames, force in our axes."""
-
     sensor: str
     indenter: str
     reference: np.ndarray

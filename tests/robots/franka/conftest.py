@@ -9,7 +9,6 @@ from uniforce_robots.franka.limits import HARD_LIMITS, Range, StreamSettings
 
 @pytest.fixture
 def eventually() -> Callable[..., float]:
-    """Wait until something is so; generous, for a busy machine."""
     return partial(wait_until, timeout_s=30.0)
 
 

@@ -16,8 +16,6 @@ SPEED_m_s = 1.5  # of the fake: at once for a test, possible for an arm
 
 
 class FakeArm:
-    """Goes to each target fast; keeps what it was asked."""
-
     def __init__(self) -> None:
         self.pose = START.ee_to_base()
         self._moved_s = time.monotonic()

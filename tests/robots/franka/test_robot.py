@@ -257,8 +257,6 @@ def test_nested_settings_are_parsed_from_the_command_line() -> None:
 
 
 class BrokenCamera:
-    """A camera that works until it gets an error."""
-
     height, width = 4, 6
 
     def __init__(self) -> None:

@@ -44,8 +44,6 @@ def outcome(cpu_share: float) -> Callable[..., SensorError]:
 
 @pytest.fixture
 def recovers(cpu_share: float) -> Callable[[Callable[[], object]], None]:
-    """Return a function that calls another until it stops raising."""
-
     def wait(ask: Callable[[], object]) -> None:
         deadline_s = time.monotonic() + 3.0 + 1.0 / cpu_share
         while True:

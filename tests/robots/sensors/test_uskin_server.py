@@ -124,7 +124,6 @@ TEXTS = ["", "short", "x" * 126, "y" * 70_000]
 
 
 def open_messages() -> XelaMessages:
-    """Return a client that has been answered."""
     client = XelaMessages("127.0.0.1", 5000, "server")
     client.feed(greeting(b"".join(client.protocol.data_to_send())))
     return client
