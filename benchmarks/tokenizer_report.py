@@ -3,7 +3,7 @@
 import json
 import logging
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -112,7 +112,10 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
     measured = {name: make() for name, make in tqdm(chosen.items(), desc="rows")}
     # once more: another row may have come in meanwhile
     committed = _committed_table(command, report_set, facts)
-    rows = in_order(committed, _still_true(committed, tokenizer) | measured)
+    rows = _still_true(committed, tokenizer) | measured
+    # in the committed table's order, so that pictures keep theirs
+    rows = {name: rows[name] for name in dict.fromkeys([*committed.get("rows", {}), *rows]) if name in rows}
+    origins = {name: by for name, by in committed.get("measured_by", {}).items() if name in rows}
     origin = provenance()
     content = {
         "what": "simulated; head trained on the source sensor, seen indenters; scored on unseen indenters",
@@ -123,7 +126,7 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
         "own_sensor_fz_mae_N": own_sensor_mae(rows["UniForce"], table.training) if "UniForce" in rows else None,
         "summary": {name: summary(row) for name, row in rows.items()},
         "rows": rows,
-        "measured_by": kept_origins(committed, rows) | dict.fromkeys(measured, origin),
+        "measured_by": origins | dict.fromkeys(measured, origin),
     }
     content |= {"speed": committed["speed"]} if "speed" in committed else {}
     if command.baselines:
@@ -137,17 +140,6 @@ def own_sensor_mae(row: Cells, sensors: Iterable[str]) -> float:
     """Return a row's mean |error| of Fz on the sensors its heads were trained on: what no transfer can beat."""
     own = [row[transfer_name(sensor, sensor)]["mae_N_paper_range"][2] for sensor in sensors]
     return sum(own) / len(own)
-
-
-def in_order(committed: dict[str, Any], rows: dict[str, Cells]) -> dict[str, Cells]:
-    """Return ``rows`` in the committed table's order, new ones last: pictures then keep their order too."""
-    names = dict.fromkeys([*committed.get("rows", {}), *rows])
-    return {name: rows[name] for name in names if name in rows}
-
-
-def kept_origins(committed: dict[str, Any], rows: Mapping[str, Cells]) -> dict[str, Any]:
-    """Return which command measured each row taken over from a committed table, and when, if it says so row by row."""
-    return {name: origin for name, origin in committed.get("measured_by", {}).items() if name in rows}
 
 
 def draw_sets(report_set: ReportSet, side: int, cache: Path) -> Table:

@@ -63,7 +63,8 @@ def speed_report(
     """
     published = {"T3-medium": T3Encoder()} if published is None else published
     one_thread()
-    reference, current = _images()
+    pairs = equilibrium_pairs(np.random.default_rng(0), 1, "gelsight", "tactip")
+    reference, current = pairs.left_reference[:1], pairs.left_current[:1]
     turns = {OURS: lambda: len([tokenizer.encode(reference, current) for _ in range(ours_per_round)])}
     turns |= {name: _turn(encoder.eval(), current) for name, encoder in published.items()}
     taken = in_turns(turns, rounds, per_frame_ms)
@@ -128,9 +129,3 @@ def _turn(encoder: T3Encoder, current: np.ndarray) -> Callable[[], int]:
     images = torch.from_numpy(current)
     bar = (images.shape[-1] - images.shape[-2]) // 2  # to a square, (1, 640, 640)
     return lambda: len(encoder(F.pad(images.float() / 255, (0, 0, bar, bar))))
-
-
-def _images() -> tuple[np.ndarray, np.ndarray]:
-    """Return one reference and one contact image, (1, 480, 640) uint8."""
-    pairs = equilibrium_pairs(np.random.default_rng(0), 1, "gelsight", "tactip")
-    return pairs.left_reference[:1], pairs.left_current[:1]

@@ -113,7 +113,8 @@ def bench_training(case: BenchCase, device: str, steps: int, learning_rate: floa
             loss = network.forward(*given, actions, noise, time).mean()
             loss.backward()
         for name, rows in norms.items():
-            rows.append(gradient_norm(getattr(network, name)))
+            grads = [p.grad.float() for p in getattr(network, name).parameters() if p.grad is not None]
+            rows.append(float(torch.nn.utils.get_total_norm(grads)))
         optimizer.step()
         optimizer.zero_grad()
         losses.append(float(loss.detach()))
@@ -133,11 +134,6 @@ def bench_training(case: BenchCase, device: str, steps: int, learning_rate: floa
         "tokenizer_unchanged": tokenizer_hash(network) == before,
         "peak_GiB": torch.cuda.max_memory_allocated() / 2**30 if device.startswith("cuda") else None,
     }
-
-
-def gradient_norm(module: torch.nn.Module) -> float:
-    grads = [p.grad.float().square().sum() for p in module.parameters() if p.grad is not None]
-    return float(torch.stack(grads).sum().sqrt()) if grads else 0.0
 
 
 def tokenizer_hash(network: PI05UniforcePytorch) -> str:

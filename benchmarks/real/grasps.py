@@ -49,7 +49,7 @@ def read_trials(folder: Path, lender: str = LENDER) -> list[Trial]:
         raise DatasetError(expected(f"trials in {folder}", lender, "none", "Check the path."))
     tables = {path.name: _read_tables(path) for path in paths}
     own = {
-        name: _free_air(counts)
+        name: np.stack([capture_taxel_reference(scans[-FREE_SCANS:]) for scans in counts])
         for name, (counts, labels) in tables.items()
         if (labels["fail"].to_numpy()[-FREE_SCANS:] > 0).all()
     }
@@ -68,11 +68,6 @@ def _read_tables(path: Path) -> tuple[np.ndarray, pd.DataFrame]:
     if len(lengths) > 1 or "fail" not in labels.columns:
         raise DatasetError(expected(path.name, "tables of one length with fail", lengths, "Copy it again."))
     return np.stack(counts), labels
-
-
-def _free_air(counts: np.ndarray) -> np.ndarray:
-    """Return the (2, 16, 3) reference of a trial that ends in free air."""
-    return np.stack([capture_taxel_reference(scans[-FREE_SCANS:]) for scans in counts])
 
 
 def read_uskin_csv(path: Path | str) -> np.ndarray:

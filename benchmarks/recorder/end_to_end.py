@@ -14,7 +14,7 @@ from benchmarks.recorder.loading import load_in_stock_lerobot, train_a_little
 from benchmarks.recorder.machine import CpuMeter, IdleLoop, machine_facts
 from benchmarks.recorder.plan import Plan, START_s
 from benchmarks.recorder.rig import Rig
-from benchmarks.recorder.session import Line, Session, TrialError
+from benchmarks.recorder.session import Session, TrialError
 from uniforce_datasets.cards import read_card
 from uniforce_datasets.source import read_source
 from uniforce_robots.recorder.assemble import judged_episodes
@@ -69,7 +69,8 @@ def record(rig: Rig, root: Path) -> dict[str, Any]:
         except TrialError as error:
             log.warning("%s", error)  # what it stored counts, and the exit code says how it ended
         code = session.wait_end(START_s)
-        spans_s = spans(session.lines, plan.episode_s)
+        begun_s = [line.time_s for line in session.lines if re.search(BEGUN, line.text)]
+        spans_s = [(time_s, time_s + plan.episode_s) for time_s in begun_s]
         beat_s, late_ms = idle.stop()
     recorded = np.any([(beat_s >= a) & (beat_s <= b) for a, b in [*spans_s, (0.0, 0.0)]], axis=0)
     return {
@@ -89,10 +90,6 @@ def _who(session: Session, rig: Rig, idle: IdleLoop) -> dict[str, list[psutil.Pr
         "idle_loop": [psutil.Process(idle.pid)],
         "trial_harness": [psutil.Process()],
     }
-
-
-def spans(lines: list[Line], episode_s: float) -> list[tuple[float, float]]:
-    return [(line.time_s, line.time_s + episode_s) for line in lines if re.search(BEGUN, line.text)]
 
 
 def rate_and_jitter(root: Path, sessions: list[dict[str, Any]]) -> dict[str, Any]:

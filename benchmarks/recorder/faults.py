@@ -62,6 +62,7 @@ def summary(findings: list[dict[str, Any]]) -> dict[str, Any]:
         [finding[key] for finding in findings if finding.get(key) is not None]
         for key in ("hold_s", "rest_s", "arm_clock", "label", "exit_code")
     )
+    messages = [finding["message"] for finding in findings if finding.get("message")]
     return {
         "trials": len(findings),
         "right_outcome": sum(bool(finding["right_outcome"]) for finding in findings),
@@ -70,10 +71,6 @@ def summary(findings: list[dict[str, Any]]) -> dict[str, Any]:
         "slowest_arm_clock": min(clocks, default=None),
         "labels": sorted(set(labels)),
         "exit_codes": sorted(set(codes)),
-        "example": next((_portable(f["message"]) for f in findings if f.get("message")), ""),
+        # results are committed, so that no path may name a folder of this machine
+        "example": messages[0].replace(f"{Path.cwd()}/", "") if messages else "",
     }
-
-
-def _portable(message: str) -> str:
-    """Return a message whose paths below the working folder say so: results are committed, folders are mine."""
-    return message.replace(f"{Path.cwd()}/", "")

@@ -79,17 +79,13 @@ class Trial:
 def trials(command: str, room: Room) -> list[Trial]:
     if command == "train":
         return _train_trials(room)
-    options = options_of(_entry(command).config_class)
+    module, function = COMMANDS[command].split(":")
+    options = options_of(getattr(importlib.import_module(module), function).config_class)
     named = tuple(w.format(room=room.folder, shipped=shipped_checkpoint()) for w in SOUND.get(command, ()))
     given = {word.partition("=")[0] for word in named}
     sound = (*named, *(word for word in _sound(options, room) if word.partition("=")[0] not in given))
     found = [Trial(command, bad, sound) for bad in bad_inputs(options, room)]
     return found + (_robot_trials(room) if command == "record" else [])
-
-
-def _entry(command: str) -> Any:
-    module, function = COMMANDS[command].split(":")
-    return getattr(importlib.import_module(module), function)
 
 
 def _sound(options: Mapping[str, Option], room: Room) -> tuple[str, ...]:

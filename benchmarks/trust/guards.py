@@ -68,16 +68,11 @@ def bad_settings() -> Iterator[tuple[type, dict[str, Any], str]]:
     yield Gains, {"stiffness_N_m": (1200.0, 3000.0, 0.0), "clip_m": (0.05, 0.02, 0.01)}, "gains"
     yield Gains, {"stiffness_N_m": (100.0,) * 3, "rotation_Nm_rad": (300.0,) * 3, "clip_rad": 0.5}, "gains"
     for name, kind in NESTED.items():
-        for value in (None, {}, _unchecked(kind)):
+        unchecked = type("Loose", (kind,), {"__post_init__": lambda self: None})
+        for value in (None, {}, unchecked(**NEEDS[kind])):
             yield UniforceFrankaConfig, {name: value}, name
     yield UniforceFrankaConfig, {"backend": "ros"}, "backend"
     yield UniforceFrankaConfig, {"realtime": "please"}, "realtime"
-
-
-def _unchecked(kind: type) -> object:
-    """Return settings of a subclass that leaves the check out."""
-    loose = type("Loose", (kind,), {"__post_init__": lambda self: None})
-    return loose(**NEEDS[kind])
 
 
 def try_all() -> dict[str, Any]:
