@@ -10,7 +10,9 @@ from typing import Annotated, Any, Literal
 
 from tqdm import tqdm
 
-from benchmarks.baselines.rows import trained
+from benchmarks.baselines.finetuned import finetuned_row
+from benchmarks.baselines.genforce_style import genforce_style_row
+from benchmarks.baselines.resnet import resnet_row
 from benchmarks.baselines.speed import speed_report
 from benchmarks.probes.labelled_set import LabelledSet, set_facts
 from benchmarks.probes.latent_and_pictures import latent_correlation, reconstructions
@@ -134,6 +136,17 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
     if report_set.name == SHIPPED_HEADS_SET and not command.table:
         content["shipped_heads"] = shipped_row(tokenizer, table, len(table.transfers()))
     return content | origin
+
+
+def trained(table: Table, tokenizer: Tokenizer, seeds: int) -> dict[str, Callable[[], Cells]]:
+    """Return the makers of rows that train networks: name → maker."""
+    makers: dict[str, Callable[[], Cells]] = {
+        "UniForce (FT)": lambda: finetuned_row(table, tokenizer, seeds),
+        "ResNet": lambda: resnet_row(table, seeds),
+    }
+    if set(table.frozen) <= set(table.training):  # a translator needs pictures of its target
+        makers["GenForce-style (ours)"] = lambda: genforce_style_row(table, 1)
+    return makers
 
 
 def own_sensor_mae(row: Cells, sensors: Iterable[str]) -> float:

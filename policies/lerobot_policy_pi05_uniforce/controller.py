@@ -104,8 +104,7 @@ class PolicyController:
         calibrations: finger → folder of a calibration that its sensor wears.
         monitor: "stop" when a sensor isn't healthy | "off".
 
-    Raises:
-        CheckpointError: as ``stored_config``, weights that don't fit, or a sensor that differs unasked.
+    Raises CheckpointError: as ``stored_config``, weights that don't fit, or a sensor that differs unasked.
     """
 
     def __init__(

@@ -74,8 +74,7 @@ def fill(
         rename: stored names → stored name: name in ``module``; what isn't in it isn't wanted.
         fresh: prefixes of names that may be missing: modules the file's author didn't have.
 
-    Raises:
-        CheckpointError: a truncated or damaged file, or naming the tensors that don't fit or aren't finite.
+    Raises CheckpointError: a truncated or damaged file, or naming the tensors that don't fit or aren't finite.
     """
     with opened(path) as stored:
         tensors = {own: stored.get_tensor(name) for name, own in rename(list(stored.keys())).items()}

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from benchmarks import tokenizer_report
-from benchmarks.baselines import rows as baseline_rows
 from benchmarks.probes.hard_sets import HETERO_HARD, draw_hard
 from benchmarks.probes.labelled_set import set_facts
 from benchmarks.probes.report_sets import REPORT_SETS
@@ -27,7 +26,7 @@ def test_a_table_needs_a_frozen_set(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 def test_every_row_can_be_named_on_the_command_line() -> None:
     tokenizer = Tokenizer.random(TokenizerConfig(width=16, depth=1, heads=2))
-    makers = baseline_rows.trained(Table({}, {}), tokenizer, 1)
+    makers = tokenizer_report.trained(Table({}, {}), tokenizer, 1)
     for name in makers:
         assert list(choose(makers, name)) == [name]  # and no comma
         assert parse(TokenizerReportCommand, [f"only=mean,{name}"]).only == f"mean,{name}"

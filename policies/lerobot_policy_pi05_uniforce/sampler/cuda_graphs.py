@@ -9,8 +9,6 @@ Whatever is captured is an ordinary function of tensors. ``capture=False`` runs 
 buffers without a graph, on any device: that is what the tests do, and all that was ever run.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 

@@ -1,7 +1,5 @@
 """Once per observation: cameras, text and extra tokens through the VLM, kept as keys and values of every layer."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 

@@ -6,8 +6,8 @@ from collections.abc import Callable
 import numpy as np
 
 from uniforce_robots.franka.arm import ArmState
+from uniforce_robots.franka.clients import HandCommand, HandReading
 from uniforce_robots.franka.guards import towards
-from uniforce_robots.franka.hand_command import HandCommand, HandReading
 from uniforce_robots.franka.poses import ToolPose
 from uniforce_vtla.errors import RobotError
 

@@ -24,11 +24,6 @@ from uniforce_vtla.keys import AXES
 
 
 @pytest.fixture
-def arm() -> FakeArm:
-    return FakeArm()
-
-
-@pytest.fixture
 def hand() -> FakeHand:
     return FakeHand()
 
