@@ -135,7 +135,6 @@ def judge(heads: dict[str, DescriptorHead], episode: EpisodeForces) -> dict[str,
 
 
 def make_heads(config: DescriptorHeadsConfig) -> dict[str, Any]:
-    """Fit, score and save the heads; return the report."""
     first = config.first_seed
     lessons = worn(list(described_episodes(config.level, range(first, first + config.scenes))))
     heads = {s: DescriptorHead.fit(s, wipes, config.stretch, config.steps) for s, wipes in lessons.items()}
@@ -156,7 +155,6 @@ def make_heads(config: DescriptorHeadsConfig) -> dict[str, Any]:
 
 @command(DescriptorHeadsConfig)
 def main(config: DescriptorHeadsConfig) -> None:
-    """Entry of ``python -m benchmarks.descriptor_heads``."""
     one_thread()
     report = make_heads(config)
     path = write_json(Path(config.results), report | provenance())

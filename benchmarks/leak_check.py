@@ -106,7 +106,6 @@ def _pictures(pixels: dict[str, np.ndarray], side: int) -> np.ndarray:
 
 
 def measure(samples: Samples, cnn_steps: int) -> dict[str, float]:
-    """Return R² of the press on unseen scenes, for each input."""
     train = samples.scene < round(2 / 3 * (samples.scene.max() + 1))
     flat = {
         "state": samples.state,
@@ -182,7 +181,6 @@ def verdict(found: dict[str, float]) -> str:
 
 @command(LeakConfig)
 def main(config: LeakConfig) -> None:
-    """Entry of ``python -m benchmarks.leak_check``."""
     one_thread()
     samples = collect(config)
     found = measure(samples, config.cnn_steps)

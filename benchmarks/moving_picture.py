@@ -97,7 +97,6 @@ def write_gif(path: Path, frames: Sequence[Image.Image], frame_s: float) -> Path
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Entry of ``python -m benchmarks.moving_picture``."""
     config = parse(MovingPictureConfig, argv)
     frames, rollout = draw_frames(config)
     frame_s = float(rollout.trace.time_s[-1]) / len(frames)

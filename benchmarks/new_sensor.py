@@ -14,8 +14,7 @@ from benchmarks.speed.canonicalizer import canonicalizer_rate
 from uniforce_cli.boundary import Sensor, command, one_thread
 from uniforce_vtla.options import Count, OutFile
 from uniforce_vtla.results_file import provenance, write_json
-from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 
 
 @dataclass
@@ -59,7 +58,6 @@ def new_sensor(config: NewSensorConfig) -> dict[str, Any]:
 
 @command(NewSensorConfig)
 def main(config: NewSensorConfig) -> None:
-    """Entry of ``python -m benchmarks.new_sensor``."""
     one_thread()
     found = new_sensor(config)
     for transfer, cell in found["rows"].items():

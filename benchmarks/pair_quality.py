@@ -1,22 +1,18 @@
 """Measure the pair recorder's score against the simulator's truth: does it find the pairs out of balance?"""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from tqdm import tqdm
 
+from benchmarks.pairs.evaluation import ScoredPairs
 from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.contact.indenters import PRETRAIN, SEEN
 from uniforce_vtla.options import Count, Names, OutFile, Pattern, Seed, split
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.sensors import get_sensor
-
-if TYPE_CHECKING:
-    from benchmarks.pairs.evaluation import ScoredPairs
 
 BAR = 0.95  # wanted precision and recall
 SEEN_SEEDS = 2000  # sessions with seeds below were looked at while the score was made; scored ones lie above
@@ -84,7 +80,6 @@ def _line(row: dict[str, Any]) -> str:
 
 @command(PairQualityConfig)
 def main(config: PairQualityConfig) -> None:
-    """Entry of ``python -m benchmarks.pair_quality``."""
     one_thread()
     content = measure(config)
     path = write_json(Path(config.out), content | provenance())

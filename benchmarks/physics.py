@@ -45,7 +45,6 @@ class PhysicsCommand:
 
 
 def measure(command: PhysicsCommand) -> dict[str, Any]:
-    """Return every panel's numbers."""
     panels: dict[str, Callable[[], Any]] = {
         "indentation": indentation,
         "slip": slip,
@@ -59,27 +58,24 @@ def measure(command: PhysicsCommand) -> dict[str, Any]:
 
 def indentation() -> dict[str, Any]:
     """Return force and depth of both pads over grips, and the largest error against force over stiffness."""
-    grips = [rig.squeeze(width) for width in WIDTHS_m]
-    force, depth = np.array([g.force_N for g in grips]), np.array([g.depth_mm for g in grips])
+    force, depth = np.stack([rig.squeeze(width) for width in WIDTHS_m], axis=1)  # (widths, 2) each
     error = np.abs(depth * np.array([PadSettings().flat_N_mm, PadSettings().dome_N_mm]) / force - 1)
     return {"force_N": force.tolist(), "depth_mm": depth.tolist(), "worst_relative_error": float(error.max())}
 
 
 def slip() -> dict[str, Any]:
-    """Return Coulomb's slip loads and the measured ones."""
     loads = [rig.slip_load(mu, width) for mu, width in itertools.product(FRICTIONS, GRIPS_m)]
-    worst = max(abs(load.measured_N / load.coulomb_N - 1) for load in loads)
-    return {"loads": [asdict(load) for load in loads], "worst_relative_error": worst}
+    worst = max(abs(load["measured_N"] / load["coulomb_N"] - 1) for load in loads)
+    return {"loads": loads, "worst_relative_error": worst}
 
 
 def creep() -> dict[str, Any]:
     """Return sinking speed over load, as a share of the slip load, with and without the no-slip pass."""
+    without = SolverSettings(noslip_iterations=0)
     return {
         "share": list(LOAD_SHARES),
         "shipped_mm_s": [rig.creep_mm_s(share) for share in LOAD_SHARES],
-        "without_noslip_mm_s": [
-            rig.creep_mm_s(share, solver=SolverSettings(noslip_iterations=0)) for share in LOAD_SHARES
-        ],
+        "without_noslip_mm_s": [rig.creep_mm_s(share, solver=without) for share in LOAD_SHARES],
     }
 
 
@@ -124,6 +120,7 @@ def draw_page(panels: dict[str, Any], path: Path) -> Path:
     _speed(axes[1, 2], panels["time_step"], panels["noslip"])
     for axis in axes.flat:
         axis.grid(alpha=0.25)
+        axis.legend(fontsize=8)
     figure.suptitle("Physics of the wiping scene (simulated)")
     return save_figure(figure, path)
 
@@ -137,7 +134,6 @@ def _indentation(axis: Axes, panel: dict[str, Any]) -> None:
         axis.plot(line, line / K, color=colour, lw=1, label=f"{name}: force / {K:g} N/mm")
         axis.plot(force[:, i], depth[:, i], "o", color=colour)
     axis.set(xlabel="grip, N", ylabel="indentation, mm", title="a pad gives way as its stiffness says")
-    axis.legend(fontsize=8)
 
 
 def _slip(axis: Axes, panel: dict[str, Any]) -> None:
@@ -148,20 +144,15 @@ def _slip(axis: Axes, panel: dict[str, Any]) -> None:
     axis.plot(line, line, color=GREY, lw=1)
     axis.plot(expected, measured, "o", color=BLUE)
     axis.set(xlabel="2 μ grip, N", ylabel="load at which it slides, N", title="it slides where Coulomb says")
-    axis.legend(fontsize=8)
 
 
 def _creep(axis: Axes, panel: dict[str, Any]) -> None:
     share = 100 * np.array(panel["share"])
-    floor = 1e-5
-    for name, key, colour in (
-        ("as shipped", "shipped_mm_s", BLUE),
-        ("without the no-slip pass", "without_noslip_mm_s", RED),
-    ):
-        axis.semilogy(share, np.maximum(np.abs(panel[key]), floor), "o-", color=colour, label=name)
+    named = ("as shipped", "shipped_mm_s", BLUE), ("without the no-slip pass", "without_noslip_mm_s", RED)
+    for name, key, colour in named:
+        axis.semilogy(share, np.maximum(np.abs(panel[key]), 1e-5), "o-", color=colour, label=name)
     axis.axhline(0.01, color=GREY, ls="--", lw=1, label="0.01 mm/s asked for")
     axis.set(xlabel="load, % of the slip load", ylabel="sinking, mm/s", title="what is held stays held")
-    axis.legend(fontsize=8)
 
 
 def _wear(axis: Axes, panel: dict[str, Any]) -> None:
@@ -172,7 +163,6 @@ def _wear(axis: Axes, panel: dict[str, Any]) -> None:
     axis.axhline(panel["residual_limit"], color=GREY, ls="--", lw=1, label="residual limit")
     axis.axvspan(panel["press_limit_N"], press.max(), color=RED, alpha=0.12, label="excess force")
     axis.set(xlabel="press, N", ylabel="ink left, share", title="too light leaves ink, too strong is excess")
-    axis.legend(fontsize=8)
 
 
 def _time_step(axis: Axes, panel: dict[str, Any]) -> None:
@@ -184,7 +174,6 @@ def _time_step(axis: Axes, panel: dict[str, Any]) -> None:
     axis.minorticks_off()
     axis.axvline(SolverSettings().physics_hz, color=GREY, ls="--", lw=1, label="shipped")
     axis.set(xlabel="physics steps per second", ylabel="press, N", title="finer steps change nothing")
-    axis.legend(fontsize=8)
 
 
 def _speed(axis: Axes, time_step: dict[str, Any], noslip: dict[str, Any]) -> None:
@@ -204,12 +193,10 @@ def _speed(axis: Axes, time_step: dict[str, Any], noslip: dict[str, Any]) -> Non
             if (s["substeps"], s["noslip_iterations"]) == (shipped.substeps, shipped.noslip_iterations):
                 axis.plot(x, y, "*", ms=13, color=GREEN, label="shipped" if key == "physics_hz" else None)
     axis.set(xlabel="simulated seconds per CPU second", ylabel="worst press error, N", title="speed, accuracy")
-    axis.legend(fontsize=8)
 
 
 @command(PhysicsCommand)
 def main(command: PhysicsCommand) -> None:
-    """Entry of ``python -m benchmarks.physics``."""
     panels = measure(command)
     what = "simulated; nothing hidden in the scene, GelSight left, TacTip right"
     path = write_json(Path(command.results) / "physics.json", {"what": what, **panels} | provenance())

@@ -1,8 +1,4 @@
-"""A test rig inside the scene: nothing hidden, the eraser held or pressed as asked, one number read off.
-
-What a laboratory would measure on the real pads before trusting them: stiffness, slip load, creep, wear, and how
-much of it hangs on the time step.
-"""
+"""A rig inside the scene to measure what a laboratory would: stiffness, slip load, creep, wear, the time step."""
 
 import time
 from dataclasses import dataclass, replace
@@ -69,43 +65,26 @@ def pressed(depth_m: float, solver: SolverSettings | None = None, **changes: Any
     return sim
 
 
-@dataclass(frozen=True)
-class Squeeze:
-    """A settled grasp: force N and indentation mm, (left, right)."""
-
-    force_N: tuple[float, float]
-    depth_mm: tuple[float, float]
-
-
-def squeeze(width_m: float, **changes: Any) -> Squeeze:
-    """Grasp at a commanded width and read both pads."""
-    pads = grasped(width_m, **changes).pads
-    left, right = (pads[finger] for finger in FINGERS)
-    return Squeeze((float(left.wrench[2]), float(right.wrench[2])), (left.depth_mm, right.depth_mm))
+def squeeze(width_m: float, **changes: Any) -> np.ndarray:
+    """Return the settled force N and indentation mm, (2, 2), of (left, right), of a grasp at a commanded width."""
+    sim = grasped(width_m, **changes)
+    pads = [sim.pads[finger] for finger in FINGERS]
+    return np.array([[pad.wrench[2] for pad in pads], [pad.depth_mm for pad in pads]])
 
 
-@dataclass(frozen=True)
-class SlipLoad:
-    """A load hung on the held eraser until it slides: what Coulomb allows (2 μ F) and what it took, N."""
-
-    coulomb_N: float
-    measured_N: float
-
-
-def slip_load(friction: float, width_m: float = 0.022) -> SlipLoad:
-    """Hang a slowly growing load on the eraser and return the load at which it slides."""
+def slip_load(friction: float, width_m: float = 0.022) -> dict[str, float]:
+    """Hang a growing load on the held eraser until it slides; return what Coulomb allows, 2 μ F, and what it took."""
     sim = grasped(width_m, pad_friction=(friction, friction))
     eraser = sim.model.body("eraser").id
     weight_N = sim.scene.eraser_mass_kg * GRAVITY_m_s2
-    grip = float(np.mean([sim.pads[f].wrench[2] for f in FINGERS]))
-    coulomb = 2 * friction * grip
+    coulomb = 2 * friction * _grip_N(sim)
     load = 0.5 * coulomb - weight_N  # ramp from half of it
     start = sim.eraser_in_tool()[2]
     while (sim.eraser_in_tool()[2] - start) * 1000 < SLIDING_mm and load < 2 * coulomb:
         load += LOAD_STEP_N
         sim.data.xfrc_applied[eraser, 2] = -load
         hold(sim, sim.target, 1)
-    return SlipLoad(coulomb, load + weight_N)
+    return {"coulomb_N": coulomb, "measured_N": load + weight_N}
 
 
 def creep_mm_s(
@@ -113,13 +92,16 @@ def creep_mm_s(
 ) -> float:
     """Return how fast the held eraser sinks under a load of ``share`` of its slip load, once settled."""
     sim = grasped(solver=solver, pad_friction=(friction, friction))
-    grip = float(np.mean([sim.pads[f].wrench[2] for f in FINGERS]))
-    load = share * 2 * friction * grip - sim.scene.eraser_mass_kg * GRAVITY_m_s2
+    load = share * 2 * friction * _grip_N(sim) - sim.scene.eraser_mass_kg * GRAVITY_m_s2
     sim.data.xfrc_applied[sim.model.body("eraser").id, 2] = -load
     hold(sim, sim.target, 30)  # the gel's own shear comes to rest
     start = sim.eraser_in_tool()[2]
     hold(sim, sim.target, round(seconds * CONTROL_HZ))
     return float(sim.eraser_in_tool()[2] - start) * 1000 / seconds
+
+
+def _grip_N(sim: WipeSimulation) -> float:  # noqa: N802  a unit
+    return float(np.mean([sim.pads[finger].wrench[2] for finger in FINGERS]))
 
 
 @dataclass(frozen=True)

@@ -82,7 +82,6 @@ def measure(config: BenchPolicyConfig) -> dict[str, Any]:
 
 @command(BenchPolicyConfig)
 def main(config: BenchPolicyConfig) -> None:
-    """Entry of ``python -m benchmarks.policy_speed``."""
     torch.set_num_threads(1)
     content = measure(config)
     path = write_json(Path(config.out) / "policy_latency.json", content | provenance())

@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from benchmarks.probes.report_sets import get_report_set
-from benchmarks.probes.zero_shot import check_frozen, encode_set, learnt_row
+from benchmarks.probes.report_sets import REPORT_SETS
+from benchmarks.probes.zero_shot import across, check_frozen, encode_set, learnt_row
 from benchmarks.real.readouts import RIDGES, head_reading, labels_mm, latent_features, transfer
 from benchmarks.real.tactip_shear import TactipSet, read_tactip_shear
 from benchmarks.tokenizer_report import draw_sets
@@ -71,13 +71,11 @@ def pretrained(config: PretrainingChoicesCommand, name: str, seed: int) -> Token
 
 
 def measure(config: PretrainingChoicesCommand, tokenizer: Tokenizer, seed: int, real: list[TactipSet]) -> dict:
-    """Return one run's scores."""
-    report_set = get_report_set(SET)
+    report_set = REPORT_SETS[SET]
     table = draw_sets(report_set, tokenizer.config.side, Path(config.cache))
     check_frozen(json.loads((Path(config.facts) / report_set.facts_file).read_text()), table.frozen)
     row = learnt_row(table, lambda s: encode_set(tokenizer, s), 1, POOL)
-    cells = [row[name] for name in row if len(set(name.split("->"))) == 2]
-    r2, r = (np.array([cell[key] for cell in cells]) for key in ("r2", "abs_r"))
+    r2, r = across(row, "r2"), across(row, "abs_r")
     found: dict[str, Any] = {
         "fz_r2": r2[:, 2].mean(),
         "fz_r2_worst": r2[:, 2].min(),
@@ -100,7 +98,6 @@ def measure(config: PretrainingChoicesCommand, tokenizer: Tokenizer, seed: int, 
 
 @command(PretrainingChoicesCommand)
 def main(config: PretrainingChoicesCommand) -> None:
-    """Entry of ``python -m benchmarks.pretraining_choices``."""
     one_thread()
     torch.set_num_threads(1)
     path = Path(config.out)

@@ -3,19 +3,21 @@
 import json
 import logging
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from tqdm import tqdm
 
-from benchmarks.baselines import rows as baseline_rows
+from benchmarks.baselines.finetuned import finetuned_row
+from benchmarks.baselines.genforce_style import genforce_style_row
+from benchmarks.baselines.resnet import resnet_row
 from benchmarks.baselines.speed import speed_report
-from benchmarks.probes.labelled_set import LabelledSet
+from benchmarks.probes.labelled_set import LabelledSet, set_facts
 from benchmarks.probes.latent_and_pictures import latent_correlation, reconstructions
 from benchmarks.probes.recorded_set import user_data
-from benchmarks.probes.report_sets import REPORT_SETS, ReportSet, get_report_set
+from benchmarks.probes.report_sets import REPORT_SETS, ReportSet
 from benchmarks.probes.worn_sequences import WornSequences, draw_worn
 from benchmarks.probes.zero_shot import (
     POOL,
@@ -26,7 +28,6 @@ from benchmarks.probes.zero_shot import (
     encode_set,
     learnt_row,
     mean_row,
-    set_facts_of,
     shipped_cell,
     summary,
     transfer_name,
@@ -86,9 +87,8 @@ class TokenizerReportCommand:
 
 
 def freeze(command: TokenizerReportCommand, report_set: ReportSet, side: int) -> Path:
-    """Write a frozen set's recipe and hash."""
     frozen = report_set.draw(report_set.frozen, report_set.targets(), side, Path(command.cache))
-    facts = set_facts_of(report_set.frozen, frozen)
+    facts = set_facts(report_set.frozen, frozen)
     return write_json(Path(command.results) / report_set.facts_file, facts | provenance())
 
 
@@ -108,13 +108,16 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
         "mean": lambda: mean_row(table),
     }
     if command.baselines:
-        makers |= baseline_rows.trained(table, tokenizer, seeds)
+        makers |= trained(table, tokenizer, seeds)
     chosen = choose(makers, command.only)
     _committed_table(command, report_set, facts)  # refuses one that does not fit before the work begins
     measured = {name: make() for name, make in tqdm(chosen.items(), desc="rows")}
     # once more: another row may have come in meanwhile
     committed = _committed_table(command, report_set, facts)
-    rows = in_order(committed, _still_true(committed, tokenizer) | measured)
+    rows = _still_true(committed, tokenizer) | measured
+    # in the committed table's order, so that pictures keep theirs
+    rows = {name: rows[name] for name in dict.fromkeys([*committed.get("rows", {}), *rows]) if name in rows}
+    origins = {name: by for name, by in committed.get("measured_by", {}).items() if name in rows}
     origin = provenance()
     content = {
         "what": "simulated; head trained on the source sensor, seen indenters; scored on unseen indenters",
@@ -123,9 +126,9 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
         "seeds": seeds,
         "tokenizer_hash": tokenizer.hash,
         "own_sensor_fz_mae_N": own_sensor_mae(rows["UniForce"], table.training) if "UniForce" in rows else None,
-        "summary": {name: summary(row, table.transfers()) for name, row in rows.items()},
+        "summary": {name: summary(row) for name, row in rows.items()},
         "rows": rows,
-        "measured_by": kept_origins(committed, rows) | dict.fromkeys(measured, origin),
+        "measured_by": origins | dict.fromkeys(measured, origin),
     }
     content |= {"speed": committed["speed"]} if "speed" in committed else {}
     if command.baselines:
@@ -135,24 +138,21 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
     return content | origin
 
 
+def trained(table: Table, tokenizer: Tokenizer, seeds: int) -> dict[str, Callable[[], Cells]]:
+    """Return the makers of rows that train networks: name → maker."""
+    makers: dict[str, Callable[[], Cells]] = {
+        "UniForce (FT)": lambda: finetuned_row(table, tokenizer, seeds),
+        "ResNet": lambda: resnet_row(table, seeds),
+    }
+    if set(table.frozen) <= set(table.training):  # a translator needs pictures of its target
+        makers["GenForce-style (ours)"] = lambda: genforce_style_row(table, 1)
+    return makers
+
+
 def own_sensor_mae(row: Cells, sensors: Iterable[str]) -> float:
     """Return a row's mean |error| of Fz on the sensors its heads were trained on: what no transfer can beat."""
     own = [row[transfer_name(sensor, sensor)]["mae_N_paper_range"][2] for sensor in sensors]
     return sum(own) / len(own)
-
-
-def in_order(committed: dict[str, Any], rows: dict[str, Cells]) -> dict[str, Cells]:
-    """Return ``rows`` in the committed table's order, new ones last: pictures then keep their order too."""
-    names = dict.fromkeys([*committed.get("rows", {}), *rows])
-    return {name: rows[name] for name in names if name in rows}
-
-
-def kept_origins(committed: dict[str, Any], rows: Mapping[str, Cells]) -> dict[str, Any]:
-    """Return which command measured each row taken over from a committed table, and when.
-
-    A table written before rows had origins of their own says so only once, for the last of them.
-    """
-    return {name: origin for name, origin in committed.get("measured_by", {}).items() if name in rows}
 
 
 def draw_sets(report_set: ReportSet, side: int, cache: Path) -> Table:
@@ -176,8 +176,7 @@ def _facts(command: TokenizerReportCommand, report_set: ReportSet) -> dict[str, 
 def _committed_table(command: TokenizerReportCommand, report_set: ReportSet, facts: dict[str, Any]) -> dict[str, Any]:
     """Return the committed table whose rows ``only=`` keeps; empty where nothing is kept.
 
-    Raises:
-        DatasetError: a table of another set or other seeds.
+    Raises DatasetError: a table of another set or other seeds.
     """
     path = _table_path(command, report_set)
     if not command.only or not path.exists():
@@ -243,7 +242,7 @@ def _say_if_redrawn(command: TokenizerReportCommand, report_set: ReportSet, froz
 
 
 def _report(command: TokenizerReportCommand) -> str:
-    results, report_set = Path(command.results), get_report_set(command.set)
+    results, report_set = Path(command.results), REPORT_SETS[command.set]
     tokenizer = Tokenizer.from_pretrained(command.tokenizer or None)
     if command.freeze:
         return f"set frozen in {freeze(command, report_set, tokenizer.config.side)}"
@@ -258,7 +257,10 @@ def _report(command: TokenizerReportCommand) -> str:
         return _latent_or_pictures(command, report_set, tokenizer)
     content = measure(command, report_set, tokenizer)
     path = write_json(_table_path(command, report_set), content)
-    lines = [f"{name:16s} " + _numbers(values) for name, values in content["summary"].items()]
+    lines = [
+        f"{name:16s} " + "  ".join(f"{key} {value:.2f}" for key, value in values.items())
+        for name, values in content["summary"].items()
+    ]
     return "\n".join([*lines, f"table: {path}"])
 
 
@@ -273,13 +275,8 @@ def _latent_or_pictures(command: TokenizerReportCommand, report_set: ReportSet, 
     return f"written to {write_json(results / name, found | provenance())}"
 
 
-def _numbers(values: dict[str, float]) -> str:
-    return "  ".join(f"{name} {value:.2f}" for name, value in values.items())
-
-
 @command(TokenizerReportCommand)
 def main(command: TokenizerReportCommand) -> None:
-    """Entry of ``python -m benchmarks.tokenizer_report``."""
     logging.basicConfig(level=logging.INFO)
     one_thread()
     print(_report(command))

@@ -1,8 +1,4 @@
-"""What is read from sensors that answer unlike the known ones, worn in the wiping scene, calibrated and not.
-
-The expert drives by the true wrench, so no policy is needed. On development scenes; the sensors' stiffness and gain
-were part of no pretraining.
-"""
+"""What is read from sensors of odd stiffness or gain in the scene, calibrated and not; the true wrench drives."""
 
 import sys
 from dataclasses import dataclass
@@ -17,8 +13,7 @@ from uniforce_cli.boundary import Level, command
 from uniforce_cli.calibrate import CalibrateCommand, calibrate_sensor
 from uniforce_vtla.options import Count, OutFile, Seed, TokenizerFolder
 from uniforce_vtla.results_file import provenance, write_json
-from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 
 WORN = ("gelsight_stiff", "uskin_keen", "tactip_soft")
 ANCHOR = "tactip"
@@ -75,7 +70,6 @@ def measure(config: WornReadingsCommand) -> dict[str, Any]:
 
 @command(WornReadingsCommand)
 def main(config: WornReadingsCommand) -> None:
-    """Entry of ``python -m benchmarks.worn_readings``."""
     torch.set_num_threads(1)
     content = measure(config)
     print(f"{'sensor':16} {'':10} press × and + N, r | grip bias, error N")

@@ -84,8 +84,6 @@ class Witnesses:
 
 
 class FairClock:
-    """The plugin: ``pytest_configure`` registers it."""
-
     def __init__(self, witnesses: Witnesses | None = None) -> None:
         self.witnesses = witnesses
         self.again: list[str] = []

@@ -22,20 +22,17 @@ def move(controller: int = p.EXTERNAL, generator: int = p.NO_GENERATOR) -> bytes
 
 
 def decode_state(datagram: bytes) -> p.RobotState:
-    """Return an arm's state; raise ProtocolError for another size."""
     number, body, generator, controller, *flags, mode, rate = p.unpack(p.STATE, datagram, "RobotState")
     bits = (frozenset(i for i, flag in enumerate(some) if flag) for some in flags)
     return p.RobotState(number, np.frombuffer(body, "<f4").copy(), generator, controller, *bits, mode, rate)
 
 
 def decode_hand_state(datagram: bytes) -> p.HandState:
-    """Return a hand's state; raise ProtocolError for another size."""
     state = p.HandState(*p.unpack(p.HAND_STATE, datagram, "HandState"))
     return state._replace(is_grasped=bool(state.is_grasped))
 
 
 def encode_command(command: p.RobotCommand) -> bytes:
-    """Return the 371-byte datagram."""
     return p.COMMAND.pack(command.message_id, False, False, *command.tau_J_d, command.finished)
 
 
@@ -66,13 +63,11 @@ class RawClient:
         self.udp.close()
 
     def send(self, command: int, payload: bytes = b"") -> int:
-        """Send a request; return its id."""
         command_id, self._next_id = self._next_id, self._next_id + 1
         self.tcp.sendall(self.header.encode(p.Message(command, command_id, payload)))
         return command_id
 
     def receive(self) -> p.Message:
-        """Return the next answer; raise ConnectionError when the server hung up."""
         while True:
             message, self._buffer = self.header.decode(self._buffer)
             if message is not None:
@@ -83,27 +78,22 @@ class RawClient:
             self._buffer += data
 
     def ask(self, command: int, payload: bytes = b"") -> bytes:
-        """Send a request and return its answer's payload."""
         asked, answer = (command, self.send(command, payload)), self.receive()
         if (answer.command, answer.command_id) != asked:
             raise ConnectionError(f"answer to {asked} was ({answer.command}, {answer.command_id})")
         return answer.payload
 
     def datagram(self) -> bytes:
-        """Return the next datagram and remember who sent it."""
         data, self.server = self.udp.recvfrom(65536)
         return data
 
     def greet(self, version: int) -> None:
-        """Say hello; keep what the server answered."""
         layout = struct.Struct("<BH" if self.header is p.ARM_HEADER else "<HH")
         answer = self.ask(p.ArmCommand.CONNECT, p.CONNECT.pack(version, self.udp.getsockname()[1]))
         self.status, self.version = p.unpack(layout, answer, "answer to Connect")
 
 
 class RawArm(RawClient):
-    """The arm's port."""
-
     _tau_Nm: np.ndarray = np.zeros(JOINTS)  # last sent
 
     def __init__(self, address: str, version: int = p.ARM_VERSION) -> None:
@@ -138,7 +128,6 @@ class RawArm(RawClient):
         return command_id
 
     def command(self, command: p.RobotCommand) -> None:
-        """Send a command of the control loop."""
         if self.server is None:
             raise ConnectionError("no state has come yet: where commands go is not known")
         self.udp.sendto(encode_command(command), self.server)
@@ -168,18 +157,14 @@ def pull_to(target_m: np.ndarray, stiffness_N_m: float = 1000.0) -> Callable[[p.
 
 
 class RawHand(RawClient):
-    """The hand's port."""
-
     def __init__(self, address: str, version: int = p.HAND_VERSION) -> None:
         super().__init__(address, p.HAND_PORT, p.HAND_HEADER)
         self.greet(version)
 
     def state(self) -> p.HandState:
-        """Return the next state."""
         return decode_hand_state(self.datagram())
 
     def status_of(self, command: int, payload: bytes = b"") -> int:
-        """Send a request and return how it ended."""
         return int(p.unpack(struct.Struct("<H"), self.ask(command, payload), "answer of the hand")[0])
 
 

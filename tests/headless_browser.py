@@ -22,7 +22,6 @@ SILENT += ("--disable-quic",)  # nothing but the page is fetched
 
 
 def find_browser() -> str | None:
-    """Return the path of a Chromium, or None."""
     return next(filter(None, map(shutil.which, NAMES)), None)
 
 
@@ -73,18 +72,15 @@ class Page:
             time.sleep(0.05)
 
     def read(self, expression: str) -> Any:
-        """Return what a JavaScript expression gives."""
         answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
         assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")
 
     def press(self, key: str, times: int = 1) -> None:
-        """Press a key, as a hand does."""
         for kind in ("keyDown", "keyUp") * times:
             self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key)
 
     def click(self, selector: str, share: float = 0.5) -> None:
-        """Click into what a CSS selector finds, at a share of its width, as a mouse does."""
         box = f"document.querySelector('{selector}').getBoundingClientRect()"
         self.read(f"document.querySelector('{selector}').scrollIntoView({{block: 'center'}})")
         x, y = self.read(f"[{box}.left + {share} * {box}.width, {box}.top + {box}.height / 2]")
@@ -92,7 +88,6 @@ class Page:
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
     def photograph(self, path: Path, whole: bool = False) -> Path:
-        """Write a PNG of the window, or of the whole page."""
         path.write_bytes(b64decode(self.call("Page.captureScreenshot", captureBeyondViewport=whole)["data"]))
         return path
 

@@ -52,7 +52,6 @@ def test_scores_with_the_trained_and_a_swapped_sensor(checkpoint: Path, tmp_path
 
 
 def lerobot_evaluated(monkeypatch: pytest.MonkeyPatch, out: Path, policy: Path, level: str, seed: int) -> bool:
-    """Return whether a scene succeeds in LeRobot's own command."""
     flags = [f"policy.path={policy}", "policy.device=cpu", "env.type=uniforce_wiping", f"env.level={level}"]
     flags += ["eval.n_episodes=1", "eval.batch_size=1", "eval.use_async_envs=false"]
     flags += [f"seed={seed}", f"output_dir={out}"]

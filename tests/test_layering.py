@@ -31,7 +31,6 @@ REGISTERS = ROOT / "policies" / POLICIES / "__init__.py"
 
 
 def modules_of(file: Path) -> Iterator[str]:
-    """Yield every module a file imports, anywhere in it."""
     for node in ast.walk(ast.parse(file.read_text())):
         if isinstance(node, ast.ImportFrom):
             yield node.module or ""

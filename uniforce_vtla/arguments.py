@@ -253,15 +253,12 @@ def help_text(config_class: type) -> str:
     return "\n".join(lines)
 
 
-def choose[T](known: dict[str, T], only: str) -> dict[str, T]:
-    """Return the entries named in ``only`` (comma between them); all of them when empty.
-
-    Raises ContractError: an unknown name.
-    """
+def choose[T](known: dict[str, T], only: str, option: str = "only") -> dict[str, T]:
+    """Return the entries named in an option (comma between them), all when empty; ContractError: an unknown name."""
     names = split(only) or list(known)
     unknown = sorted(set(names) - set(known))
     if unknown:
-        raise ContractError(expected("only", " | ".join(known), unknown, "Name rows of the table."))
+        raise ContractError(expected(option, " | ".join(known), unknown, "Name rows of the table."))
     return {name: known[name] for name in names}
 
 

@@ -32,3 +32,20 @@ def write_json(path: Path, content: dict[str, Any]) -> Path:
         json.dump(content, handle, indent=1)
     Path(handle.name).replace(path)
     return path
+
+
+def append_line(path: Path, content: dict[str, Any]) -> None:
+    """Add a line of JSON and force it to disk: a killed run keeps all it has finished; half a last line is dropped."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("ab+") as handle:
+        handle.seek(0)
+        handle.truncate(handle.read().rfind(b"\n") + 1)
+        handle.write(json.dumps(content).encode() + b"\n")
+        handle.flush()
+        os.fsync(handle.fileno())
+
+
+def read_lines(path: Path) -> list[dict[str, Any]]:
+    """Return what ``append_line`` wrote, without a last line that a kill has cut short; ValueError: no JSON."""
+    text = path.read_text() if path.exists() else ""
+    return [json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines()]

@@ -1,7 +1,4 @@
-"""Cells of a row whose whole network is fitted to the source sensor: ResNet, fine-tuning, translation.
-
-A row may look at pictures when it predicts, never at labels.
-"""
+"""Cells of a row whose whole network is fitted to the source sensor; it may look at pictures, never at labels."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -30,40 +27,13 @@ Predictor = Callable[[Pictures], np.ndarray]  # → (n, T, 3) N
 
 
 def pictures(labelled: LabelledSet) -> Pictures:
-    """Return the images of a set.
-
-    Raises:
-        ContractError: images that aren't square uint8, or references and frames that don't fit each other.
-    """
-    reference, frames = labelled.reference, labelled.frames
-    fits = (
-        reference.dtype == frames.dtype == np.uint8
-        and reference.ndim == 3
-        and frames.ndim == 4
-        and frames.shape[1] > 0
-        and len(reference) == len(frames) > 0
-        and reference.shape[1] == reference.shape[2]
-        and frames.shape[2:] == reference.shape[1:]
-    )
-    if not fits:
-        came = f"{reference.dtype} {reference.shape} and {frames.dtype} {frames.shape}"
-        raise ContractError(
-            expected("labelled set", "uint8 (n, S, S) and (n, T, S, S)", came, "Draw it with draw_labelled.")
-        )
-    return Pictures(reference, frames)
+    return Pictures(labelled.reference, labelled.frames)
 
 
 def labels(labelled: LabelledSet) -> torch.Tensor:
-    """Return a *source* set's forces, (n, T, 3) float32 N.
-
-    Raises:
-        ContractError: another shape than the frames', or a force that isn't finite.
-    """
-    wanted = (*pictures(labelled).frames.shape[:2], 3)
-    if labelled.force_N.shape != wanted or not bool(np.isfinite(labelled.force_N).all()):
-        raise ContractError(
-            expected("forces of the source", f"finite {wanted}", labelled.force_N.shape, "Check the set.")
-        )
+    """Return a *source* set's forces, (n, T, 3) float32 N; ContractError: a force that isn't finite."""
+    if not bool(np.isfinite(labelled.force_N).all()):
+        raise ContractError(expected("forces of the source", "finite", "NaN or inf", "Check the set."))
     return torch.from_numpy(labelled.force_N).float()
 
 
@@ -76,14 +46,10 @@ Scores = dict[str, list[dict[str, list[float]]]]  # transfer → one score per s
 
 
 def fitted_row(table: Table, fit: Fit, seeds: int) -> Cells:
-    """Return a row: ``fit`` on every source, scored on every target's pictures, mean over ``seeds``.
-
-    Raises:
-        ContractError: no seed, or a set that can't be used.
-    """
+    """Return a row: ``fit`` on every source, scored on every target's pictures, mean over ``seeds``."""
     scores: Scores = {}
     for source, labelled in table.training.items():
-        for seed in range(check_seeds(seeds)):
+        for seed in range(seeds):
             predict = fit(labelled, seed)
             for target in table.frozen:
                 add_score(scores, table, (source, target), predict)
@@ -94,11 +60,4 @@ def add_score(scores: Scores, table: Table, transfer: tuple[str, str], predict: 
     """Append one seed's score of ``transfer``; the target's labels meet the prediction here and nowhere else."""
     target = transfer[1]
     said = predict(pictures(table.frozen[target]))
-    scores.setdefault(transfer_name(*transfer), []).append(score(table.forces(target), said))
-
-
-def check_seeds(seeds: int) -> int:
-    """Return ``seeds``; ContractError if there is none."""
-    if seeds < 1:
-        raise ContractError(expected("seeds", "at least 1", seeds, "The table uses 3."))
-    return seeds
+    scores.setdefault(transfer_name(*transfer), []).append(score(table.frozen[target].force_N, said))

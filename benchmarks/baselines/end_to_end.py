@@ -8,7 +8,6 @@ from torch import nn
 from torch.nn import functional as F  # noqa: N812
 
 from benchmarks.baselines.cells import Pictures, Predictor
-from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.tokenizer.force_head import ForceRegressor
 
 
@@ -25,18 +24,13 @@ class EndToEndConfig:
     device: str = "cpu"  # where it trains and predicts
 
 
-class PairEncoder(nn.Module):
-    """Turns a reference and the frames after it into latent maps."""
-
-    def forward(self, reference: torch.Tensor, frames: torch.Tensor) -> torch.Tensor:
-        """Return (B, F, P, L) for references (B, 1, S, S) and frames (B, F, S, S)."""
-        raise NotImplementedError
-
-
 class EndToEnd(nn.Module):
-    """An encoder with the table's own head behind it."""
+    """An encoder with the table's own head behind it.
 
-    def __init__(self, encoder: PairEncoder, head: ForceRegressor) -> None:
+    The encoder gives latent maps (B, F, P, L) of references (B, 1, S, S) and frames (B, F, S, S).
+    """
+
+    def __init__(self, encoder: nn.Module, head: ForceRegressor) -> None:
         super().__init__()
         self.encoder = encoder
         self.head = head
@@ -52,11 +46,7 @@ def train_end_to_end(
     """Train in place on pictures and their forces (n, T, 3); return the loss of every step.
 
     Stretches are random, single frames included, as for heads on frozen latents.
-
-    Raises:
-        ContractError: no step, or forces that don't fit the pictures.
     """
-    _check(shown, force_N, config)
     model.to(config.device).train()
     optimizer = torch.optim.AdamW(_groups(model, config), weight_decay=config.weight_decay)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, config.steps)
@@ -105,16 +95,5 @@ def _loss(
 
 
 def _groups(model: EndToEnd, config: EndToEndConfig) -> list[dict[str, object]]:
-    return [
-        {"params": list(model.encoder.parameters()), "lr": config.learning_rate * config.encoder_rate},
-        {"params": list(model.head.parameters()), "lr": config.learning_rate},
-    ]
-
-
-def _check(shown: Pictures, force_N: torch.Tensor, config: EndToEndConfig) -> None:
-    wanted = (*shown.frames.shape[:2], 3)
-    if tuple(force_N.shape) != wanted:
-        raise ContractError(expected("forces", wanted, tuple(force_N.shape), "One per frame."))
-    if config.steps < 1 or config.frames_per_step < 1:
-        came = f"{config.steps} and {config.frames_per_step}"
-        raise ContractError(expected("steps and frames_per_step", "at least 1", came, "Raise them."))
+    rates = {model.encoder: config.learning_rate * config.encoder_rate, model.head: config.learning_rate}
+    return [{"params": list(part.parameters()), "lr": rate} for part, rate in rates.items()]

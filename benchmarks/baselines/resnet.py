@@ -7,10 +7,9 @@ from torch import nn
 from torch.nn import functional as F  # noqa: N812
 
 from benchmarks.baselines.cells import Pictures, Predictor, fitted_row, labels, pictures
-from benchmarks.baselines.end_to_end import EndToEnd, EndToEndConfig, PairEncoder, predictor, train_end_to_end
+from benchmarks.baselines.end_to_end import EndToEnd, EndToEndConfig, predictor, train_end_to_end
 from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.zero_shot import POOL, Cells, Table
-from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig
 
 STRIDE = 32  # of the whole network, as in every ResNet
@@ -46,7 +45,7 @@ class BasicBlock(nn.Module):
         return F.relu(self.layers(maps) + self.skip(maps))
 
 
-class ResNetEncoder(PairEncoder):
+class ResNetEncoder(nn.Module):
     """Reference and current image as two channels → a latent map of stride 32."""
 
     def __init__(self, config: ResNetConfig) -> None:
@@ -73,27 +72,20 @@ class ResNetEncoder(PairEncoder):
         return maps.flatten(2).transpose(1, 2).unflatten(0, frames.shape[:2])
 
 
-def resnet_row(table: Table, seeds: int, config: ResNetConfig | None = None) -> Cells:
-    """Return the row of ResNets trained on each source sensor."""
-    config = config or ResNetConfig()
+RESNET = ResNetConfig()
+
+
+def resnet_row(table: Table, seeds: int, config: ResNetConfig = RESNET) -> Cells:
     return fitted_row(table, lambda source, seed: fit_resnet(source, config, seed), seeds)
 
 
 def fit_resnet(source: LabelledSet, config: ResNetConfig, seed: int) -> Predictor:
-    """Return a predictor trained on one sensor's labelled set."""
     return fit_pictures(pictures(source), labels(source), config, seed)
 
 
 def fit_pictures(shown: Pictures, force_N: torch.Tensor, config: ResNetConfig, seed: int) -> Predictor:
-    """Return a predictor trained on pictures and forces (n, T, 3) N.
-
-    Raises:
-        ContractError: pictures smaller than the network's stride, or forces that don't fit.
-    """
-    side = shown.reference.shape[-1]
-    if side % STRIDE:
-        raise ContractError(expected("pictures", f"a side divisible by {STRIDE}", side, "Draw them larger."))
-    model = build_resnet(config, side, force_N, seed)
+    """Return a predictor trained on pictures, whose side is divisible by the stride, and forces (n, T, 3) N."""
+    model = build_resnet(config, shown.reference.shape[-1], force_N, seed)
     train_end_to_end(model, shown, force_N, config.training, seed)
     return predictor(model, config.training.device)
 

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
@@ -17,21 +16,11 @@ from benchmarks.probes.zero_shot import POOL
 from benchmarks.timing import in_turns, ratio
 from uniforce_cli.boundary import one_thread
 from uniforce_vtla.contact.pairs import equilibrium_pairs
-from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.model import Encoder
-from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
 OURS = "UniForce"
 RESIZE = 256 / 224  # T3's pictures: shorter edge before the centre crop, over the side after it
-
-
-@dataclass(frozen=True)
-class SpeedConfig:
-    """How long to measure."""
-
-    repeats: int = 5  # rounds; in each every encoder takes its turn, so that a busy machine slows all alike
-    ours_per_round: int = 10  # ours is so much faster that one call is too short to time
 
 
 class T3Encoder(nn.Module):
@@ -64,33 +53,29 @@ class T3Encoder(nn.Module):
 
 @torch.no_grad()
 def speed_report(
-    tokenizer: Tokenizer, config: SpeedConfig | None = None, published: dict[str, T3Encoder] | None = None
+    tokenizer: Tokenizer, published: dict[str, T3Encoder] | None = None, rounds: int = 5, ours_per_round: int = 10
 ) -> dict[str, Any]:
     """Return per encoder its size, ``ms_per_frame`` and ``cpu_ms_per_frame``, and both over ours.
 
     One 480×640 marker image to latents, resize included, one thread, batch 1, our reference cached. Weights are
-    random: speed doesn't depend on what they are.
-
-    Raises:
-        ContractError: nothing to repeat.
+    random: speed doesn't depend on what they are. In each round every encoder takes its turn, so that a busy machine
+    slows all alike; ours is so much faster that one call is too short to time.
     """
-    config = config or SpeedConfig()
-    if config.repeats < 1 or config.ours_per_round < 1:
-        raise ContractError(expected("speed rounds", "at least 1", config, "Raise them."))
     published = {"T3-medium": T3Encoder()} if published is None else published
     one_thread()
-    reference, current = _images()
-    turns = {OURS: _ours(tokenizer, reference, current, config.ours_per_round)}
+    pairs = equilibrium_pairs(np.random.default_rng(0), 1, "gelsight", "tactip")
+    reference, current = pairs.left_reference[:1], pairs.left_current[:1]
+    turns = {OURS: lambda: len([tokenizer.encode(reference, current) for _ in range(ours_per_round)])}
     turns |= {name: _turn(encoder.eval(), current) for name, encoder in published.items()}
-    taken = in_turns(turns, config.repeats, per_frame_ms)
+    taken = in_turns(turns, rounds, per_frame_ms)
     facts = {OURS: our_size(tokenizer)} | {name: size_facts(encoder) for name, encoder in published.items()}
     encoders = {name: facts[name] | _timing(taken, name) for name in turns}
-    return {"what": "one marker image, one CPU thread, medians", "repeats": config.repeats, "encoders": encoders}
+    return {"what": "one marker image, one CPU thread, medians", "repeats": rounds, "encoders": encoders}
 
 
 def our_size(tokenizer: Tokenizer) -> dict[str, Any]:
     """Return ``params`` of our encoder, ``flops_per_frame`` with the reference cached, and of the reference."""
-    config: TokenizerConfig = tokenizer.config
+    config = tokenizer.config
     with torch.device("meta"):  # the counter doesn't know the CPU's fused attention
         encoder = Encoder(config)
         image = torch.empty(1, 1, config.side, config.side)
@@ -108,10 +93,7 @@ def our_size(tokenizer: Tokenizer) -> dict[str, Any]:
 
 
 def size_facts(encoder: T3Encoder) -> dict[str, Any]:
-    """Return ``params`` and ``flops_per_frame``, 2 per multiply-add.
-
-    Counted on the meta device: the counter has no entry for the CPU's fused attention and would leave it out.
-    """
+    """Return ``params`` and ``flops_per_frame``, 2 per multiply-add; the meta device doesn't hide fused attention."""
     side = encoder.config.image_size
     with torch.device("meta"):
         shadow, image = T3Encoder(encoder.config), torch.empty(1, 3, side, side)
@@ -125,10 +107,7 @@ def size_facts(encoder: T3Encoder) -> dict[str, Any]:
 
 
 def per_frame_ms(turn: Callable[[], int]) -> tuple[float, float]:
-    """Return the time per frame of a turn, which says how many it took: by the clock, and of the processor alone.
-
-    No other job lengthens the second one.
-    """
+    """Return the time per frame of a turn: by the clock, and of the processor alone, which no other job lengthens."""
     start, cpu_start = time.perf_counter(), time.process_time()
     frames = turn()
     clock, cpu = time.perf_counter() - start, time.process_time() - cpu_start
@@ -146,17 +125,7 @@ def _timing(taken: dict[str, list[tuple[float, float]]], name: str) -> dict[str,
     }
 
 
-def _ours(tokenizer: Tokenizer, reference: np.ndarray, current: np.ndarray, frames: int) -> Callable[[], int]:
-    return lambda: len([tokenizer.encode(reference, current) for _ in range(frames)])
-
-
 def _turn(encoder: T3Encoder, current: np.ndarray) -> Callable[[], int]:
     images = torch.from_numpy(current)
     bar = (images.shape[-1] - images.shape[-2]) // 2  # to a square, (1, 640, 640)
     return lambda: len(encoder(F.pad(images.float() / 255, (0, 0, bar, bar))))
-
-
-def _images() -> tuple[np.ndarray, np.ndarray]:
-    """Return one reference and one contact image, (1, 480, 640) uint8."""
-    pairs = equilibrium_pairs(np.random.default_rng(0), 1, "gelsight", "tactip")
-    return pairs.left_reference[:1], pairs.left_current[:1]

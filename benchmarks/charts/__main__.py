@@ -5,16 +5,16 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from benchmarks.charts.front import Axes, Point, draw_chart, front
+from benchmarks.charts.front import Point, draw_chart, front
 from benchmarks.charts.tokenizer import accuracies, latencies_ms, name_of
-from benchmarks.probes.labelled_set import LabelledSet
-from benchmarks.probes.report_sets import get_report_set
+from benchmarks.probes.labelled_set import ARRAYS, LabelledSet
+from benchmarks.probes.report_sets import REPORT_SETS
 from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.options import Count, CountOrZero, OutFolder
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
 
-SETS = ("zero_shot_v2", "fe_dev_v1")  # own contact model and finite elements
+OWN_MODEL, FINITE_ELEMENTS = SETS = ("zero_shot_v2", "fe_dev_v1")
 DEFAULT = name_of("small", "float32")
 
 
@@ -32,19 +32,15 @@ class ChartCommand:
 
 
 def frozen_set(name: str, config: ChartCommand) -> dict[str, LabelledSet]:
-    """Return sensor → labelled sequences of a frozen set."""
-    chosen = get_report_set(name)
+    """Return sensor → the first labelled sequences of a frozen set, all where ``config.sequences`` is 0."""
+    chosen = REPORT_SETS[name]
     side = Tokenizer.from_pretrained().config.side
     drawn = chosen.draw(chosen.frozen, chosen.targets(), side, Path(config.cache))
-    return {sensor: first(labelled, config.sequences) for sensor, labelled in drawn.items()}
+    return {sensor: first(labelled, config.sequences or None) for sensor, labelled in drawn.items()}
 
 
-def first(labelled: LabelledSet, count: int) -> LabelledSet:
-    """Return the first sequences of a set; all where ``count`` is 0."""
-    if not count:
-        return labelled
-    kept = {name: getattr(labelled, name)[:count] for name in ("reference", "frames", "descriptor", "force_N")}
-    return replace(labelled, **kept)
+def first(labelled: LabelledSet, count: int | None) -> LabelledSet:
+    return replace(labelled, **{name: getattr(labelled, name)[:count] for name in ARRAYS})
 
 
 def points(times_ms: dict[str, float], scores: dict[str, dict[str, Any]]) -> list[Point]:
@@ -59,10 +55,9 @@ def points(times_ms: dict[str, float], scores: dict[str, dict[str, Any]]) -> lis
 
 @command(ChartCommand)
 def main(config: ChartCommand) -> None:
-    """Entry of ``python -m benchmarks.charts``."""
     one_thread()
     sets = {name: frozen_set(name, config) for name in SETS}
-    times_ms = latencies_ms(next(iter(sets[SETS[0]].values())), config.rounds)
+    times_ms = latencies_ms(next(iter(sets[OWN_MODEL].values())), config.rounds)
     scores = {name: accuracies(frozen) for name, frozen in sets.items()}
     shown = {name: points(times_ms, scores[name]) for name in SETS}
     best = {name: front(shown[name]) for name in SETS}
@@ -75,10 +70,8 @@ def main(config: ChartCommand) -> None:
         "scores": scores,
     }
     path = write_json(Path(config.out) / "chart_tokenizer.json", content | provenance())
-    axes = Axes(
-        "tokenizer on finite elements, one core", "ms for two fingers", "zero-shot Fz R², mean and worst transfer"
-    )
-    draw_chart(shown[SETS[1]], axes, path.with_suffix(".png"))
+    title, score = "tokenizer on finite elements, one core", "zero-shot Fz R², mean and worst transfer"
+    draw_chart(shown[FINITE_ELEMENTS], path.with_suffix(".png"), title, "ms for two fingers", score)
     for name in SETS:
         for point in shown[name]:
             star = "*" if point.name in best[name] else " "

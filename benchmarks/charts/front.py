@@ -23,15 +23,6 @@ class Point:
     default: bool = False
 
 
-@dataclass(frozen=True)
-class Axes:
-    """What a chart shows."""
-
-    title: str
-    cost: str
-    score: str
-
-
 def front(points: Sequence[Point]) -> list[str]:
     """Return the names of points that no other one beats: cheaper and at least as good, or as cheap and better."""
     return [one.name for one in points if not any(_beats(other, one) for other in points)]
@@ -42,8 +33,8 @@ def _beats(other: Point, one: Point) -> bool:
     return no_worse and (other.cost < one.cost or other.score > one.score + TIE)
 
 
-def draw_chart(points: Sequence[Point], axes: Axes, path: Path) -> Path:
-    """Draw points with their spans, the front as a line and the default filled; return ``path``."""
+def draw_chart(points: Sequence[Point], path: Path, title: str, cost: str, score: str) -> Path:
+    """Draw points with their spans over cost, the front as a line and the default filled; return ``path``."""
     figure = Figure(figsize=(7, 4.5), layout="constrained")
     plot = figure.subplots()
     best = sorted((point for point in points if point.name in front(points)), key=lambda point: point.cost)
@@ -55,7 +46,7 @@ def draw_chart(points: Sequence[Point], axes: Axes, path: Path) -> Path:
         plot.annotate(
             point.name, (point.cost, point.score), xytext=(3, 4), textcoords="offset points", fontsize=8, rotation=40
         )
-    plot.set(title=axes.title, xlabel=axes.cost, ylabel=axes.score, xscale="log")
+    plot.set(title=title, xlabel=cost, ylabel=score, xscale="log")
     plot.grid(alpha=0.3)
     plot.margins(x=0.15, y=0.2)  # room for names
     plot.legend(loc="lower right")

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
 
-from benchmarks.charts.front import Axes, Point, draw_chart, front
+from benchmarks.charts.front import Point, draw_chart, front
 from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
 from uniforce_cli.boundary import Worn, command
 from uniforce_cli.score import score_arms
@@ -92,8 +92,8 @@ def main(config: PolicyChartCommand) -> None:
         "rows": {report.arm: report.as_dict() for report in reports},
     }
     path = write_json(Path(config.out) / "chart_policy.json", content | provenance())
-    axes = Axes("steps executed of a chunk, simulated", "ms of a core per control step", "clean wipes")
-    draw_chart(points, axes, path.with_suffix(".png"))
+    title, cost = "steps executed of a chunk, simulated", "ms of a core per control step"
+    draw_chart(points, path.with_suffix(".png"), title, cost, "clean wipes")
     for one in points:
         print(f"{one.name:10} {one.cost:6.1f} ms a step  clean {one.score:.2f} [{one.low:.2f}, {one.high:.2f}]")
     print(f"on the front: {', '.join(best)}; written to {path}")

@@ -16,8 +16,7 @@ from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.zero_shot import encode_set, score, summary, transfer_name
 from benchmarks.timing import in_turns
 from uniforce_vtla.contracts import FINGERS
-from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 from uniforce_vtla.tokenizer.weights import SIZES
 
 PRECISIONS = ("float32", "bfloat16", "int8")
@@ -25,7 +24,6 @@ CALLS = 10  # of a turn: one alone is too short to time
 
 
 def name_of(size: str, precision: str) -> str:
-    """Return a point's name."""
     return f"{size}, {precision}"
 
 
@@ -95,4 +93,4 @@ def _accuracy(latents: dict[str, torch.Tensor], size: str, frozen: dict[str, Lab
     pairs = [(source, target) for source in frozen for target in frozen if source != target]
     heads = {source: ForceHead.from_pretrained(source, size) for source in frozen}
     cells = {transfer_name(a, b): score(frozen[b].force_N, heads[a].sequence(latents[b]).numpy()) for a, b in pairs}
-    return summary(cells, pairs) | {"cells": {name: cell["r2"] for name, cell in cells.items()}}
+    return summary(cells) | {"cells": {name: cell["r2"] for name, cell in cells.items()}}

@@ -13,12 +13,11 @@ from tqdm import tqdm
 from benchmarks.finite_elements import theory
 from benchmarks.finite_elements.contacts import PRESS_STEPS, Contact, fine_gel, solve_contacts
 from uniforce_cli.boundary import command
+from uniforce_vtla.contact import TactileSimulator, flat_face_gap
 from uniforce_vtla.contact.elastic import influence
-from uniforce_vtla.contact.indenters import flat_face_gap
 from uniforce_vtla.contact.pads import build_pad
 from uniforce_vtla.contact.pressure import solve_pressure
 from uniforce_vtla.contact.responses import ContactOptions, PointMotion
-from uniforce_vtla.contact.simulator import TactileSimulator
 from uniforce_vtla.contact.traction import Traction
 from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual, gel_of
 from uniforce_vtla.contracts import ContactState
@@ -51,7 +50,6 @@ def dome_slope() -> float:
 
 
 def measure(contacts: int, seed: int) -> dict[str, Any]:
-    """Return every check."""
     parts: dict[str, Callable[[], Any]] = {
         "hertz": theory.hertz,
         "bonded_layer": theory.bonded_layer,
@@ -116,7 +114,6 @@ def _summary(rows: list[tuple[str, float, float, float]]) -> dict[str, float]:
 
 @command(FiniteElementsCommand)
 def main(settings: FiniteElementsCommand) -> None:
-    """Entry of ``python -m benchmarks.finite_elements``."""
     content = measure(settings.contacts, settings.seed) | provenance()
     path = write_json(Path(settings.results) / "contact_model.json", content)
     print(f"worst flat pad: {content['contact_model']}; written to {path}")

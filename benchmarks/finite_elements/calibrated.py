@@ -20,9 +20,8 @@ from uniforce_vtla.contact.virtual import VirtualSensor
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.markers.mirror import mirrored
 from uniforce_vtla.markers.registration import to_nominal_scale
-from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 from uniforce_vtla.tokenizer.calibration import Calibration, calibrate
-from uniforce_vtla.tokenizer.force_head import ForceHead
 from uniforce_vtla.tokenizer.latent import POOL, Latent, pool_latent
 from uniforce_vtla.tokenizer.pair_cache import shrink
 

@@ -1,7 +1,4 @@
-"""Labelled contacts solved with friction, step by step, on a finer mesh than the simulator's.
-
-It shares library and constants with the fast model, so it checks that model's approximations; it is not another world.
-"""
+"""Contacts solved with friction on a finer mesh than the simulator's: what its approximations are checked by."""
 
 from dataclasses import dataclass, replace
 

@@ -13,9 +13,10 @@ from tqdm import tqdm
 
 from benchmarks.finite_elements.calibrated import UnitGrasps, calibrated_cell, grasp
 from benchmarks.finite_elements.sets import FE_CONTACTS, FE_DEV, units
-from benchmarks.probes.report_sets import get_report_set
+from benchmarks.probes.report_sets import REPORT_SETS
 from benchmarks.probes.zero_shot import (
     Cells,
+    across,
     check_frozen,
     descriptor_row,
     encode_set,
@@ -31,8 +32,7 @@ from uniforce_vtla.errors import DatasetError
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.options import Count, FilePath, FolderPath, Names, OutFile, OutFolder, TokenizerFolder
 from uniforce_vtla.results_file import provenance, write_json
-from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 from uniforce_vtla.tokenizer.latent import POOL
 
 SETS = {settings.name: settings for settings in (FE_DEV, FE_CONTACTS)}
@@ -60,7 +60,7 @@ class OutsideCommand:
 
 def measure(config: OutsideCommand) -> dict[str, Any]:
     """Return rows by transfer; the shipped heads read, nothing is trained on finite elements."""
-    report_set, tokenizer = get_report_set(config.set), Tokenizer.from_pretrained(config.tokenizer or None)
+    report_set, tokenizer = REPORT_SETS[config.set], Tokenizer.from_pretrained(config.tokenizer or None)
     table = draw_sets(report_set, tokenizer.config.side, Path(config.cache))
     facts = json.loads((Path(config.facts) / report_set.facts_file).read_text())
     check_frozen(facts, table.frozen)
@@ -113,18 +113,16 @@ def _grasps(config: OutsideCommand, sensor: str) -> list[UnitGrasps]:
 
 def summary(row: Cells) -> str:
     """Return the row's line: mean and worst over transfers between different sensors."""
-    cells = [cell for name, cell in row.items() if len(set(name.split("->"))) == 2]
-    r2, r = (np.array([cell[key] for cell in cells]) for key in ("r2", "abs_r"))
+    r2, r = across(row, "r2"), across(row, "abs_r")
     line = f"R² Fz {r2[:, 2].mean():.2f} (worst {r2[:, 2].min():.2f}), shear {r2[:, :2].mean():.2f}; "
     line += f"|r| Fz {r[:, 2].mean():.2f}, shear {r[:, :2].mean():.2f}"
-    if "slope" in cells[0]:
-        line += f"; slope shear {np.mean([cell['slope'][:2] for cell in cells]):.2f}"
+    if "slope" in next(iter(row.values())):
+        line += f"; slope shear {across(row, 'slope')[:, :2].mean():.2f}"
     return line
 
 
 @command(OutsideCommand)
 def main(config: OutsideCommand) -> None:
-    """Entry of ``python -m benchmarks.finite_elements.outside``."""
     torch.set_num_threads(1)
     content = measure(config)
     for name, row in content.items():

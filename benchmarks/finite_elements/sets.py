@@ -12,10 +12,8 @@ from tqdm import tqdm
 
 from benchmarks.finite_elements.contacts import CELL_MM, Contact, solve_contacts
 from benchmarks.probes.labelled_set import LabelledSet
-from uniforce_vtla.contact.responses import ContactOptions
-from uniforce_vtla.contact.simulator import TactileSimulator
+from uniforce_vtla.contact import ContactOptions, TactileSimulator, UnitVariation
 from uniforce_vtla.contact.traction import Traction
-from uniforce_vtla.contact.units import UnitVariation
 from uniforce_vtla.contact.virtual import VirtualSensor
 from uniforce_vtla.markers.registration import to_nominal_scale
 from uniforce_vtla.sensors.material import Layer, Material
@@ -46,7 +44,6 @@ _SPREAD = ((0.8, 0.9, 1.02, 1.3), (1.0, 1.0, 1.0, 1.0), (1.2, 1.1, 0.98, 0.75))
 
 
 def bodies(sensor: VirtualSensor) -> list[VirtualSensor]:
-    """Return ``sensor`` with three bodies."""
     return [replace(sensor, material=_changed(sensor.material, *factors)) for factors in _SPREAD]
 
 

@@ -17,9 +17,8 @@ from benchmarks.gates.readings import EverySixth, Frozen, PlaneKnown, ReadingExp
 from benchmarks.gates.scripts import HarderEachLook, KeepingExpert, LagIdentifying
 from benchmarks.ledger import Ledger
 from benchmarks.scene_blocks import BLOCKS
-from lerobot_env_uniforce_wiping.env import WipeEnv
+from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.episodes import Script, run_script
-from lerobot_env_uniforce_wiping.expert import WipeExpert
 from lerobot_env_uniforce_wiping.levels import get_level, level_hash
 from uniforce_cli.boundary import Level, command, one_thread
 from uniforce_vtla.arguments import choose
@@ -56,10 +55,6 @@ def _blind(style: str, fitted: Fitted, folder: Path) -> Script:
     return BlindScript(fitted.set_points[style], STYLES[style][0])
 
 
-def _harder(fitted: Fitted, folder: Path) -> Script:
-    return HarderEachLook(replace(fitted.set_points["measured press"], press_N=PRESSES_N[0]), MeasuredPress)
-
-
 def _reads(change: Callable[[Fitted, Path], Callable[[], Any]], **bars: float) -> Gate:
     return Gate(lambda fitted, folder: ReadingExpert(change(fitted, folder)), **bars)
 
@@ -81,7 +76,10 @@ GATES: dict[str, Gate] = {
     "measured press": Gate(partial(_blind, "measured press"), at_most=0.15),
     "measured relative": Gate(partial(_blind, "measured relative"), at_most=0.15),
     "lag identifying": Gate(_lag_identifying, at_most=0.15),
-    "harder each look": Gate(_harder, at_most=0.15),
+    "harder each look": Gate(
+        lambda f, p: HarderEachLook(replace(f.set_points["measured press"], press_N=PRESSES_N[0]), MeasuredPress),
+        at_most=0.15,
+    ),
     "plane known": _reads(lambda f, p: partial(PlaneKnown, f.plane_stiffness_N_m, f.plane_rest_m), at_most=0.15),
     "observer of pose and commands": _reads(lambda f, p: partial(Observed, p / "observer.pt", False), at_most=0.15),
     "observer that sees the ink": _reads(lambda f, p: partial(Observed, p / "observer_ink.pt", True), at_most=0.20),
@@ -153,17 +151,8 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def by_bar(scripts: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the scripts that must wipe the level clean and those that must not."""
-    return {
-        "must_pass": {name: line for name, line in scripts.items() if line["at_least"] is not None},
-        "must_fail": {name: line for name, line in scripts.items() if line["at_most"] is not None},
-    }
-
-
 @command(GatesCommand)
 def main(config: GatesCommand) -> None:
-    """Entry of ``python -m benchmarks.gates``."""
     one_thread()
     fitted = fit(config.level, config.learn_from, config.sweep_on, config.learn_seed, config.workers, Path(config.work))
     scripts = summarise(run_all(config, fitted))
@@ -177,7 +166,8 @@ def main(config: GatesCommand) -> None:
         "learnt_on": [config.learn_seed, config.learn_seed + config.learn_from - 1],
         "fitted": asdict(fitted),
         "all_hold": all(line["holds"] for line in scripts.values()),
-        **by_bar(scripts),
+        "must_pass": {name: line for name, line in scripts.items() if line["at_least"] is not None},
+        "must_fail": {name: line for name, line in scripts.items() if line["at_most"] is not None},
     }
     print(f"written to {write_json(Path(config.out), content | provenance())}")
 

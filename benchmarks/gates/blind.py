@@ -1,20 +1,15 @@
 """Scripts without touch: the expert's own sequence with grip and press from positions, nominal or measured."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lerobot_env_uniforce_wiping.env import WipeEnv
 from lerobot_env_uniforce_wiping.expert import CLEARANCE_m, CLOSING_m_s, SLOW_m_s, lowering_speed
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ, Layout
 from lerobot_env_uniforce_wiping.mjcf import GRIPPER_N_m, STIFFNESS_N_m
 from lerobot_env_uniforce_wiping.sequence import Regulator, WipeSequence, look_back
-
-if TYPE_CHECKING:
-    from lerobot_env_uniforce_wiping.env import WipeEnv
 
 SETTLE_steps = 12  # waited at a position before the next phase
 STALLED = 0.9  # share of the grip's distance by which the width lags when the eraser stops it
@@ -41,13 +36,12 @@ class BlindSettings:
 
 
 class Settled:
-    """Counts how long something has been so."""
+    """Whether something has been so for ``SETTLE_steps``."""
 
     def __init__(self) -> None:
         self._steps = 0
 
     def __call__(self, now: bool) -> bool:
-        """Return whether it has been so for ``SETTLE_steps``."""
         self._steps = self._steps + 1 if now else 0
         return self._steps >= SETTLE_steps
 
@@ -62,21 +56,17 @@ class OpenLoopRegulator:
         self._closed, self._lowered = Settled(), Settled()
 
     def close(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
-        """Close to the nominal width, wait for the gripper to settle."""
         nxt = max(self._width_m, target_m - CLOSING_m_s / CONTROL_HZ)
         return nxt, self._closed(nxt == self._width_m)
 
     def hold(self, target_m: float, measured: np.ndarray) -> float:
-        """Keep the width."""
         return target_m
 
     def lower(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
-        """Go to the nominal depth, wait for the arm to settle."""
         nxt = max(self._z_m, target_m - lowering_speed(target_m, self._layout) / CONTROL_HZ)
         return nxt, self._lowered(nxt == self._z_m)
 
     def press(self, target_m: float, measured: np.ndarray) -> float:
-        """Keep the height."""
         return target_m
 
     def lost(self) -> bool:
@@ -85,17 +75,13 @@ class OpenLoopRegulator:
 
 
 class MeasuredPress(OpenLoopRegulator):
-    """Targets a fixed distance below the *measured* height: a force command, if the arm's stiffness were known.
-
-    Contact shows as lag: the measured height stops following the target.
-    """
+    """Targets a fixed distance below the *measured* height, which lags on contact: a force, if K were known."""
 
     def __init__(self, layout: Layout, settings: BlindSettings) -> None:
         super().__init__(layout, settings)
         self._depth_m = settings.press_depth_m
 
     def lower(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
-        """Go down until the tool lags behind, then press by a fixed distance."""
         near = target_m < self._layout.board_height_m + self._layout.grasp_height_m + CLEARANCE_m
         touches = near and measured[2] - target_m > LAG_m
         pressed = self._lowered(touches)
@@ -104,7 +90,6 @@ class MeasuredPress(OpenLoopRegulator):
         return float(max(measured[2] - self._depth_m, target_m - SLOW_m_s / CONTROL_HZ)), pressed
 
     def press(self, target_m: float, measured: np.ndarray) -> float:
-        """Stay a fixed distance below the measured height."""
         wanted_m = measured[2] - self._depth_m
         return float(target_m + np.clip(wanted_m - target_m, -STEP_m, STEP_m))
 
@@ -117,22 +102,15 @@ class MeasuredRelative(MeasuredPress):
         self._inside_m = settings.grip_depth_m
 
     def close(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
-        """Close until the width stops following, then hold a fixed distance inside it."""
         nxt = max(measured[4] - self._inside_m, target_m - CLOSING_m_s / CONTROL_HZ)
         return float(nxt), self._closed(measured[4] - target_m > STALLED * self._inside_m)
 
     def hold(self, target_m: float, measured: np.ndarray) -> float:
-        """Stay a fixed distance inside the measured width."""
         return float(measured[4] - self._inside_m)
 
 
 class BlindScript:
-    """A script with the expert's own sequence and layout, without touch.
-
-    Args:
-        settings: its set points.
-        style: makes its regulator.
-    """
+    """A script with the expert's own sequence and layout, without touch; ``style`` makes its regulator."""
 
     def __init__(
         self, settings: BlindSettings, style: Callable[[Layout, BlindSettings], Regulator] = OpenLoopRegulator
@@ -140,13 +118,11 @@ class BlindScript:
         self._settings, self._style = settings, style
 
     def reset(self, env: WipeEnv) -> None:
-        """Start a new episode."""
         regulator, start = self._style(env.level.layout, self._settings), env.state.astype(np.float64)
         self._sequence = WipeSequence(env.level, regulator, start, lambda: look_back(env))
 
     @property
     def phase(self) -> str:
-        """What it is doing, one of ``sequence.PHASES``."""
         return self._sequence.phase
 
     def act(self, env: WipeEnv) -> np.ndarray:

@@ -7,11 +7,12 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import torch
 from joblib import Parallel, delayed
 from tqdm import tqdm
 
 from benchmarks.gates.blind import BlindScript, BlindSettings, MeasuredPress, MeasuredRelative, OpenLoopRegulator
-from benchmarks.gates.observer import save_observer, seen, train_observer
+from benchmarks.gates.observer import seen, train_observer
 from benchmarks.gates.readings import sunk_m
 from benchmarks.gates.scripts import LagIdentifying, LagLaw
 from lerobot_env_uniforce_wiping.env import WipeEnv
@@ -46,10 +47,7 @@ class Fitted:
 
 
 def fit(level: str, episodes: int, swept: int, first_seed: int, workers: int, folder: Path) -> Fitted:
-    """Return what the scripts learn on ``episodes`` scenes, set points on ``swept`` of them.
-
-    It is kept in ``folder``, where a second run finds it.
-    """
+    """Return what the scripts learn on ``episodes`` scenes, set points on ``swept`` of them; ``folder`` keeps it."""
     path = folder / "fitted.json"
     if path.is_file():
         stored = json.loads(path.read_text())
@@ -66,7 +64,7 @@ def fit(level: str, episodes: int, swept: int, first_seed: int, workers: int, fo
             (f.seen if ink else np.where(np.arange(11) == 10, 0, f.seen).astype(np.float32), f.press_N) for f in found
         ]
         model, r2[name] = train_observer(data)
-        save_observer(model, folder / f"{name}.pt")
+        torch.save(model.state_dict(), folder / f"{name}.pt")
     arm, gripper = (_law([(f.lag_s[k], f.scale[k]) for f in found if f.lag_s[k]]) for k in range(2))
     fitted = Fitted(set_points, arm, gripper, stiffness, rest, r2["observer"], r2["observer_ink"])
     path.write_text(json.dumps(asdict(fitted)))
@@ -139,7 +137,6 @@ def _line(found: list[Observation]) -> tuple[float, float]:
 
 
 def _law(pairs: list[tuple[float | None, float]]) -> LagLaw:
-    """Return the line of log stiffness over log lag."""
     if len(pairs) < 2:
         return LagLaw(0.0, 0.0)
     lag, scale = np.log(np.array(pairs, dtype=np.float64)).T

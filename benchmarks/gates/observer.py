@@ -1,23 +1,15 @@
-"""A recurrent observer of press, from measured pose and commands alone; optionally also from the ink that is left.
-
-It sees what a policy without touch could remember. The ink is the simulator's own, which cameras show less exactly.
-"""
-
-from __future__ import annotations
+"""A recurrent observer of press: what a policy without touch could remember of pose, commands, and the ink left."""
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import nn
 from tqdm import tqdm
 
+from lerobot_env_uniforce_wiping.env import WipeEnv
 from lerobot_env_uniforce_wiping.expert import Contact
-
-if TYPE_CHECKING:
-    from lerobot_env_uniforce_wiping.env import WipeEnv
 
 HIDDEN, WINDOW_STEPS, BATCH, EPOCHS = 64, 120, 32, 40
 HELD_OUT = 0.1  # of the episodes, for the R² that is reported
@@ -103,13 +95,7 @@ class Observed:
         return replace(read, press_N=float(press_N[0, 0]))
 
 
-def save_observer(model: PressObserver, path: Path) -> None:
-    """Write the weights."""
-    torch.save(model.state_dict(), path)
-
-
 def load_observer(path: Path) -> PressObserver:
-    """Read weights that ``save_observer`` wrote."""
     weights = torch.load(path, weights_only=True)
     model = PressObserver(weights["mean"], weights["spread"])
     model.load_state_dict(weights)

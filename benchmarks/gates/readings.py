@@ -1,37 +1,27 @@
 """The expert with another reading of grip and press: scaled, shifted, seldom, frozen, or worked out without touch."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lerobot_env_uniforce_wiping.env import WipeEnv
 from lerobot_env_uniforce_wiping.expert import Contact, WipeExpert
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ
 from uniforce_vtla.contracts import Finger
 
-if TYPE_CHECKING:
-    from lerobot_env_uniforce_wiping.env import WipeEnv
-
-Change = Callable[[Contact, "WipeEnv", str], Contact]  # what is read, the scene and the phase → what is believed
+Change = Callable[[Contact, WipeEnv, str], Contact]  # what is read, the scene and the phase → what is believed
 FEELS_s = 0.5  # of wiping, before touch freezes
 
 
 class ReadingExpert(WipeExpert):
-    """The expert, who believes what ``change`` makes of each reading.
-
-    Args:
-        change: makes a new rule for each episode.
-    """
+    """The expert, who believes what a rule makes of each reading; ``change`` makes a new rule for each episode."""
 
     def __init__(self, change: Callable[[], Change]) -> None:
         super().__init__()
         self._make_change = change
 
     def reset(self, env: WipeEnv) -> None:
-        """Start a new episode with a new rule."""
         self._change, self._env = self._make_change(), env
         super().reset(env)
 
@@ -59,7 +49,6 @@ class EverySixth:
         self._read = Contact(0.0, 0.0)
 
     def __call__(self, read: Contact, env: WipeEnv, phase: str) -> Contact:
-        """Return the newest refreshed reading."""
         if self._count % self._steps == 0:
             self._read = read
         self._count += 1
@@ -73,7 +62,6 @@ class Frozen:
         self._wiped, self._read = 0, Contact(0.0, 0.0)
 
     def __call__(self, read: Contact, env: WipeEnv, phase: str) -> Contact:
-        """Return the reading, later the last one."""
         self._wiped += phase == "wipe"
         if self._wiped <= FEELS_s * CONTROL_HZ:
             self._read = read
@@ -92,7 +80,6 @@ class PlaneKnown:
         self._grasp_m = np.nan
 
     def __call__(self, read: Contact, env: WipeEnv, phase: str) -> Contact:
-        """Return the grip that is read and the press that follows from the height."""
         if phase in ("descend", "close"):  # the eraser stands on the table: how high on it the hand holds it
             self._grasp_m = env.state[2]
             return read

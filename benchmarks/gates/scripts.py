@@ -1,22 +1,17 @@
 """Scripts without touch that are cleverer than the scene's own: they identify stiffness, learn from looks, remember."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from benchmarks.gates.blind import BlindScript, BlindSettings, MeasuredPress, MeasuredRelative
 from benchmarks.gates.readings import FEELS_s
+from lerobot_env_uniforce_wiping.env import WipeEnv
 from lerobot_env_uniforce_wiping.expert import Contact, TouchRegulator, TouchSettings, WipeExpert
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ, Layout
 from lerobot_env_uniforce_wiping.mjcf import GRIPPER_N_m, STIFFNESS_N_m
 from lerobot_env_uniforce_wiping.sequence import LOOKS_BACK, Regulator, WipeSequence, look_back
-
-if TYPE_CHECKING:
-    from lerobot_env_uniforce_wiping.env import WipeEnv
 
 HEIGHT_GAIN = 4.0  # 1/s: how fast a kept height is regulated
 STEADY_STEPS = 12  # of a speed, after which the lag is that speed's
@@ -43,7 +38,6 @@ class LagMeter:
         self.lags_s: list[float] = []
 
     def __call__(self, target_m: float, measured_m: float) -> None:
-        """Look at one step."""
         speed = (target_m - self._before) * CONTROL_HZ
         moves = abs(speed) > 0.01
         self._steady = self._steady + 1 if moves and self._same(speed) else 0
@@ -71,14 +65,12 @@ class LagIdentifying(MeasuredRelative):
         self.arm, self.gripper = LagMeter(), LagMeter()
 
     def close(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
-        """Close, and look at the gripper's lag until the eraser stops it."""
         self.gripper(target_m, measured[4])
         if (lag_s := self.gripper.lag_s) is not None:
             self._inside_m = self._settings.grip_N / self.laws[1].stiffness(GRIPPER_N_m, lag_s)
         return super().close(target_m, measured)
 
     def lower(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
-        """Go down, and look at the arm's lag in free air."""
         self.arm(target_m, measured[2])
         if (lag_s := self.arm.lag_s) is not None:
             self._depth_m = self._settings.press_N / self.laws[0].stiffness(STIFFNESS_N_m[2], lag_s)
@@ -89,7 +81,6 @@ class HarderEachLook(BlindScript):
     """Presses harder each time it sees ink that is left."""
 
     def reset(self, env: WipeEnv) -> None:
-        """Start a new episode with the first press."""
         regulator = self._style(env.level.layout, self._settings)
 
         def look() -> float | None:
@@ -116,7 +107,6 @@ class Keeping(TouchRegulator):
         return self._felt < FEELS_s * CONTROL_HZ
 
     def press(self, target_m: float, measured: np.ndarray) -> float:
-        """Regulate by touch at first; then without."""
         if self._feels:
             self._felt += 1
             self._height_m = float(measured[2])
@@ -126,14 +116,12 @@ class Keeping(TouchRegulator):
         return float(target_m + HEIGHT_GAIN * (self._height_m - measured[2]) / CONTROL_HZ)
 
     def lower(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
-        """Go down by touch the first time; later to the height it had."""
         if self._feels:
             return super().lower(target_m, measured)
         step_m = np.clip(self._height_m - measured[2], -0.02, 0.02) / CONTROL_HZ
         return float(target_m + step_m), bool(abs(self._height_m - measured[2]) < 0.001)
 
     def lost(self) -> bool:
-        """Return whether the board is lost, while it feels."""
         return self._feels and super().lost()
 
 

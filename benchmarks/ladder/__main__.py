@@ -12,12 +12,13 @@ from lerobot_env_uniforce_wiping import LEVELS, level_hash
 from uniforce_cli.boundary import Level, command
 from uniforce_cli.score import check_policies, score_arms
 from uniforce_cli.score_settings import SCRIPTS, ScoreConfig
-from uniforce_vtla.errors import CheckpointError, ContractError, expected
+from uniforce_vtla.arguments import choose
+from uniforce_vtla.errors import CheckpointError, expected
 from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow, table
 from uniforce_vtla.evaluation.comparison import as_good, better
 from uniforce_vtla.evaluation.pictures import draw_arms
 from uniforce_vtla.evaluation.statistics import wilson
-from uniforce_vtla.options import CountOrZero, FolderPath, OutFile, OutFolder, Seed, Text, Workers, split
+from uniforce_vtla.options import CountOrZero, FolderPath, OutFile, OutFolder, Seed, Text, Workers
 from uniforce_vtla.results_file import provenance, write_json
 
 DEMONSTRATED = {"left_sensor": "gelsight", "right_sensor": "tactip"}
@@ -83,17 +84,10 @@ def joined(configs: Sequence[ScoreConfig], parts: Sequence[ArmReport]) -> dict[s
 
 
 def wanted(config: LadderCommand) -> list[Entry]:
-    """Return the part's rows that are to be scored, in the plan's order.
-
-    Raises:
-        ContractError: a name that the part doesn't hold.
-    """
-    names = [name.strip() for name in split(config.rows)]
-    planned = PARTS[config.part]
-    if unknown := set(names) - {entry.name for entry in planned}:
-        have = ", ".join(entry.name for entry in planned)
-        raise ContractError(expected("rows", f"some of: {have}", ", ".join(sorted(unknown)), "Name rows of the plan."))
-    return [entry for entry in planned if not names or entry.name in names]
+    """Return the part's rows that are to be scored, in the plan's order; ContractError: a name it doesn't hold."""
+    planned = {entry.name: entry for entry in PARTS[config.part]}
+    chosen = choose(planned, config.rows, "rows")
+    return [entry for name, entry in planned.items() if name in chosen]
 
 
 def claims(reports: dict[str, ArmReport]) -> list[dict[str, Any]]:
@@ -107,7 +101,6 @@ def claims(reports: dict[str, ArmReport]) -> list[dict[str, Any]]:
 
 @command(LadderCommand)
 def main(config: LadderCommand) -> None:
-    """Entry of ``python -m benchmarks.ladder``."""
     planned = [(entry, configured(config, entry)) for entry in wanted(config)]
     configs = [part for _, parts in planned for part in parts]
     for entry, parts in planned:

@@ -11,9 +11,8 @@ from uniforce_cli.boundary import command, one_thread
 from uniforce_cli.calibrate import CalibrateCommand, Unit, pooled_latents, simulated_grasps
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.options import Count, OutFolder, Seed, TokenizerFolder
-from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer import Latent, Tokenizer
 from uniforce_vtla.tokenizer.calibration import Calibration, fit_map
-from uniforce_vtla.tokenizer.latent import Latent
 from uniforce_vtla.tokenizer.plain_touch import descriptors
 
 
@@ -40,7 +39,6 @@ def described(reference: np.ndarray, current: np.ndarray, finger: Finger) -> Lat
 
 @command(AlignCommand)
 def main(config: AlignCommand) -> None:
-    """Entry of ``python -m benchmarks.ladder.align``."""
     one_thread()
     tokenizer = Tokenizer.from_pretrained(config.tokenizer or None) if config.feature == "latent" else None
     encode = pooled_latents(tokenizer) if tokenizer else described

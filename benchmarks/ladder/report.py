@@ -2,13 +2,13 @@
 
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from uniforce_cli.boundary import command
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.evaluation.statistics import mcnemar
+from uniforce_vtla.evaluation.comparison import difference
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.options import FilePath, OutFile, Text, split
 from uniforce_vtla.results_file import provenance, write_json
@@ -32,11 +32,7 @@ class ReportCommand:
 
 
 def joined(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Return the content of ``wiping.json``: rows under their section, the claims and tests of all parts.
-
-    Raises:
-        ContractError: parts of different levels.
-    """
+    """Return ``wiping.json``: rows under their section, claims and tests; ContractError: parts of different levels."""
     first = parts[0]
     for part in parts[1:]:
         if came := {key: part[key] for key in SAME if part[key] != first[key]}:
@@ -61,8 +57,7 @@ def joined(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
 def add_best_blind(found: dict[str, Any], gates: dict[str, Any]) -> None:
     """Put the script without touch that wipes clean most often beside the arms, and compare V+T with it.
 
-    Raises:
-        ContractError: another level or other scenes than V+T's.
+    Raises ContractError: another level or other scenes than V+T's.
     """
     scored, with_touch = [gates["level_hash"], *gates["seeds"]], found["arms"]["V+T"]
     wanted = [found["level_hash"], *with_touch["seeds"]]
@@ -72,13 +67,11 @@ def add_best_blind(found: dict[str, Any], gates: dict[str, Any]) -> None:
     name = max(blind, key=lambda name: blind[name]["clean"])
     found["arms"]["best blind"] = {"script": name, **blind[name]}
     one, two = ([code == "C" for code in row["by_seed"]] for row in (with_touch, blind[name]))
-    points = 100 * (sum(one) - sum(two)) / len(one)
-    found["tests"].append({"arms": ["V+T", "best blind"], "n": len(one), **asdict(mcnemar(one, two)), "points": points})
+    found["tests"].append({"arms": ["V+T", "best blind"], "n": len(one), **difference(one, two)})
 
 
 @command(ReportCommand)
 def main(config: ReportCommand) -> None:
-    """Entry of ``python -m benchmarks.ladder.report``."""
     content = joined([read_object(Path(part), ContractError) for part in split(config.parts)])
     if config.blind:
         add_best_blind(content, read_object(Path(config.blind), ContractError))

@@ -1,8 +1,4 @@
-"""Does the score find the pairs that are out of equilibrium? Precision and recall against the truth.
-
-Sessions are judged in order, as a recorder would: the first grasps with nothing learnt of the session yet. Intervals
-respect that frames of one grasp are alike.
-"""
+"""Does the score find the pairs out of equilibrium? Judged in order as a recorder would; intervals over grasps."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -88,7 +84,6 @@ def precision_recall(flagged: np.ndarray, bad: np.ndarray) -> dict[str, float]:
 
 
 def report(scored: Sequence[ScoredPairs]) -> dict[str, Any]:
-    """Return everything worth knowing of the score as JSON."""
     error, flagged, fault = (_joined(scored, name) for name in ("error", "flagged", "fault"))
     gate, indenter, estimated = (_joined(scored, name) for name in ("gate_open", "indenter", "estimated"))
     rig = np.concatenate([np.repeat(s.sensors, len(s.error)) for s in scored])
@@ -158,7 +153,6 @@ def _with_interval(flagged: np.ndarray, bad: np.ndarray, grasp: np.ndarray) -> d
 
 
 def draw_scores(scored: Sequence[ScoredPairs], content: dict[str, Any], path: Path) -> Path:
-    """Write the figure."""
     figure = Figure(figsize=(10.5, 4.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     _draw_errors(left, scored, content["settings"]["limit"])
@@ -168,18 +162,14 @@ def draw_scores(scored: Sequence[ScoredPairs], content: dict[str, Any], path: Pa
 
 
 def _draw_errors(axis: Axes, scored: Sequence[ScoredPairs], limit: float) -> None:
-    fault = np.concatenate([s.fault for s in scored])
-    error = np.maximum(np.concatenate([s.error for s in scored]), FLOOR)
-    estimated = np.maximum(np.concatenate([s.estimated for s in scored]), FLOOR)
+    fault = _joined(scored, "fault")
+    error, estimated = (np.maximum(_joined(scored, name), FLOOR) for name in ("error", "estimated"))
     for name, colour in COLOURS.items():
         here = fault == name
         axis.plot(error[here], estimated[here], ".", color=colour, markersize=2, label=name)
     axis.axvline(LIMIT, color="black", linewidth=0.8)
     axis.axhline(limit, color="black", linewidth=0.8, linestyle="--")
-    axis.set_xscale("log")
-    axis.set_yscale("log")
-    axis.set_xlabel("true equilibrium error")
-    axis.set_ylabel("estimated")
+    axis.set(xscale="log", yscale="log", xlabel="true equilibrium error", ylabel="estimated")
     axis.legend(markerscale=5, fontsize=8, title="what went wrong in the grasp", title_fontsize=8)
 
 
@@ -189,7 +179,6 @@ def _draw_thresholds(axis: Axes, content: dict[str, Any]) -> None:
         axis.plot(limits, [row[key] for row in content["by_threshold"].values()], "o-", label=key)
     axis.axhline(content["bar"], color="black", linewidth=0.8, linestyle="--", label="bar")
     axis.axvline(content["settings"]["limit"], color="0.7", linewidth=0.8)
-    axis.set_ylim(0.7, 1.005)
-    axis.set_xlabel("threshold on the estimated error")
+    axis.set(ylim=(0.7, 1.005), xlabel="threshold on the estimated error")
     axis.set_title("without leaning along the closing axis", fontsize=9)
     axis.legend(fontsize=8)

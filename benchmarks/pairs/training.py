@@ -7,8 +7,7 @@ import numpy as np
 import torch
 
 from uniforce_robots.pairs.finger_force import ASSETS, FingerForce, TouchField
-from uniforce_vtla.contact.indenters import PRETRAIN
-from uniforce_vtla.contact.responses import ContactOptions
+from uniforce_vtla.contact import PRETRAIN, ContactOptions
 from uniforce_vtla.contact.sampling import ForceRange, sample_loads, sample_objects
 from uniforce_vtla.contact.simulator import draw_simulator, images_of
 from uniforce_vtla.contracts import ContactState

@@ -36,7 +36,6 @@ def _linear_flops(*given: Any, **_: Any) -> int:
 
 
 def count_flops(call: Callable) -> int:
-    """Return the floating point operations of one call."""
     ours = {torch.ops.mkldnn._linear_pointwise: _linear_flops} if AVAILABLE else {}
     with FlopCounterMode(display=False, custom_mapping=ours) as counter:
         call()
@@ -56,7 +55,6 @@ class _Operations(TorchDispatchMode):
 
 
 def count_operations(call: Callable) -> int:
-    """Return what one call asks the dispatcher for, views aside."""
     with _Operations() as counter:
         call()
     return counter.count
@@ -67,10 +65,7 @@ def bench_memory(**settings: Any) -> dict[str, float]:
 
     The checkpoint is a synthetic one of the real names and shapes. Its file is sparse: its zeros take no disk, yet as
     much memory as any weights once loaded. The peak is VmHWM of a fresh child, since getrusage's is inherited from the
-    parent over fork.
-
-    Raises:
-        ContractError: no /proc here (Linux only).
+    parent over fork. Raises ContractError: no /proc here (Linux only).
     """
     if not STATUS.exists():
         raise ContractError(expected("memory", "Linux's /proc", "none", "Leave memory= out."))

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
+from unittest import mock
 
 import torch
 from lerobot.configs import FeatureType, PolicyFeature
@@ -97,33 +98,20 @@ def observe(case: BenchCase, network: PI05UniforcePytorch, device: str) -> tuple
     return (images, there, tokens, mask), noise
 
 
-@contextmanager
 def lerobots_layers(network: PI05UniforcePytorch) -> Any:
-    """Run LeRobot's own layers in the tiny network, whose training path is ours."""
-    joint = network.paligemma_with_expert
-    joint.fused = False  # base has no others
-    try:
-        yield
-    finally:
-        joint.fused = True
+    """Run LeRobot's own layers in the tiny network, whose training path is ours; base has no others."""
+    return mock.patch.object(network.paligemma_with_expert, "fused", False, create=True)
 
 
 @contextmanager
 def without_graphs(network: PI05UniforcePytorch) -> Any:
     """Let the fast sampler run eagerly, also on a GPU."""
-    fast, config = network.fast, network.config
-    assert fast is not None, "the bench builds its networks with sampler=fast"
-    before = fast.graphed, config.sampler
-    fast.graphed, config.sampler = None, SamplerSettings("eager")
-    try:
+    eager = mock.patch.object(network.config, "sampler", SamplerSettings("eager"))
+    with mock.patch.object(network.fast, "graphed", None), eager:
         yield
-    finally:
-        fast.graphed, config.sampler = before
 
 
 def samplers(network: PI05UniforcePytorch, given: Given, noise: torch.Tensor, steps: int) -> dict[str, Callable]:
-    """Return stock and fast as functions without arguments."""
-
     def slow() -> torch.Tensor:
         with lerobots_layers(network):
             return stock.PI05Pytorch.sample_actions(network, *given, noise=noise, num_steps=steps)
@@ -187,7 +175,6 @@ def _parts(
 
 
 def milliseconds(call: Callable, device: str) -> float:
-    """Return how long a call takes, the device waited for."""
     _wait(device)
     start = time.perf_counter()
     call()
@@ -208,5 +195,4 @@ def _gemm_flops_per_s(device: str) -> float:
 
 
 def device_name(device: str) -> str:
-    """Return what was timed, in words."""
     return torch.cuda.get_device_name() if device.startswith("cuda") else "CPU, one thread"

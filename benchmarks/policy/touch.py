@@ -11,6 +11,7 @@ Training steps on one random sample ask besides: does the gradient reach touch, 
 
 import statistics
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import torch
@@ -28,7 +29,6 @@ LEARNING_RATE = 2.5e-5  # peak of base
 
 
 def variants() -> dict[str, TouchSettings]:
-    """Return settings per variant."""
     return {
         "none": TouchSettings(slots={}, input="none"),
         "prefix": TouchSettings(slots=SLOTS, input="latent", site="prefix", start_at_base=True),
@@ -43,7 +43,7 @@ def bench_touch(case: BenchCase, device: str, rounds: int, steps: int, train: bo
     for name, settings in variants().items():
         network = build(case, device, settings)
         given, noise = with_touch(network, *observe(case, network, device))
-        calls[name] = _sampling(network, given, noise, steps)
+        calls[name] = partial(network.sample_actions, *given, noise=noise, num_steps=steps)
         trains[name] = _training(network, given, noise)
         if name == "suffix":
             calls["refresh"] = _refresh(network, given, noise, steps)
@@ -63,10 +63,6 @@ def with_touch(network: PI05UniforcePytorch, given: Given, noise: torch.Tensor) 
         images = [*images, torch.randn(1, config.tokens_per_slot, config.latent_size, device=noise.device)]
         masks = [*masks, torch.ones(1, dtype=torch.bool, device=noise.device)]
     return (images, masks, tokens[:, :used], text_mask[:, :used]), noise
-
-
-def _sampling(network: PI05UniforcePytorch, given: Given, noise: torch.Tensor, steps: int) -> Call:
-    return lambda: network.sample_actions(*given, noise=noise, num_steps=steps)
 
 
 def _refresh(network: PI05UniforcePytorch, given: Given, noise: torch.Tensor, steps: int) -> Call:
@@ -117,7 +113,8 @@ def bench_training(case: BenchCase, device: str, steps: int, learning_rate: floa
             loss = network.forward(*given, actions, noise, time).mean()
             loss.backward()
         for name, rows in norms.items():
-            rows.append(gradient_norm(getattr(network, name)))
+            grads = [p.grad.float() for p in getattr(network, name).parameters() if p.grad is not None]
+            rows.append(float(torch.nn.utils.get_total_norm(grads)))
         optimizer.step()
         optimizer.zero_grad()
         losses.append(float(loss.detach()))
@@ -137,12 +134,6 @@ def bench_training(case: BenchCase, device: str, steps: int, learning_rate: floa
         "tokenizer_unchanged": tokenizer_hash(network) == before,
         "peak_GiB": torch.cuda.max_memory_allocated() / 2**30 if device.startswith("cuda") else None,
     }
-
-
-def gradient_norm(module: torch.nn.Module) -> float:
-    """Return the norm of a module's gradient; 0 without one."""
-    grads = [p.grad.float().square().sum() for p in module.parameters() if p.grad is not None]
-    return float(torch.stack(grads).sum().sqrt()) if grads else 0.0
 
 
 def tokenizer_hash(network: PI05UniforcePytorch) -> str:

@@ -11,8 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from benchmarks.probes.labelled_set import LabelledSet
-from benchmarks.probes.sequences import press_shear_release
+from benchmarks.probes.labelled_set import LabelledSet, press_shear_release
 from uniforce_vtla.contact.indenters import SEEN, UNSEEN
 from uniforce_vtla.contact.sampling import ForceRange, sample_objects
 from uniforce_vtla.contact.units import Look, UnitVariation
@@ -49,7 +48,6 @@ HETERO_HARD_TRAINING = replace(HETERO_HARD, name="hetero_hard_training_v2", seed
 
 
 def hetero_sensors() -> dict[str, VirtualSensor]:
-    """Return the three sensors of ``hetero_hard_v2`` by name."""
     return {s.name: s for s in (GELSIGHT_D, as_virtual("tactip"), as_virtual("uskin"))}
 
 
@@ -58,8 +56,7 @@ def draw_hard(settings: HardSettings, sensor: VirtualSensor, side: int) -> Label
 
     The digest is that of the sensor's own images; what is read are those at nominal scale.
 
-    Raises:
-        SensorError: the canonicalizer finds no markers; nothing is skipped.
+    Raises SensorError: the canonicalizer finds no markers; nothing is skipped.
     """
     contacts = np.random.default_rng(settings.seed)
     objects = sample_objects(contacts, settings.sequences, settings.indenters)

@@ -1,9 +1,5 @@
-"""Does the latent hold force (the paper's Q1), and does it redraw what the other finger saw (Q2)?  Unseen indenters.
+"""Does the latent hold force (Q1)? Does it redraw what the other finger saw (Q2)? Unseen indenters."""
 
-The axes of the latent that follow force come from a rotation fitted once, on one simulated sensor's labels.
-"""
-
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +9,8 @@ from matplotlib.figure import Figure
 from scipy import optimize
 
 from benchmarks.probes.labelled_set import LabelledSet
-from benchmarks.probes.zero_shot import Table
-from uniforce_vtla.contact.indenters import UNSEEN
-from uniforce_vtla.contact.pairs import PairSettings, equilibrium_pairs
+from benchmarks.probes.zero_shot import Table, abs_r
+from uniforce_vtla.contact import UNSEEN, PairSettings, equilibrium_pairs
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.figure_file import save_figure
 from uniforce_vtla.markers.mirror import to_canonical
@@ -31,18 +26,6 @@ PAIRS_SEED = 7_003
 BRANCHES = ((0, 0), (1, 1), (1, 0), (0, 1))  # (whose latent, whose picture)
 
 
-@dataclass(frozen=True)
-class Rotation:
-    """Orthogonal change of the latent's axes: ``z @ matrix`` carries fx, fy, fz on its first three."""
-
-    source: str  # the sensor whose labels it was fitted to
-    matrix: np.ndarray  # (L, L) orthogonal
-
-    def __call__(self, z: np.ndarray) -> np.ndarray:
-        """Return latents (..., L) on the new axes."""
-        return z @ self.matrix
-
-
 def pad_latent(tokenizer: Tokenizer, labelled: LabelledSet) -> np.ndarray:
     """Return (n, T, L) float64 latents, averaged over all patches (worn on the left finger)."""
     rows = [
@@ -52,21 +35,17 @@ def pad_latent(tokenizer: Tokenizer, labelled: LabelledSet) -> np.ndarray:
     return torch.stack(rows).double().numpy()
 
 
-def fit_rotation(z: np.ndarray, force_N: np.ndarray, source: str) -> Rotation:
-    """Return the rotation that lines the latent's axes up with force.
+def fit_rotation(z: np.ndarray, force_N: np.ndarray) -> np.ndarray:
+    """Return (L, L), orthogonal: ``z @ rotation`` carries fx, fy, fz on its first three axes.
 
     The first three axes are the orthonormal triple whose squared correlations with Fx, Fy, Fz sum to the most.  The
     search starts at the nearest triple (Procrustes) to the three regression directions; that one alone would do only
     if the latent were as wide in every direction: a little of a strong shear hides a weak normal force.  What is left
     of the space is filled with its own principal axes.
 
-    Args:
-        z: (..., L) latents of the source's training set, L ≥ 3.
-        force_N: (..., 3).
-        source: the sensor's name.
+    ``z`` are (..., L) latents of a sensor's training set, L ≥ 3, ``force_N`` is (..., 3).
 
-    Raises:
-        ContractError: shapes that don't go together, non-finite values, latents that hold no three directions.
+    Raises ContractError: shapes that don't go together, non-finite values, latents that hold no three directions.
     """
     latent, force = _paired(z, force_N)
     centred = latent - latent.mean(axis=0)
@@ -80,7 +59,7 @@ def fit_rotation(z: np.ndarray, force_N: np.ndarray, source: str) -> Rotation:
     matrix = np.concatenate([carries, rest @ principal[:, ::-1]], axis=1)
     if matrix.shape[1] > 3 and np.linalg.det(matrix) < 0:
         matrix[:, -1] *= -1  # a rotation, not a reflection
-    return Rotation(source, matrix)
+    return matrix
 
 
 def _orthonormal(directions: np.ndarray) -> np.ndarray:
@@ -123,9 +102,9 @@ def latent_correlation(tokenizer: Tokenizer, table: Table) -> dict[str, Any]:
     """
 
     def per_sensor(features: Any) -> dict[str, list[float]]:
-        turned = fit_rotation(features(table.training[SOURCE]), table.training[SOURCE].force_N, SOURCE)
+        rotation = fit_rotation(features(table.training[SOURCE]), table.training[SOURCE].force_N)
         return {
-            name: _abs_r(turned(features(labelled)), labelled.force_N).tolist()
+            name: abs_r((features(labelled) @ rotation)[..., :3].reshape(-1, 3), labelled.force_N.reshape(-1, 3))
             for name, labelled in table.frozen.items()
         }
 
@@ -133,18 +112,8 @@ def latent_correlation(tokenizer: Tokenizer, table: Table) -> dict[str, Any]:
         "what": "simulated; |r| of Fx, Fy, Fz with their axes, unseen indenters",
         "source": SOURCE,
         "best_abs_r": per_sensor(lambda s: pad_latent(tokenizer, s)),
-        "hand_descriptor": per_sensor(_descriptor),
+        "hand_descriptor": per_sensor(lambda s: s.descriptor.astype(np.float64) / np.asarray(NATURAL_UNITS)),
     }
-
-
-def _descriptor(labelled: LabelledSet) -> np.ndarray:
-    return labelled.descriptor.astype(np.float64) / np.asarray(NATURAL_UNITS)
-
-
-def _abs_r(z: np.ndarray, force_N: np.ndarray) -> np.ndarray:
-    """Return (3,) |r| of the first three of (n, T, L) latents with (n, T, 3) forces."""
-    flat, force = z.reshape(-1, z.shape[-1]), force_N.reshape(-1, 3)
-    return np.array([abs(np.corrcoef(flat[:, k], force[:, k])[0, 1]) for k in range(3)])
 
 
 @torch.no_grad()

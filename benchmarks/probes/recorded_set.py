@@ -29,15 +29,10 @@ MIN_SHEAR_N = 0.2  # frames with less say nothing about the direction of shear
 def to_labelled_set(recordings: Iterable[LabelledRecording], side: int, length: int = LENGTH) -> LabelledSet:
     """Return one sensor's recordings as a labelled set: n windows of T frames, end to end, at the model's size.
 
-    Full-size images are dropped recording by recording; what stays is (T + 1) · side² bytes per window.
+    Full-size images are dropped recording by recording; what stays is (T + 1) · side² bytes per window, where
+    ``length`` is T and ``side`` that of the model.
 
-    Args:
-        recordings: of one sensor, e.g. ``of_sensor(read_genforce(folder), "gelsight")``.
-        side: pixels per side of the model, ``tokenizer.config.side``.
-        length: frames of a window.
-
-    Raises:
-        DatasetError: recordings of several sensors, no window at all, or a reference with too few markers.
+    Raises DatasetError: recordings of several sensors, no window at all, or a reference with too few markers.
     """
     digest, sensor, too_short = hashlib.sha256(), "", 0
     rows: list[tuple[np.ndarray, ...]] = []
@@ -82,12 +77,10 @@ def _described(recording: LabelledRecording, frames: np.ndarray) -> np.ndarray:
 
 
 def of_sensor(recordings: Iterable[LabelledRecording], sensor: str) -> Iterator[LabelledRecording]:
-    """Yield the recordings of one kind of sensor."""
     return (recording for recording in recordings if recording.sensor == sensor)
 
 
 def of_indenters(recordings: Iterable[LabelledRecording], indenters: Collection[str]) -> Iterator[LabelledRecording]:
-    """Yield the recordings of some indenters, e.g. ``contact.UNSEEN``."""
     return (recording for recording in recordings if recording.indenter in indenters)
 
 
@@ -111,8 +104,7 @@ def shear_agreement(labelled: LabelledSet) -> np.ndarray:
 def user_data(tokenizer: Tokenizer, folder: str, seeds: int, results: Path) -> str:
     """Write the force table on a user's force-labelled recordings (GenForce layout: seen → unseen indenters).
 
-    Raises:
-        DatasetError: an unknown format, or fewer than two sensors with both kinds of indenters.
+    Raises DatasetError: an unknown format, or fewer than two sensors with both kinds of indenters.
     """
     side = tokenizer.config.side
     sensors = sorted({recording.sensor for recording in read_genforce(folder)})
@@ -137,9 +129,6 @@ def user_data(tokenizer: Tokenizer, folder: str, seeds: int, results: Path) -> s
         },
     }
     path = write_json(results / "force_on_data.json", content | provenance())
-    lines = [f"{name}: R² {_short(cell['r2'])}" for name, cell in content["rows"]["UniForce"].items()]
+    row = content["rows"]["UniForce"]
+    lines = [f"{name}: R² {', '.join(f'{value:.2f}' for value in cell['r2'])}" for name, cell in row.items()]
     return "\n".join([*lines, f"written to {path}; check shear_agreement: −1 there means a wrong sign"])
-
-
-def _short(values: list[float]) -> str:
-    return ", ".join(f"{value:.2f}" for value in values)

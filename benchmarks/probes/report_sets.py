@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from tqdm import tqdm
@@ -10,7 +11,6 @@ from benchmarks.finite_elements.sets import FE_CONTACTS, FE_DEV, ElementSettings
 from benchmarks.probes.hard_sets import HETERO_HARD, HETERO_HARD_TRAINING, HardSettings, draw_hard, hetero_sensors
 from benchmarks.probes.labelled_set import FROZEN, HEAD_TRAINING, SENSORS, LabelledSet, SetConfig, cached, draw_labelled
 from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
-from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.registration import nominal_zoom
 
 Sensors = dict[str, VirtualSensor]
@@ -29,7 +29,6 @@ class ReportSet:
 
     @property
     def name(self) -> str:
-        """The set's name."""
         return self.frozen.name
 
     @property
@@ -38,14 +37,11 @@ class ReportSet:
         return f"{self.name}_set.json"
 
     def draw(self, recipe: Recipe, sensors: Sensors, side: int, folder: Path) -> dict:
-        """Return name → LabelledSet, drawn once and kept in ``folder``."""
-        bar = tqdm(sensors.items(), desc=f"drawing {recipe.name}")
-        return {name: self._one(recipe, name, sensor, side, folder) for name, sensor in bar}
-
-    @staticmethod
-    def _one(recipe: Recipe, name: str, sensor: VirtualSensor, side: int, folder: Path) -> LabelledSet:
-        zoom = nominal_zoom(sensor.spec)
-        return cached(folder, recipe, name, side, lambda: draw(recipe, sensor, side), zoom)
+        found = {}
+        for name, sensor in tqdm(sensors.items(), desc=f"drawing {recipe.name}"):
+            drawn = partial(draw, recipe, sensor, side)
+            found[name] = cached(folder, recipe, name, side, drawn, nominal_zoom(sensor.spec))
+        return found
 
 
 def draw(recipe: Recipe, sensor: VirtualSensor, side: int) -> LabelledSet:
@@ -68,10 +64,3 @@ REPORT_SETS = {
     "fe_dev_v1": ReportSet(FE_DEV, HEAD_TRAINING, _registry_sensors, _registry_sensors, "fe_dev.json"),
     "fe_contacts_v1": ReportSet(FE_CONTACTS, HEAD_TRAINING, _registry_sensors, _registry_sensors, "fe_contacts.json"),
 }
-
-
-def get_report_set(name: str) -> ReportSet:
-    """Return the set called ``name``; ContractError lists the known ones."""
-    if name not in REPORT_SETS:
-        raise ContractError(expected("set", " | ".join(REPORT_SETS), repr(name), "Name one."))
-    return REPORT_SETS[name]

@@ -1,7 +1,4 @@
-"""Force-labelled sequences of worn units: what the shipped heads learn from, and no table's row does.
-
-Units differ in stiffness, gain, camera and light, their frames go through the canonicalizer, and held tools twist them.
-"""
+"""Force-labelled sequences of worn units: what the shipped heads learn from, and no table's row does."""
 
 import logging
 from collections.abc import Iterator
@@ -11,7 +8,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from benchmarks.probes.sequences import press_shear_release
+from benchmarks.probes.labelled_set import press_shear_release
 from uniforce_vtla.contact.indenters import SEEN
 from uniforce_vtla.contact.sampling import FLAT, ForceRange, sample_loads, sample_objects
 from uniforce_vtla.contact.simulator import slices

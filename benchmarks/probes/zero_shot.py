@@ -1,7 +1,4 @@
-"""Zero-shot force: train a head on one sensor, read another through the same tokenizer.
-
-Sets are frozen: they must draw to the hash committed before the shipped checkpoint was trained.
-"""
+"""Zero-shot force on frozen sets: train a head on one sensor, read another through the same tokenizer."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -10,22 +7,17 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.probes.labelled_set import SENSORS, LabelledSet, set_facts, set_hash, within
+from benchmarks.probes.labelled_set import LabelledSet, set_hash, within
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.descriptor import NATURAL_UNITS
-from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig, HeadTrainingConfig, train_head
+from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadTrainingConfig, train_head
 from uniforce_vtla.tokenizer.latent import POOL, pool_latent
 
 LETTER = {"gelsight": "G", "gelsight_d": "G", "tactip": "T", "uskin": "U"}  # as in the paper's table
 
 Features = dict[str, torch.Tensor]  # sensor → (n, T, P, L)
 Cells = dict[str, dict[str, list[float]]]  # "G->T" → {"r2": [fx, fy, fz], "mae_N": …}
-
-
-def transfers() -> list[tuple[str, str]]:
-    """Return the ordered pairs (source, target) of different sensors: six for three."""
-    return [(source, target) for source in SENSORS for target in SENSORS if source != target]
 
 
 def transfer_name(source: str, target: str) -> str:
@@ -42,26 +34,14 @@ class Table:
     head: HeadTrainingConfig = field(default_factory=HeadTrainingConfig)
 
     def transfers(self) -> list[tuple[str, str]]:
-        """Return the ordered pairs (source, target) of different sensors."""
         return [(source, target) for source in self.training for target in self.frozen if source != target]
-
-    def forces(self, sensor: str) -> np.ndarray:
-        """Return the frozen set's true forces, (n, T, 3) N."""
-        return self.frozen[sensor].force_N
 
 
 def check_frozen(facts: dict[str, Any], frozen: dict[str, LabelledSet]) -> None:
     """Raise DatasetError unless the set just drawn is the one that was committed."""
-    drawn = set_hash({sensor: labelled.digest for sensor, labelled in frozen.items()})
-    if drawn != facts["set_hash"]:
-        raise DatasetError(
-            expected("frozen zero-shot set", facts["set_hash"], drawn, "The contact model changed: freeze anew.")
-        )
-
-
-def set_facts_of(recipe: Any, frozen: dict[str, LabelledSet]) -> dict[str, Any]:
-    """Return what is committed before training: a set's recipe, digests and hash."""
-    return set_facts(recipe, {sensor: labelled.digest for sensor, labelled in frozen.items()})
+    wanted, came = facts["set_hash"], set_hash(frozen)
+    if came != wanted:
+        raise DatasetError(expected("frozen zero-shot set", wanted, came, "The contact model changed: freeze anew."))
 
 
 @torch.no_grad()
@@ -94,17 +74,16 @@ def learnt_row(table: Table, features: Callable[[LabelledSet], torch.Tensor], se
         for seed in range(seeds):
             head = train_head(z, table.training[source].force_N, sized_head(table.head, z, grid), seed)
             for target in table.frozen:
-                cell = score(table.forces(target), predict(head, frozen[target]))
+                cell = score(table.frozen[target].force_N, predict(head, frozen[target]))
                 cells.setdefault(transfer_name(source, target), []).append(cell)
     return mean_cells(cells)
 
 
 def mean_row(table: Table) -> Cells:
-    """Return the row that always says the source's mean force."""
     row: Cells = {}
     for source, target in table.transfers():
         mean = table.training[source].force_N.reshape(-1, 3).mean(axis=0)
-        truth = table.forces(target)
+        truth = table.frozen[target].force_N
         row[transfer_name(source, target)] = score(truth, np.broadcast_to(mean, truth.shape))
     return row
 
@@ -119,7 +98,7 @@ def score(truth_N: np.ndarray, said_N: np.ndarray) -> dict[str, list[float]]:
     """Return R², |r| and MAE per axis over all frames, and R² and MAE over those within the paper's range."""
     small = within(truth_N)
     return {
-        "abs_r": _abs_r(truth_N.reshape(-1, 3), said_N.reshape(-1, 3)),
+        "abs_r": abs_r(truth_N.reshape(-1, 3), said_N.reshape(-1, 3)),
         "r2": _r2(truth_N.reshape(-1, 3), said_N.reshape(-1, 3)),
         "mae_N": _mae(truth_N.reshape(-1, 3), said_N.reshape(-1, 3)),
         "r2_paper_range": _r2(truth_N[small], said_N[small]),
@@ -127,11 +106,14 @@ def score(truth_N: np.ndarray, said_N: np.ndarray) -> dict[str, list[float]]:
     }
 
 
-def summary(row: Cells, pairs: list[tuple[str, str]] | None = None) -> dict[str, float]:
+def across(row: Cells, key: str) -> np.ndarray:
+    """Return one score per axis, (transfers, 3), of the transfers between different sensors."""
+    return np.array([cell[key] for name, cell in row.items() if len(set(name.split("->"))) == 2])
+
+
+def summary(row: Cells) -> dict[str, float]:
     """Return what the bars ask of a row: means and worst cells over transfers between different sensors."""
-    names = [transfer_name(a, b) for a, b in (pairs or transfers())]
-    r2 = np.array([row[name]["r2"] for name in names])  # (transfers, 3)
-    mae = np.array([row[name]["mae_N_paper_range"] for name in names]).mean(axis=0)
+    r2, mae = across(row, "r2"), across(row, "mae_N_paper_range").mean(axis=0)
     return {
         "fz_mean": float(r2[:, 2].mean()),
         "fz_worst": float(r2[:, 2].min()),
@@ -151,8 +133,7 @@ def shipped_cell(head: ForceHead, tokenizer: Tokenizer, labelled: LabelledSet) -
 
 def sized_head(config: HeadTrainingConfig, z: torch.Tensor, grid: int) -> HeadTrainingConfig:
     """Return ``config`` with the head's input sized for features (n, T, P, L) on grid × grid regions."""
-    head: HeadConfig = replace(config.head, channels=z.shape[-1], grid=grid)
-    return replace(config, head=head)
+    return replace(config, head=replace(config.head, channels=z.shape[-1], grid=grid))
 
 
 def _r2(truth: np.ndarray, said: np.ndarray) -> list[float]:
@@ -161,7 +142,7 @@ def _r2(truth: np.ndarray, said: np.ndarray) -> list[float]:
     return [float(v) for v in 1 - residual / spread]
 
 
-def _abs_r(truth: np.ndarray, said: np.ndarray) -> list[float]:
+def abs_r(truth: np.ndarray, said: np.ndarray) -> list[float]:
     """Return |correlation|: what is left when gain and offset are forgiven; 0 of a constant."""
     a, b = truth - truth.mean(axis=0), said - said.mean(axis=0)
     length = np.sqrt((a**2).sum(axis=0) * (b**2).sum(axis=0))

@@ -22,8 +22,7 @@ from uniforce_cli.boundary import command
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.options import Count, FolderPaths, OutFile, TokenizerFolder, split
 from uniforce_vtla.results_file import provenance, write_json
-from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 
 HEAD_SOURCES = {"grasps": "uskin", "tactip": "tactip"}
 
@@ -80,7 +79,6 @@ def lines_of(found: dict[str, Any]) -> list[str]:
 
 @command(RealCommand)
 def main(config: RealCommand) -> None:
-    """Entry of ``python -m benchmarks.real``."""
     folders = [Path(name) for name in split(config.data)]
     tokenizer = Tokenizer.from_pretrained(config.tokenizer or None)
     labelled = [folder for folder in folders if is_tactip_shear(folder)]

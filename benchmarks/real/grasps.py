@@ -1,7 +1,4 @@
-"""Real grasps: two uSkins of one Franka hand, pick-and-move trials. Do both fingers read the same force?
-
-Labels of force there are none. Their logs are one csv per finger, columns ``txl1_x … txl16_z``.
-"""
+"""Real grasps without labels: two uSkins of one Franka hand. Do both fingers read the same force?"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,25 +8,19 @@ import numpy as np
 import pandas as pd
 
 from uniforce_vtla.contracts import FINGERS, TAXEL_SHAPE, Finger
-from uniforce_vtla.errors import DatasetError, SensorError, expected
+from uniforce_vtla.errors import DatasetError, SensorError, UniForceError, expected
 from uniforce_vtla.markers.canonicalizer import Canonicalizer
 from uniforce_vtla.markers.reference import capture_taxel_reference
-from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 
 LOGS: dict[Finger, str] = {"left": "xela_sensor1.csv", "right": "xela_sensor2.csv"}
 COLUMNS = [f"txl{taxel}_{axis}" for taxel in range(1, TAXEL_SHAPE[0] + 1) for axis in "xyz"]
+# How trials are read; set once, none of it tuned on the labels
+FREE_SCANS = 10  # last scans of a trial that ended in a drop: its own free-air reference
+LENDER = "data_sample_2022-02-22-15-15-00"  # lends its reference to trials that never let go
+LOAD_CHANGE_COUNTS = 1000.0  # range of Σdz: quiet trials stay below 800, the others exceed 1,700
 HELD = 0.5  # of a trial's largest normal signal: the object is in the grip
 FEWEST = 30  # held frames that a correlation needs
-
-
-@dataclass(frozen=True)
-class TrialConfig:
-    """How trials are read; set once, none of it tuned on the labels."""
-
-    free_scans: int = 10  # last scans of a trial that ended in a drop: its own free-air reference
-    lender: str = "data_sample_2022-02-22-15-15-00"  # lends its reference to trials that never let go
-    load_change_counts: float = 1000.0  # range of Σdz: quiet trials stay below 800, the others exceed 1,700
 
 
 @dataclass(frozen=True)
@@ -42,71 +33,49 @@ class Trial:
     reference_from: str  # "own" or "borrowed from …"
 
     @property
-    def load_range_counts(self) -> float:
-        """Range of Σdz over the trial, mean of both fingers."""
-        return float(np.ptp(self.counts[..., 2].sum(axis=2), axis=1).mean())
+    def changes_load(self) -> bool:
+        """Whether the normal load, Σdz, mean of both fingers, changes enough to be compared."""
+        return float(np.ptp(self.counts[..., 2].sum(axis=2), axis=1).mean()) > LOAD_CHANGE_COUNTS
 
 
-def read_trials(folder: Path, config: TrialConfig | None = None) -> list[Trial]:
+def read_trials(folder: Path, lender: str = LENDER) -> list[Trial]:
     """Return all trials of a ``data_set`` folder, by name.
 
-    Raises:
-        DatasetError: no trials, no lender, or tables of different length.
-        SensorError: a log that isn't uSkin counts, or a free-air stretch that isn't steady.
+    Raises DatasetError: no trials, no lender, or tables of different length; SensorError: a log that isn't uSkin
+    counts, or a free-air stretch that isn't steady.
     """
-    config = config or TrialConfig()
     paths = sorted(p for p in folder.iterdir() if p.is_dir()) if folder.is_dir() else []
-    if config.lender not in [path.name for path in paths]:
-        raise DatasetError(expected(f"trials in {folder}", config.lender, "none", "Check the path."))
+    if lender not in [path.name for path in paths]:
+        raise DatasetError(expected(f"trials in {folder}", lender, "none", "Check the path."))
     tables = {path.name: _read_tables(path) for path in paths}
     own = {
-        name: _free_air(counts, config)
+        name: np.stack([capture_taxel_reference(scans[-FREE_SCANS:]) for scans in counts])
         for name, (counts, labels) in tables.items()
-        if (labels["fail"].to_numpy()[-config.free_scans :] > 0).all()
+        if (labels["fail"].to_numpy()[-FREE_SCANS:] > 0).all()
     }
-    if config.lender not in own:
-        raise DatasetError(expected(config.lender, "a trial that ends in a drop", "none", "Choose another."))
+    if lender not in own:
+        raise DatasetError(expected(lender, "a trial that ends in a drop", "none", "Choose another."))
     return [
-        Trial(
-            name, counts, own.get(name, own[config.lender]), "own" if name in own else f"borrowed from {config.lender}"
-        )
+        Trial(name, counts, own.get(name, own[lender]), "own" if name in own else f"borrowed from {lender}")
         for name, (counts, _) in tables.items()
     ]
 
 
-def changes_load(trial: Trial, config: TrialConfig) -> bool:
-    """Return whether a trial's normal load changes enough to be compared."""
-    return trial.load_range_counts > config.load_change_counts
-
-
 def _read_tables(path: Path) -> tuple[np.ndarray, pd.DataFrame]:
-    """Return counts (2, T, 16, 3) and labels of one trial."""
     counts = [read_uskin_csv(path / log) for log in LOGS.values()]
-    labels = _table(path / "slip_label.csv")
+    labels = _read_table(path / "slip_label.csv", DatasetError)
     lengths = {len(counts[0]), len(counts[1]), len(labels)}
     if len(lengths) > 1 or "fail" not in labels.columns:
         raise DatasetError(expected(path.name, "tables of one length with fail", lengths, "Copy it again."))
     return np.stack(counts), labels
 
 
-def _table(path: Path) -> pd.DataFrame:
-    if not path.is_file():
-        raise DatasetError(expected("trial", path.name, f"no file {path}", "Copy the trial again."))
-    return pd.read_csv(path)
-
-
-def _free_air(counts: np.ndarray, config: TrialConfig) -> np.ndarray:
-    """Return the (2, 16, 3) reference of a trial that ends in free air."""
-    return np.stack([capture_taxel_reference(scans[-config.free_scans :]) for scans in counts])
-
-
 def read_uskin_csv(path: Path | str) -> np.ndarray:
     """Return a trial's raw counts, (N, 16, 3) int64; extra columns are left aside.
 
-    Raises:
-        SensorError: no such file, a missing column, no rows, or a value that isn't a whole number.
+    Raises SensorError: no such file, a missing column, no rows, or a value that isn't a whole number.
     """
-    table = _read_table(Path(path))
+    table = _read_table(Path(path), SensorError)
     missing = [column for column in COLUMNS if column not in table.columns]
     if missing:
         do = "Is this a uSkin 4×4 log?"
@@ -119,29 +88,25 @@ def read_uskin_csv(path: Path | str) -> np.ndarray:
     return values.astype(np.int64).reshape(-1, *TAXEL_SHAPE)  # (N, 16, 3)
 
 
-def _read_table(path: Path) -> pd.DataFrame:
+def _read_table(path: Path, failure: type[UniForceError]) -> pd.DataFrame:
     if not path.is_file():
-        raise SensorError(expected("uSkin log", "a csv file", f"no file {path}", "Check the path."))
+        raise failure(expected(path.name, "a csv file", f"no file {path}", "Check the path."))
     try:
         return pd.read_csv(path)
     except pd.errors.EmptyDataError as error:
-        do = "Log the trial again."
-        raise SensorError(expected(f"{path}", "a csv table", "an empty file", do)) from error
+        raise failure(expected(str(path), "a csv table", "an empty file", "Log the trial again.")) from error
 
 
 def is_grasps(folder: Path) -> bool:
-    """Return whether ``folder`` holds trials of two uSkins."""
     return next(folder.glob("*/xela_sensor1.csv"), None) is not None
 
 
 def balance(tokenizer: Tokenizer, head: ForceHead, folder: Path) -> dict[str, Any]:
     """Return, over held stretches, how the two fingers' forces go together: correlation, and right over left of Fz.
 
-    Raises:
-        DatasetError: as ``read_trials``.
+    Raises DatasetError: as ``read_trials``.
     """
-    config = TrialConfig()
-    trials = [trial for trial in read_trials(folder, config) if changes_load(trial, config)]
+    trials = [trial for trial in read_trials(folder) if trial.changes_load]
     rows = [row for row in (_balance(tokenizer, head, trial) for trial in trials) if row is not None]
     r, ratio = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
     return {

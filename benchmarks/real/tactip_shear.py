@@ -34,17 +34,13 @@ class TactipSet:
 
 
 def is_tactip_shear(folder: Path) -> bool:
-    """Return whether ``folder`` is such a recording."""
     return (folder / TARGETS).is_file()
 
 
 def read_tactip_shear(folder: Path, frames: int) -> TactipSet:
-    """Return ``frames`` of a recording, evenly spaced.
+    """Return ``frames`` of a recording, evenly spaced; DatasetError: a missing column, picture or parameter.
 
     Without a free-air picture the lightest contact with the least shear stands in for it.
-
-    Raises:
-        DatasetError: a missing column, picture or parameter.
     """
     table = pd.read_csv(folder / TARGETS)
     if missing := {"sensor_image", DEPTH, *SHEAR} - set(table.columns):
@@ -66,11 +62,7 @@ def read_tactip_shear(folder: Path, frames: int) -> TactipSet:
 
 
 def marker_image(path: Path, radius_px: float) -> np.ndarray:
-    """Return a picture as a (480, 640) uint8 marker image: the dome in the middle, at its nominal scale.
-
-    Raises:
-        DatasetError: no such picture.
-    """
+    """Return a picture as a (480, 640) uint8 marker image: the dome in the middle, at its nominal scale."""
     picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if picture is None:
         raise DatasetError(expected("picture", str(path), "none that can be read", "Copy the recording again."))

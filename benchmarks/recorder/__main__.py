@@ -20,9 +20,7 @@ from uniforce_vtla.results_file import provenance, write_json
 def try_recorder(plan: Plan) -> dict[str, Any]:
     """Run the chosen parts; return the whole result.
 
-    Raises:
-        ContractError: an unknown part or fault.
-        TrialError: a trial that didn't come to its point outside the faults, which note it and go on.
+    Raises ContractError: an unknown part or fault; TrialError: a trial outside the faults that missed its point.
     """
     from benchmarks.recorder.verdict import bars
 
@@ -34,7 +32,8 @@ def try_recorder(plan: Plan) -> dict[str, Any]:
         print(f"recorder_trials: {name}")
         result = json.loads(out.read_text()) if out.is_file() else {}
         result[name] = part(plan, ledger)
-        result.setdefault("runs", {})[name] = {"judged": plan.is_judged, **_settings(plan), **provenance()}
+        settings = {key: v for key, v in dataclasses.asdict(plan).items() if key not in ("work", "out", "fresh")}
+        result.setdefault("runs", {})[name] = {"judged": plan.is_judged, **settings, **provenance()}
         result["bars"] = bars(result)
         write_json(out, result)
     whole: dict[str, Any] = json.loads(out.read_text())
@@ -51,10 +50,6 @@ def _parts(plan: Plan) -> dict[str, Callable[[Plan, Ledger], dict[str, Any]]]:
         "kill9": kill9.run,
         "faults": lambda plan, ledger: faults.run(plan, ledger, names),
     }
-
-
-def _settings(plan: Plan) -> dict[str, Any]:
-    return {key: value for key, value in dataclasses.asdict(plan).items() if key not in ("work", "out", "fresh")}
 
 
 def _show(name: str, number: int, finding: dict[str, Any]) -> None:

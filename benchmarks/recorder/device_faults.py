@@ -1,7 +1,4 @@
-"""What can break while an episode runs: how it is broken and mended, and what has to come of it.
-
-In one attended session again and again, and once unattended.
-"""
+"""What can break while an episode runs: how it is broken and mended, and what has to come of it."""
 
 import random
 import time
@@ -30,19 +27,13 @@ Action = Callable[[Rig], object]
 
 @dataclass(frozen=True)
 class Breakage:
-    """A fault of a device, injected while an episode runs.
+    """A fault of a device, injected while an episode runs."""
 
-    Attributes:
-        breaks, mends: what is done to the stand-ins.
-        labels: the episode may be stored with; the first one names the cause exactly, another one is what may be seen
-            first: silence comes before its reason.
-        clears: whether a person has to press ``v`` before the next episode.
-    """
-
-    breaks: Action
+    breaks: Action  # what is done to the stand-ins
     mends: Action
+    # the episode may be stored with: the exact cause, or what may be seen first, since silence comes before its reason
     labels: tuple[str, ...]
-    clears: bool = False
+    clears: bool = False  # whether a person has to press ``v`` before the next episode
 
 
 def _injected(stand_in: Callable[[Rig], StandIn], fault: str, *labels: str) -> Breakage:
@@ -69,12 +60,7 @@ BREAKAGES: dict[str, Breakage] = {
 def attended(faults: dict[str, Breakage], rig: Rig, ledger: Ledger, root: Path, times: int) -> None:
     """Inject each until ``times`` findings of it are there; a person goes on after each one, and quits in the end.
 
-    Args:
-        faults: by name.
-        rig: whole.
-        ledger: gets the findings, also that the session hung or died; it ends then, and can be begun again.
-        root: of the dataset; all faults go into one.
-        times: each.
+    That the session hung or died is a finding too; it ends then, and can be begun again. All faults share a dataset.
     """
     with rig.session(root, operator="keys", episodes=EPISODES, episode_s=LONG_s) as session:
         at, clears = 0, False

@@ -14,7 +14,7 @@ from benchmarks.recorder.loading import load_in_stock_lerobot, train_a_little
 from benchmarks.recorder.machine import CpuMeter, IdleLoop, machine_facts
 from benchmarks.recorder.plan import Plan, START_s
 from benchmarks.recorder.rig import Rig
-from benchmarks.recorder.session import Line, Session, TrialError
+from benchmarks.recorder.session import Session, TrialError
 from uniforce_datasets.cards import read_card
 from uniforce_datasets.source import read_source
 from uniforce_robots.recorder.assemble import judged_episodes
@@ -28,11 +28,7 @@ EPISODE_MAX = 4.0  # times its length: waiting for references and storing includ
 
 
 def run(plan: Plan, ledger: Ledger) -> dict[str, Any]:
-    """Record what is missing of the episodes; return the findings of all of them.
-
-    Raises:
-        TrialError: every session ends before its time.
-    """
+    """Record what is missing of the episodes; return the findings of all; TrialError: every session ends too early."""
     root = plan.folder / "end_to_end" / "data"
     if _judged(root) < plan.episodes:
         with Rig(plan, plan.folder / "end_to_end") as rig:
@@ -73,7 +69,8 @@ def record(rig: Rig, root: Path) -> dict[str, Any]:
         except TrialError as error:
             log.warning("%s", error)  # what it stored counts, and the exit code says how it ended
         code = session.wait_end(START_s)
-        spans_s = spans(session.lines, plan.episode_s)
+        begun_s = [line.time_s for line in session.lines if re.search(BEGUN, line.text)]
+        spans_s = [(time_s, time_s + plan.episode_s) for time_s in begun_s]
         beat_s, late_ms = idle.stop()
     recorded = np.any([(beat_s >= a) & (beat_s <= b) for a, b in [*spans_s, (0.0, 0.0)]], axis=0)
     return {
@@ -93,11 +90,6 @@ def _who(session: Session, rig: Rig, idle: IdleLoop) -> dict[str, list[psutil.Pr
         "idle_loop": [psutil.Process(idle.pid)],
         "trial_harness": [psutil.Process()],
     }
-
-
-def spans(lines: list[Line], episode_s: float) -> list[tuple[float, float]]:
-    """Return when each episode began and was over."""
-    return [(line.time_s, line.time_s + episode_s) for line in lines if re.search(BEGUN, line.text)]
 
 
 def rate_and_jitter(root: Path, sessions: list[dict[str, Any]]) -> dict[str, Any]:
@@ -141,12 +133,7 @@ def observe_p95_ms(stamps_s: np.ndarray) -> float:
 
 
 def lateness_ms(tick_s: np.ndarray, fps: int) -> tuple[np.ndarray, int]:
-    """Return (how late each tick came after its deadline, ms, deadlines missed), as the ticker counts them.
-
-    Args:
-        tick_s: (N,) stored times of ticks; the first one sets the beat.
-        fps: of the beat.
-    """
+    """Return (how late each of (N,) ticks came, ms, deadlines missed), from the first one on as the ticker counts."""
     period_s, due_s, missed = 1 / fps, float(tick_s[0]), 0
     late_s = np.zeros(len(tick_s))
     for number, now_s in enumerate(tick_s):

@@ -47,7 +47,6 @@ class Bench:
     rng: random.Random
 
     def session(self, **settings: object) -> Session:
-        """Return a session into a fresh folder."""
         return self.rig.session(self.root, **settings)
 
     def into_an_episode(self, session: Session, after: int = 0) -> int:
@@ -173,15 +172,7 @@ def _held_at(root: Path, card: dict[str, Any]) -> float:
 
 
 class SmallDisk:
-    """A folder on a small disk.
-
-    Args:
-        root: the folder.
-        size_MB: of the disk.
-
-    Attributes:
-        is_own: whether it could be mounted; only then can it really be filled up.
-    """
+    """A folder on a small disk; ``is_own`` says whether it could be mounted: only then can it really be filled up."""
 
     def __init__(self, root: Path, size_MB: int) -> None:
         self._root = root
@@ -194,7 +185,6 @@ class SmallDisk:
 
     @property
     def kind(self) -> str:
-        """Which of the two, for the result."""
         return "tmpfs of its own" if self.is_own else "guard's limit raised to the free space"
 
     def reserve_MB(self, wanted_MB: float) -> float:  # noqa: N802  units

@@ -44,7 +44,6 @@ def _break_devices(faults: dict[str, Breakage], ledger: Ledger, rig: Rig) -> Non
 
 
 def bench_of(name: str, number: int, rig: Rig) -> Bench:
-    """Return what the trial of a number needs, its folder empty."""
     root = rig.plan.folder / "faults" / name / str(number)
     shutil.rmtree(root, ignore_errors=True)  # of a trial that was cut short
     return Bench(rig, root, random.Random(f"{name}{number}"))
@@ -59,26 +58,19 @@ def _noted(name: str, ledger: Ledger, trial: Callable[[], dict[str, Any]]) -> No
 
 
 def summary(findings: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return counts and the worst of a fault's findings."""
-    holds_s, rests_s, clocks = (_all(findings, key) for key in ("hold_s", "rest_s", "arm_clock"))
-    labels = sorted({finding["label"] for finding in findings if "label" in finding})
-    codes = sorted({finding["exit_code"] for finding in findings if "exit_code" in finding})
+    holds_s, rests_s, clocks, labels, codes = (
+        [finding[key] for finding in findings if finding.get(key) is not None]
+        for key in ("hold_s", "rest_s", "arm_clock", "label", "exit_code")
+    )
+    messages = [finding["message"] for finding in findings if finding.get("message")]
     return {
         "trials": len(findings),
         "right_outcome": sum(bool(finding["right_outcome"]) for finding in findings),
         "worst_hold_s": max(holds_s, default=None),
         "worst_rest_s": max(rests_s, default=None),
         "slowest_arm_clock": min(clocks, default=None),
-        "labels": labels,
-        "exit_codes": codes,
-        "example": next((_portable(f["message"]) for f in findings if f.get("message")), ""),
+        "labels": sorted(set(labels)),
+        "exit_codes": sorted(set(codes)),
+        # results are committed, so that no path may name a folder of this machine
+        "example": messages[0].replace(f"{Path.cwd()}/", "") if messages else "",
     }
-
-
-def _all(findings: list[dict[str, Any]], key: str) -> list[float]:
-    return [finding[key] for finding in findings if finding.get(key) is not None]
-
-
-def _portable(message: str) -> str:
-    """Return a message whose paths below the working folder say so: results are committed, folders are mine."""
-    return message.replace(f"{Path.cwd()}/", "")

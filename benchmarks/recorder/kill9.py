@@ -53,7 +53,8 @@ def kill_once(rig: Rig, root: Path, number: int) -> dict[str, Any]:
             at, _ = session.wait_for(BEGUN, WAIT_s, at + 1)
         time.sleep(rng.uniform(*RANDOM_s[moment]))
         family = session.processes()
-        _kill(family, victim)
+        for process in {"all": family, "loop": family[:1], "store": family[1:]}[victim]:
+            process.send_signal(signal.SIGKILL)
         code = session.wait_end(WAIT_s)
         _, alive = psutil.wait_procs(family, WAIT_s * rig.plan.patience)
         said = len(session.said(STORED))
@@ -70,12 +71,6 @@ def kill_once(rig: Rig, root: Path, number: int) -> dict[str, Any]:
     }
 
 
-def _kill(family: list[psutil.Process], victim: str) -> None:
-    chosen = {"all": family, "loop": family[:1], "store": family[1:]}[victim]
-    for process in chosen:
-        process.send_signal(signal.SIGKILL)
-
-
 def _episodes(root: Path) -> int:
     return len(check_dataset(root).episodes) if (root / "meta" / "info.json").is_file() else 0
 
@@ -89,7 +84,6 @@ def _load(root: Path, first: int = 0) -> int:
 
 
 def finish(rig: Rig, root: Path) -> dict[str, Any]:
-    """Resume once more, record one episode, end in order."""
     rig.new_arm()
     before = _episodes(root)
     wanted = judged_episodes(root, before) + 1  # aborted ones don't count

@@ -16,15 +16,7 @@ SLOTS = "policy.touch.slots={touch0: right, touch1: left}"
 
 
 def load_in_stock_lerobot(root: Path, first: int = 0) -> dict[str, Any]:
-    """Read the first and the last frame of every episode with ``LeRobotDataset``, nothing of ours in between.
-
-    Args:
-        root: of the dataset.
-        first: number of the first episode to read.
-
-    Raises:
-        RuntimeError, OSError, ValueError: whatever LeRobot says of a dataset it can't read.
-    """
+    """Read the first and last frame of episodes from ``first`` on with ``LeRobotDataset`` and nothing of ours."""
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     dataset = LeRobotDataset("local/trial", root=root, revision="local", video_backend="pyav")

@@ -26,11 +26,7 @@ def tick(rate_hz: float, pipe: Connection) -> None:
 
 
 class IdleLoop:
-    """A loop that does nothing, on the recorder's own ticker; beside a session, in a process of its own.
-
-    Args:
-        rate_hz: of the beat.
-    """
+    """A loop that does nothing, on the recorder's own ticker; beside a session, in a process of its own."""
 
     def __init__(self, rate_hz: float) -> None:
         spawn = multiprocessing.get_context("spawn")
@@ -41,7 +37,6 @@ class IdleLoop:
 
     @property
     def pid(self) -> int:
-        """Of the process."""
         return int(self._process.pid or 0)
 
     def __enter__(self) -> IdleLoop:
@@ -52,11 +47,7 @@ class IdleLoop:
         self._process.join()
 
     def stop(self) -> tuple[np.ndarray, np.ndarray]:
-        """End it; return (when each beat came, ``time.monotonic`` s, how late it was, ms).
-
-        Raises:
-            TimeoutError: it doesn't answer.
-        """
+        """End it; return (when each beat came, ``time.monotonic`` s, how late it was, ms); TimeoutError: no answer."""
         self._pipe.send("end")
         if not self._pipe.poll(END_s):
             raise TimeoutError(f"the idle loop did not end within {END_s:g} s")
@@ -77,11 +68,7 @@ def cpu_s(processes: Iterable[psutil.Process]) -> float:
 
 
 class CpuMeter:
-    """Cores used by each group from now until ``read``; the processes must be the same then.
-
-    Args:
-        groups: processes by name.
-    """
+    """Cores used by each group of processes from now until ``read``; they must be the same then."""
 
     def __init__(self, groups: dict[str, list[psutil.Process]]) -> None:
         self._groups = groups

@@ -34,7 +34,6 @@ ANY_AGE_MS = 1e4
 
 
 def run(plan: Plan, ledger: Ledger) -> dict[str, Any]:
-    """Measure what is missing; return the newest of each."""
     plan.folder.mkdir(parents=True, exist_ok=True)
     parts: dict[str, Callable[[Plan], dict[str, Any]]] = {
         "observation_read": _read,
@@ -88,7 +87,6 @@ def _beat(root: Any) -> dict[str, Any]:
 
 
 def measure(address: str, seconds: float, folder: Path) -> dict[str, float]:
-    """Return percentiles of the time one read takes."""
     config = UniforceFrankaConfig(id="trial", calibration_dir=folder, address=address, guards=BOX)
     robot, ticker, took_ms = UniforceFranka(config), Ticker(RATE_HZ), []
     robot.connect()
@@ -108,11 +106,8 @@ def measure(address: str, seconds: float, folder: Path) -> dict[str, float]:
 def measure_rate(seconds: float, rate_hz: float = 500.0) -> dict[str, float]:
     """Read a stand-in of its own for some time; every scan it sent is waited for.
 
-    Returns:
-        seconds: it lasted.
-        rate_hz: scans received per second at its end.
-        sent, samples, lost, bad: scans sent, received, torn, and lines not understood.
-        age_p50_ms, age_p99_ms: of the newest scan, asked for at random times.
+    Returns scans sent, received (``samples``), torn (``lost``), not understood (``bad``) and received per second at its
+    end; percentiles of the newest scan's age, asked for at random times.
     """
     with StandIn("slcan", f"rate_hz={rate_hz}") as stand_in:
         source = SlcanUSkin(stand_in.address)

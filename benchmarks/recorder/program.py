@@ -55,7 +55,6 @@ def _import_all() -> None:
 
 
 def record_on(tty: str, argv: list[str]) -> int:
-    """Run ``uniforce record`` on a terminal of its own."""
     from uniforce_cli.record import main as record
 
     os.setsid()

@@ -43,12 +43,7 @@ class Line:
 
 
 class Session:
-    """One run of ``uniforce record`` on a pseudo-terminal.
-
-    Args:
-        program: forks it.
-        argv: its command line.
-    """
+    """One run of ``uniforce record`` on a pseudo-terminal, forked by ``program``."""
 
     def __init__(self, program: Program, argv: list[str]) -> None:
         self._program, self._patience = program, program.patience
@@ -61,21 +56,17 @@ class Session:
 
     @property
     def lines(self) -> list[Line]:
-        """Everything said so far."""
         with self._new:
             return list(self._lines)
 
     def said(self, pattern: str) -> list[Line]:
-        """Return the lines that hold a pattern."""
         return [line for line in self.lines if re.search(pattern, line.text)]
 
     def wait_for(self, pattern: str, timeout_s: float, after: int = 0) -> tuple[int, Line]:
         """Return (its number, the line) of the first line at or after number ``after`` that holds a pattern.
 
-        Times are multiplied by the plan's patience, here and in ``wait_end``.
-
-        Raises:
-            TrialError: it ended before, or said nothing of the kind in time.
+        Times are multiplied by the plan's patience, here and in ``wait_end``. Raises TrialError: it ended before, or
+        said nothing of the kind in time.
         """
         deadline_s = time.monotonic() + timeout_s * self._patience
         while True:
@@ -105,7 +96,6 @@ class Session:
         return code
 
     def processes(self) -> list[psutil.Process]:
-        """The session's process and all its children that run."""
         try:
             loop = psutil.Process(self.pid)
             return [loop, *loop.children(recursive=True)]
@@ -113,7 +103,6 @@ class Session:
             return []
 
     def close(self) -> None:
-        """Let go of the terminal; what still runs is killed."""
         if self._program.exit_code() is None:
             self._kill()
         os.close(self._slave)
@@ -148,11 +137,9 @@ class Session:
 
 
 class Program(StandIn):
-    """The warm program that sessions are forked from; one session at a time.
+    """The warm program that sessions are forked from; one session at a time. All they say is added to the file ``log``.
 
-    Args:
-        log: file that everything they say is added to.
-        patience: what waiting times are multiplied by.
+    Waiting times are multiplied by ``patience``.
     """
 
     def __init__(self, log: Path, patience: float = 1.0) -> None:
@@ -164,7 +151,6 @@ class Program(StandIn):
             super().__init__("benchmarks.recorder.program")
 
     def fork(self, tty: str, argv: list[str]) -> int:
-        """Start a session; return its pid."""
         self._exit = None
         return int(self._ask(json.dumps({"tty": tty, "argv": argv}), "pid"))
 
@@ -177,12 +163,10 @@ class Program(StandIn):
         return self._exit
 
     def write_down(self, lines: list[Line]) -> None:
-        """Keep what a session said."""
         self._log.writelines(f"{line.time_s:.3f} {line.text}\n" for line in lines)
         self._log.flush()
 
     def close(self) -> None:
-        """End it."""
         self._log.close()
         super().close()
 

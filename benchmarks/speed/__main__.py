@@ -39,7 +39,7 @@ def _benches() -> dict[str, Callable[[float], dict[str, Any]]]:
         "cached": bench_cached,
         "stream": bench_stream,
         "env": bench_env,
-        "loader": lambda seconds: bench_loader(None, seconds),
+        "loader": bench_loader,
     }
 
 
@@ -57,7 +57,6 @@ def run(config: BenchConfig) -> dict[str, Any]:
 
 @command(BenchConfig)
 def main(config: BenchConfig) -> None:
-    """Entry of ``python -m benchmarks.speed``."""
     results = run(config)
     path = write_json(Path(config.out) / "bench.json", results | {"config": asdict(config)} | provenance())
     for name, value in results.items():

@@ -23,14 +23,10 @@ WARM_UP = 3  # calls before the clock starts
 
 
 def bench_canonicalizer(seconds: float) -> dict[str, dict]:
-    """Return canonicalisation rates and an anchor measured in the same run, Hz on one thread.
+    """Return canonicalisation rates and an anchor measured in the same run, Hz on one thread, in ``seconds`` in all.
 
-    Args:
-        seconds: time to spend in all.
-
-    Returns:
-        ``canonicalize_hz``: median rate per sensor; ``first_frame_hz``: the same when the way to see the markers has
-        to be found in every frame (cameras only); ``anchors``: adaptiveThreshold + connectedComponents on a grey frame.
+    ``canonicalize_hz``: median rate per sensor; ``first_frame_hz``: the same when the way to see the markers has to be
+    found in every frame (cameras only); ``anchors``: adaptiveThreshold + connectedComponents on a grey frame.
     """
     cv2.setNumThreads(1)
     rng, seconds_each = np.random.default_rng(0), seconds / (2 * len(list_sensors()))

@@ -9,9 +9,8 @@ import cv2
 import numpy as np
 
 from benchmarks.timing import repeated
-from uniforce_vtla.contact.indenters import SEEN
+from uniforce_vtla.contact import SEEN, TactileSimulator
 from uniforce_vtla.contact.sampling import ForceRange, sample_loads, sample_objects
-from uniforce_vtla.contact.simulator import TactileSimulator
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE, ContactState
 from uniforce_vtla.sensors import list_sensors
 

@@ -10,9 +10,8 @@ import torch
 
 from benchmarks.timing import repeated
 from uniforce_vtla.contact.pairs import PairBatch, equilibrium_pairs
-from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 from uniforce_vtla.tokenizer.entry import prepare
-from uniforce_vtla.tokenizer.force_head import ForceHead
 from uniforce_vtla.tokenizer.streaming import StreamingEncoder
 
 SETTLING_FRAMES = 500  # allocators fill their pools first; memory is compared with what is held after these

@@ -2,9 +2,8 @@
 
 import time
 
-from lerobot_env_uniforce_wiping.env import WipeEnv
+from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.episodes import walk
-from lerobot_env_uniforce_wiping.expert import WipeExpert
 
 
 def bench_env(seconds: float) -> dict[str, float]:

@@ -29,15 +29,10 @@ class BlockMeans:
         return change.mean(axis=2, dtype=np.float32)
 
 
-def bench_loader(root: str | Path | None = None, seconds: float = 2.0) -> dict[str, Any]:
-    """Return samples per second of one process, shuffled and batched, with a 16-step action chunk.
-
-    Args:
-        root: a recorded dataset; None records a small synthetic one.
-        seconds: how long each loader is measured.
-    """
+def bench_loader(seconds: float) -> dict[str, Any]:
+    """Return samples per second of one process on synthetic data, shuffled and batched, with a 16-step action chunk."""
     with tempfile.TemporaryDirectory() as folder:
-        data = Path(root) if root else record_synthetic(Path(folder) / "data", EPISODES, FRAMES)
+        data = record_synthetic(Path(folder) / "data", EPISODES, FRAMES)
         view = build_view(data, Path(folder) / "view", encoder=BlockMeans(), keep=lambda facts: True)
         chunk = {"action": [step / FPS for step in range(CHUNK)]}
         stock = open_dataset(data, delta_timestamps=chunk, return_uint8=True)

@@ -21,8 +21,7 @@ from uniforce_vtla.errors import ContractError
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.options import Count, FolderPath, OutFile, OutFolder, Policies, Seed, Text, Workers, split
 from uniforce_vtla.results_file import provenance, write_json
-from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 
 
 @dataclass
@@ -51,7 +50,6 @@ class StressCommand:
 
     @property
     def result(self) -> Path:
-        """Where the part's result goes."""
         return Path(self.out or Path(self.work) / f"{self.part}.json")
 
 
@@ -68,7 +66,6 @@ def _cell(level: str, words: str, first: int, scenes: int) -> dict[str, Any]:
 
 
 def screen(config: StressCommand) -> dict[str, Any]:
-    """Return a row per sensor, operator and dose."""
     cells = [(sensor, "none", 0.0, sensor) for sensor in split(config.sensors)]
     for sensor in split(config.sensors):
         for name, operator in OPERATORS.items():
@@ -111,7 +108,6 @@ def arms(config: StressCommand) -> list[tuple[Arm, dict[str, list[float]]]]:
 
 
 def roll_out(config: StressCommand) -> dict[str, Any]:
-    """Return, per arm, counts and breaking doses."""
     first = config.first_seed or BLOCKS["stress"].start
     cells = {arm.name: cells_of(arm, doses) for arm, doses in arms(config)}
     every = [cell for of_arm in cells.values() for cell in of_arm]
@@ -122,7 +118,6 @@ def roll_out(config: StressCommand) -> dict[str, Any]:
 
 @command(StressCommand)
 def main(config: StressCommand) -> None:
-    """Entry of ``python -m benchmarks.stress``."""
     content: dict[str, Any] = {"level": config.level, "level_hash": level_hash(LEVELS[config.level])}
     if config.part == "screen":
         content["screened"] = rows = screen(config)

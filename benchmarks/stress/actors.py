@@ -18,8 +18,7 @@ from uniforce_vtla.errors import SensorError
 from uniforce_vtla.evaluation.arms import whose_turn
 from uniforce_vtla.evaluation.episode import EpisodeResult
 from uniforce_vtla.evaluation.rollout import roll_out
-from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.stress.operators import Operator
-from lerobot_env_uniforce_wiping import WipeEnv
+from lerobot_env_uniforce_wiping import SceneParams, WipeEnv
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ
-from lerobot_env_uniforce_wiping.scene_params import SceneParams
 from lerobot_env_uniforce_wiping.touch import PadImages
 from uniforce_vtla.contact.worn_in_words import wear
 from uniforce_vtla.evaluation.episode import WIPING_PHASE
@@ -45,7 +44,6 @@ class DisturbedEnv(WipeEnv):
         self._disturbance = disturbance
 
     def scene_of(self, seed: int) -> SceneParams:
-        """Return the changed scene."""
         return self._disturbance.scene(super().scene_of(seed))
 
     def start(self, seed: int) -> None:
@@ -90,13 +88,10 @@ class SceneOperator(Operator):
 
     @property
     def unit(self) -> str:
-        """Unit of a dose."""
         return self.in_words
 
 
 def _scaled(*names: str) -> Callable[[float], Disturbance]:
-    """Multiply numbers of the scene."""
-
     def disturb(factor: float) -> Disturbance:
         def change(scene: SceneParams) -> SceneParams:
             return replace(scene, **{name: _times(getattr(scene, name), factor) for name in names})
@@ -111,8 +106,6 @@ def _times(value: Any, factor: float) -> Any:
 
 
 def _hidden(name: str, sd: str) -> Callable[[float], Disturbance]:
-    """Multiply the spread of a hidden disturbance of the level."""
-
     def disturb(factor: float) -> Disturbance:
         def change(scene: SceneParams) -> SceneParams:
             usual = getattr(scene.level, name)

@@ -22,7 +22,7 @@ from uniforce_vtla.errors import SensorError
 from uniforce_vtla.options import Count, Names, OutFile, OutFolder, Text, Workers, split
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.latent_range import FREE_LOOKS, LatentRange
+from uniforce_vtla.tokenizer.latent_range import HealthMonitor, LatentRange
 from uniforce_vtla.tokenizer.weights import SIZES
 
 EVERY = 2  # steps between two looks, as tiny takes them
@@ -91,12 +91,10 @@ def watched(distances: np.ndarray, usual: LatentRange, seconds: float, refused: 
     """Return what a monitor makes of the looks' (n,) distances."""
     if len(distances) < LOOKS:
         return Watched(0.0, 0.0, seconds if refused else np.inf, seconds, refused)
-    free = float(distances[:FREE_LOOKS].mean()) / usual.free_limit
-    means = np.convolve(distances, np.full(LOOKS, 1 / LOOKS), "valid") / usual.run_limit
-    over = np.flatnonzero(means > 1)
-    period_s = seconds / len(distances)
-    first = FREE_LOOKS if free > 1 else over[0] + LOOKS if len(over) else np.inf
-    return Watched(free, float(means.max()), float(first * period_s), seconds, refused)
+    monitor = HealthMonitor(usual, "right", LOOKS)
+    free, run = zip(*(monitor.judge(float(distance)) for distance in distances), strict=True)
+    first = next((k for k, ratios in enumerate(zip(free, run, strict=True), 1) if max(ratios) > 1), np.inf)
+    return Watched(max(free), max(run), float(first * seconds / len(distances)), seconds, refused)
 
 
 def _job(level: str, sensor: str, seed: int, usual: LatentRange, size: str) -> Watched:
@@ -168,7 +166,6 @@ def summary(seen: list[Watched], clean: list[Watched]) -> dict[str, Any]:
 
 @command(MonitorCommand)
 def main(config: MonitorCommand) -> None:
-    """Entry of ``python -m benchmarks.stress.monitor``."""
     torch.set_num_threads(1)
     kinds = split(config.kinds)
     if config.part == "fit":

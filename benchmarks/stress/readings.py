@@ -11,8 +11,7 @@ from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.episodes import walk
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import SensorError
-from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 from uniforce_vtla.tokenizer.latent import POOL, Latent, pool_latent
 
 EVERY = 4  # steps between two readings
@@ -38,8 +37,7 @@ def encode_now(env: WipeEnv, finger: Finger, tokenizer: Tokenizer) -> Latent:
 def read_scenes(level: str, finger: Finger, sensor: str, seeds: range, tokenizer: Tokenizer) -> Readings:
     """Let the expert wipe by the true wrench with ``sensor`` on ``finger``, and read it every few steps.
 
-    Raises:
-        SensorError: the reference of a scene's unit is refused.
+    Raises SensorError: the reference of a scene's unit is refused.
     """
     worn: dict[str, Any] = {f"{finger}_sensor": sensor}
     env, latents, truth, press, refused = WipeEnv(level, drawn=(finger,), **worn), [], [], [], 0
@@ -61,10 +59,7 @@ def read_scenes(level: str, finger: Finger, sensor: str, seeds: range, tokenizer
 
 
 class ReadsWorn(WipeExpert):
-    """The expert's law on what the head reads of one worn finger: a policy that makes no mistake but the reading's.
-
-    A refused frame repeats the reading before it.
-    """
+    """The expert's law on what the head reads of one worn finger; a refused frame repeats the reading before it."""
 
     def __init__(self, finger: Finger, tokenizer: Tokenizer, head: ForceHead) -> None:
         super().__init__(fingers=finger)
@@ -72,7 +67,6 @@ class ReadsWorn(WipeExpert):
         self._read = np.zeros(3)
 
     def reset(self, env: WipeEnv) -> None:
-        """Start a new episode."""
         self._read = np.zeros(3)
         super().reset(env)
 

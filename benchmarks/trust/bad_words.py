@@ -54,7 +54,6 @@ class Room:
     folder: Path
 
     def build(self) -> Room:
-        """Make everything; return the room."""
         record_synthetic(self.folder / "dataset", 1, 20)
         build_view(self.folder / "dataset", self.folder / "view")
         (self.folder / "some_folder").mkdir()
@@ -67,17 +66,14 @@ class Room:
         return self
 
     def damaged(self, name: str, marker: str) -> Path:
-        """Return the folder whose marker file is garbage or empty."""
         return self.folder / f"{name}_{marker.replace('/', '_')}"
 
     def sound(self, marker: str, policy: str) -> str:
-        """Return something that is whole, by the marker of its kind."""
         whole = {"meta/info.json": str(self.folder / "dataset"), VIEW_MARKER: str(self.folder / "view")}
         return whole.get(marker, policy)
 
 
 def bad_inputs(options: Mapping[str, Option], room: Room) -> Iterator[BadInput]:
-    """Yield what a command with these options must refuse."""
     for option in options.values():
         for kind, text in bad_values(option, room):
             yield BadInput(kind, (f"{option.name}={text}",), option.name)
@@ -85,7 +81,6 @@ def bad_inputs(options: Mapping[str, Option], room: Room) -> Iterator[BadInput]:
 
 
 def bad_forms(options: Iterable[str]) -> Iterator[BadInput]:
-    """Yield words that are wrong whatever the options are of."""
     names = list(options)
     first, last = names[0], names[-1]
     yield BadInput("unknown", ("no_such_option=1",), "no_such_option")
@@ -99,7 +94,6 @@ def bad_forms(options: Iterable[str]) -> Iterator[BadInput]:
 
 
 def bad_values(option: Option, room: Room) -> Iterator[tuple[str, str]]:
-    """Yield (what is wrong, text) for one option."""
     kind = option.kind
     if not isinstance(option.default, str | None):
         yield "empty", ""

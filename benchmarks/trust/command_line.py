@@ -1,7 +1,4 @@
-"""Bad command lines for every command: ``python -m benchmarks.trust.command_line out=docs/results/trust.json``.
-
-Each must end at once with one line that names what is wrong, exit code 2 and every published file as it was.
-"""
+"""Bad command lines for every command: each must end at once with one line, code 2 and no published file changed."""
 
 import hashlib
 import importlib
@@ -18,9 +15,9 @@ from typing import Annotated, Any
 
 from tqdm import tqdm
 
+from benchmarks.ledger import update
 from benchmarks.trust.bad_words import BadInput, Room, bad_inputs
 from benchmarks.trust.command_worker import CommandWorker, Ended, import_once
-from benchmarks.trust.report import update
 from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
 from uniforce_cli.boundary import REFUSED, guarded
 from uniforce_cli.main import VERBS
@@ -75,26 +72,20 @@ class Trial:
 
     @property
     def words(self) -> tuple[str, ...]:
-        """The whole command line."""
         given = {word.removeprefix("--").partition("=")[0] for word in self.bad.words}
         return (*(w for w in self.sound if w.partition("=")[0] not in given), *self.bad.words)
 
 
 def trials(command: str, room: Room) -> list[Trial]:
-    """Return every trial of an entry point."""
     if command == "train":
         return _train_trials(room)
-    options = options_of(_entry(command).config_class)
+    module, function = COMMANDS[command].split(":")
+    options = options_of(getattr(importlib.import_module(module), function).config_class)
     named = tuple(w.format(room=room.folder, shipped=shipped_checkpoint()) for w in SOUND.get(command, ()))
     given = {word.partition("=")[0] for word in named}
     sound = (*named, *(word for word in _sound(options, room) if word.partition("=")[0] not in given))
     found = [Trial(command, bad, sound) for bad in bad_inputs(options, room)]
     return found + (_robot_trials(room) if command == "record" else [])
-
-
-def _entry(command: str) -> Any:
-    module, function = COMMANDS[command].split(":")
-    return getattr(importlib.import_module(module), function)
 
 
 def _sound(options: Mapping[str, Option], room: Room) -> tuple[str, ...]:
@@ -132,7 +123,6 @@ def _robot_trials(room: Room) -> list[Trial]:
 
 
 def judge(trial: Trial, ended: Ended) -> str:
-    """Return which of ``VERDICTS`` it is."""
     if "Traceback" in ended.said or ended.code == 70:
         return "tracebacks"
     if ended.code != REFUSED:
@@ -160,7 +150,12 @@ def try_command(command: str, room: Room, folder: Path, limit_s: float, most: in
     finally:
         worker.close()
     counted = {"inputs": len(chosen), **{verdict: counts[verdict] for verdict in VERDICTS}}
-    sound = {_portable(" ".join(words), room): _portable(_how(ended), room) for words, ended in control.items()}
+    sound = {
+        _portable(" ".join(words), room): _portable(
+            "at work" if ended.code is None else f"{ended.code}: {ended.said[-300:]}", room
+        )
+        for words, ended in control.items()
+    }
     return counted | {"failures": failures, "sound_words": sound}
 
 
@@ -169,13 +164,7 @@ def _portable(text: str, room: Room) -> str:
     return text.replace(str(room.folder), "ROOM").replace(str(ROOT), "ROOT")
 
 
-def _how(ended: Ended) -> str:
-    """Return how sound words ended; where they are refused, only a refusal that names the bad ones counts for much."""
-    return "at work" if ended.code is None else f"{ended.code}: {ended.said[-300:]}"
-
-
 def hashes(folder: Path) -> dict[str, str]:
-    """Return the hash of every file below a folder."""
     return {str(f): hashlib.sha256(f.read_bytes()).hexdigest() for f in sorted(folder.rglob("*")) if f.is_file()}
 
 
@@ -187,7 +176,6 @@ def prepare(folder: Path) -> Room:
 
 
 def attack(config: CommandLineConfig) -> dict[str, Any]:
-    """Return the table."""
     chosen = split(config.only) or list(COMMANDS)
     import_once([MODULES[name] for name in chosen])
     with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(config.workers) as pool:

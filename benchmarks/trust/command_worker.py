@@ -51,7 +51,6 @@ class CommandWorker:
             return Ended(None, "the process ended")
 
     def close(self) -> None:
-        """Kill the process and its children."""
         if self._process is not None:
             os.killpg(self._process.pid, signal.SIGKILL)
             self._process.join()
@@ -87,7 +86,6 @@ def _serve(entry: str, folder: str, connection: Connection) -> None:
 
 @contextmanager
 def _redirected(output: IO[bytes]) -> Any:
-    """Send what Python and libraries print into ``output``."""
     kept = os.dup(1), os.dup(2)
     try:
         os.dup2(output.fileno(), 1)

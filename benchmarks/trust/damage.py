@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from benchmarks.ledger import update
 from benchmarks.trust.damaged_checkpoints import CHECKPOINT_DAMAGES
 from benchmarks.trust.damaged_datasets import DATASET_DAMAGES, record_whole
 from benchmarks.trust.injuries import Damage
-from benchmarks.trust.report import update
 from uniforce_cli.boundary import command
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.synthetic import record_synthetic
@@ -74,7 +74,6 @@ def _once(root: Path, verify: str) -> tuple[float, float]:
 
 
 def attack(frames: int) -> dict[str, Any]:
-    """Return the table with its counts."""
     with tempfile.TemporaryDirectory() as work:
         folder = Path(work)
         whole = record_whole(folder)

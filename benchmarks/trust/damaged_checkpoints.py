@@ -27,13 +27,11 @@ Tensors = dict[str, torch.Tensor]
 
 
 def link(file: Path, target: Path) -> None:
-    """Let a file be a link to another one."""
     file.unlink()
     file.symlink_to(target)
 
 
 def change_tensors(file: Path, change: Callable[[Tensors], object]) -> None:
-    """Change the tensors of a file; its hash stays the old one."""
     tensors = load_file(file)
     change(tensors)
     save_file(tensors, file)
@@ -46,19 +44,16 @@ def save_weights(folder: Path, change: Callable[[Tensors], object]) -> None:
 
 
 def save_config(folder: Path, **settings: object) -> None:
-    """Change settings and write the hashes again."""
     stored = json.loads((folder / CONFIG).read_text())
     (folder / CONFIG).write_text(json.dumps(stored | settings))
     write_hashes(folder)
 
 
 def other_numbers(tensors: Tensors) -> None:
-    """Give one tensor the numbers another training would."""
     next(tensor for tensor in tensors.values() if tensor.is_floating_point()).add_(0.01)
 
 
 def made_nan(tensors: Tensors) -> None:
-    """Make one number of one tensor NaN."""
     next(iter(tensors.values())).view(-1)[0] = torch.nan
 
 

@@ -60,12 +60,10 @@ def _frame(episode: int, step: int, rng: np.random.Generator) -> dict[str, Any]:
 
 
 def video(root: Path, key: str = LEFT, episode: int = HIT) -> Path:
-    """Return an episode's video."""
     return root / "videos" / key / "chunk-000" / f"file-{episode:03d}.mp4"
 
 
 def data(root: Path, episode: int = HIT) -> Path:
-    """Return an episode's table of numbers."""
     return root / "data" / "chunk-000" / f"file-{episode:03d}.parquet"
 
 
@@ -84,22 +82,18 @@ def encode_again(file: Path, change: Change) -> None:
 
 
 def blurred(number: int, frame: np.ndarray) -> np.ndarray:
-    """Return a frame as a lossy codec leaves it, in the middle of the episode only."""
     return cv2.GaussianBlur(frame, (5, 5), 0) if number in SECTION else frame
 
 
 def coloured(number: int, frame: np.ndarray) -> np.ndarray:
-    """Return a frame without red in the middle of the episode."""
     return frame * np.array([number not in SECTION, 1, 1], np.uint8)
 
 
 def moved(number: int, frame: np.ndarray) -> np.ndarray:
-    """Return a frame that stands elsewhere from the middle on."""
     return np.roll(frame, 6, axis=1) if number >= SECTION.start else frame
 
 
 def set_value(file: Path, column: str, value: float, row: int = SECTION.start) -> None:
-    """Set (the first number of) a column in one row of a table."""
     table = pq.read_table(file)
     values = table[column].to_pylist()
     values[row] = [value, *values[row][1:]] if isinstance(values[row], list) else value
@@ -109,20 +103,17 @@ def set_value(file: Path, column: str, value: float, row: int = SECTION.start) -
 
 
 def shorten(file: Path) -> None:
-    """Leave the last row of a table out."""
     table = pq.read_table(file)
     pq.write_table(table.slice(0, len(table) - 1), file)
 
 
 def edit_array(file: Path) -> None:
-    """Change one number of an array."""
     values = np.load(file)
     values.flat[values.size // 2] += 1
     np.save(file, values)
 
 
 def stats(root: Path) -> Path:
-    """Return the file of statistics."""
     return root / "meta" / "stats.json"
 
 

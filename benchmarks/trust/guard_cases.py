@@ -18,9 +18,9 @@ import numpy as np
 from benchmarks.trust.guard_oracle import SLACK, axes_of, pose_of, wrong_action, wrong_pose
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka import robot as robot_module
-from uniforce_robots.franka.arm import ArmState, Gains
+from uniforce_robots.franka.arm import ArmState
+from uniforce_robots.franka.clients import HandReading
 from uniforce_robots.franka.guards import GuardLimits
-from uniforce_robots.franka.hand_command import HandReading
 from uniforce_robots.franka.limits import StreamSettings
 from uniforce_robots.franka.poses import ToolPose
 from uniforce_robots.franka.stream import ArmStream
@@ -55,7 +55,6 @@ class Clock:
     now_s: float = 100.0
 
     def __call__(self) -> float:
-        """Return the time, s."""
         return self.now_s
 
 
@@ -74,7 +73,6 @@ class ScriptedArm:
     readings: int = 0
 
     def state(self) -> ArmState:
-        """Return where it is; now and then something impossible."""
         lie = ""
         if self.lies and self.rng.random() < LIE_SHARE:
             lie = str(self.rng.choice(list(LIES)[: None if self.readings else -LATER]))
@@ -96,7 +94,6 @@ class ScriptedArm:
         return ArmState(now_s, robot_s, said["q"], said["dq"], said["pose"], said["wrench"], mode, 1.0)
 
     def set_target(self, ee_to_base: np.ndarray) -> None:
-        """Keep the target and move."""
         target = axes_of(ee_to_base)
         self.sent.append((self.clock(), target, self.axes))
         step = target - self.axes
@@ -108,16 +105,12 @@ class ScriptedArm:
         self.axes = self.axes + step * 0.004 / max(float(np.linalg.norm(step)), 0.004)
 
     def recover(self) -> None:
-        """Be well again."""
         self.right_names, self.readings = (), 0
-
-    def set_gains(self, gains: Gains) -> None:
-        """Do nothing."""
 
     def stop(self, at_once: bool = False) -> None:
         """Do nothing."""
 
-    connect = close = stop
+    connect = close = set_gains = stop
 
 
 class ScriptedHand:
@@ -133,11 +126,9 @@ class ScriptedHand:
 
     @property
     def reading(self) -> HandReading:
-        """Where the fingers are."""
         return HandReading(self._clock(), self.width_m, 0.08, False)
 
     def submit(self, width_m: float) -> None:
-        """Go there."""
         self.width_m = width_m
 
 
@@ -145,16 +136,13 @@ class TickedStream(ArmStream):
     """A stream without its thread: the cases tick it themselves."""
 
     def start(self) -> None:
-        """Read the arm once."""
         self.read_first()
 
     def stop(self) -> None:
-        """End."""
         self._ending.set()
 
 
 def random_limits(rng: np.random.Generator) -> GuardLimits:
-    """Return valid limits, from narrow to the hard ones."""
     centre = rng.uniform([0.3, -0.3, 0.1, -1, 0.03], [0.6, 0.3, 0.4, 1, 0.05])
     half = rng.uniform(0.01, 0.03, 5) * [*rng.uniform(1, 8, 4), 1]
     hardest = {"step_m": 0.1, "step_rad": 0.8, "speed_m_s": 0.5, "speed_rad_s": 2.5, "speed_width_m_s": 0.2}
@@ -214,7 +202,6 @@ class Episode:
             self._stopped(fault)
 
     def _begin(self, start: Any) -> None:
-        """Start or recover, as often as the arm's first reading is a lie."""
         while True:
             try:
                 start()
@@ -286,7 +273,6 @@ class Episode:
         return ToolPose(asked[:3], float(asked[3]))
 
     def _stopped(self, fault: RobotError) -> None:
-        """Judge the name, see that nothing goes on, and recover."""
         self._judge_name(fault)
         count = len(self.arm.sent)
         try:

@@ -1,7 +1,4 @@
-"""What may be sent and what may be asked for, written a second time: nothing here comes from the code it judges.
-
-Axes are x, y, z m, yaw rad, and for an action width m, in the robot's base frame.
-"""
+"""What may be sent and asked for, written a second time. Axes: x, y, z m, yaw rad, of an action width m; base frame."""
 
 import math
 from typing import Any

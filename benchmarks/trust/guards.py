@@ -1,7 +1,4 @@
-"""Attack the robot's guards: ``python -m benchmarks.trust.guards [episodes=2000] [out=docs/results/trust.json]``.
-
-Tries every bad setting, then drives the whole chain with random limits, states and actions, and counts what was sent.
-"""
+"""Attack the robot's guards: every bad setting, then the whole chain with random limits, states and actions."""
 
 import logging
 import math
@@ -14,8 +11,8 @@ from typing import Any
 
 from tqdm import tqdm
 
+from benchmarks.ledger import update
 from benchmarks.trust.guard_cases import drive
-from benchmarks.trust.report import update
 from uniforce_cli.boundary import command
 from uniforce_robots.franka.arm import Gains
 from uniforce_robots.franka.config import NESTED, UniforceFrankaConfig
@@ -61,7 +58,7 @@ def bad_settings() -> Iterator[tuple[type, dict[str, Any], str]]:
             sound = getattr(kind(**needed), name)
             for place, row in enumerate(allowed if isinstance(allowed, tuple) else (allowed,)):
                 for value in bad_values(row):
-                    wrong = _placed(sound, value, place) if isinstance(sound, tuple) else value
+                    wrong = (*sound[:place], value, *sound[place + 1 :]) if isinstance(sound, tuple) else value
                     yield kind, needed | {name: wrong}, name
             if isinstance(sound, tuple):
                 yield kind, needed | {name: sound[1:]}, name
@@ -71,21 +68,11 @@ def bad_settings() -> Iterator[tuple[type, dict[str, Any], str]]:
     yield Gains, {"stiffness_N_m": (1200.0, 3000.0, 0.0), "clip_m": (0.05, 0.02, 0.01)}, "gains"
     yield Gains, {"stiffness_N_m": (100.0,) * 3, "rotation_Nm_rad": (300.0,) * 3, "clip_rad": 0.5}, "gains"
     for name, kind in NESTED.items():
-        for value in (None, {}, _unchecked(kind)):
+        unchecked = type("Loose", (kind,), {"__post_init__": lambda self: None})
+        for value in (None, {}, unchecked(**NEEDS[kind])):
             yield UniforceFrankaConfig, {name: value}, name
     yield UniforceFrankaConfig, {"backend": "ros"}, "backend"
     yield UniforceFrankaConfig, {"realtime": "please"}, "realtime"
-
-
-def _placed(sound: tuple[Any, ...], value: Any, place: int) -> tuple[Any, ...]:
-    """Return a tuple with the value in that place."""
-    return (*sound[:place], value, *sound[place + 1 :])
-
-
-def _unchecked(kind: type) -> object:
-    """Return settings of a subclass that leaves the check out."""
-    loose = type("Loose", (kind,), {"__post_init__": lambda self: None})
-    return loose(**NEEDS[kind])
 
 
 def try_all() -> dict[str, Any]:

@@ -1,7 +1,4 @@
-"""Both clients against every fault of the stand-in: ``python -m benchmarks.trust.hostile [times=10]``; ``make faults``.
-
-Each client is a program of its own, the two side by side. What is there already isn't tried again.
-"""
+"""Both clients against every fault of the stand-in, side by side; what is there already isn't tried again."""
 
 import os
 import signal
@@ -18,9 +15,8 @@ from typing import Any
 
 from tqdm import tqdm
 
-from benchmarks.ledger import Ledger
+from benchmarks.ledger import Ledger, update
 from benchmarks.trust.hostile_trials import RIGHT_NAMES, HOLD_s, Trial, is_right
-from benchmarks.trust.report import update
 from uniforce_cli.boundary import command
 from uniforce_vtla.arguments import choose
 
@@ -85,7 +81,6 @@ def _watch(child: subprocess.Popen, rows: Callable[[], list[dict[str, Any]]], ba
 
 
 def summarise(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Return a line for each fault and client."""
     groups = defaultdict[str, list[dict[str, Any]]](list)
     for row in rows:
         groups[f"{row['fault']} {row['client']}"].append(row)
@@ -104,7 +99,6 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
 
 
 def attack(faults: list[str], times: int, folder: Path) -> list[dict[str, Any]]:
-    """Return every trial of both clients."""
     done = {client: Counter(row["fault"] for row in Ledger(folder).read(client)) for client in CLIENTS}
     left = sum(max(times - done[client][fault], 0) for client in CLIENTS for fault in faults)
     with tqdm(total=left, desc="trials") as bar, ThreadPoolExecutor(len(CLIENTS)) as pool:

@@ -52,7 +52,6 @@ class Babble(p.Header):
     """A header in whose place, and its message's, random bytes are sent."""
 
     def encode(self, message: p.Message) -> bytes:
-        """Return 1 to 200 random bytes."""
         return SOURCE.randbytes(SOURCE.randint(*GARBAGE_BYTES))
 
 
@@ -76,23 +75,19 @@ class HostileArm(ArmService):
         self.link.header = p.ARM_HEADER
 
     def receive_command(self, datagram: bytes) -> None:
-        """Take a command of the control loop, if it arrives."""
         if self.takes_commands:
             super().receive_command(datagram)
 
     def is_due(self, now_s: float) -> bool:
-        """Whether the next millisecond may begin."""
         return super().is_due(now_s) or (self.starved and now_s - self.sent_s >= TICK_s)
 
     def tick(self) -> None:
-        """Let one millisecond pass, and see whether the arm moved."""
         super().tick()
         twist = self.arm.twist
         if twist[:3] @ twist[:3] > MOVING_m_s**2 or twist[3:] @ twist[3:] > MOVING_rad_s**2:
             self.last_moving_ms = self.milliseconds
 
     def send(self, state: RobotState) -> None:
-        """Send what the fault makes of a state."""
         if self.outgoing is None:
             self.sent.append(state)
             super().send(state)
@@ -135,28 +130,23 @@ class HostileHand(HandService):
         return self.pending is not None and time.monotonic() - self._begun_s > MIDWAY_s
 
     def begin(self, message: p.Message, request: p.Grasp | p.HandMove | None) -> None:
-        """Start a motion."""
         super().begin(message, request)
         self._begun_s = time.monotonic()
 
     def answer(self, message: p.Message) -> None:
-        """Answer one request, none while the hand hangs."""
         if not self.hung or message.command == p.HandCommand.CONNECT:
             super().answer(message)
 
     def tick(self, now_s: float) -> None:
-        """Let time pass, none for the fingers while the hand hangs."""
         if self.hung:
             self.last_tick_s = now_s
         super().tick(now_s)
 
     def send(self, state: p.HandState) -> None:
-        """Send what the fault makes of a state."""
         for datagram in [state.encode()] if self.outgoing is None else self.outgoing(state):
             self.link.send_state(datagram)
 
     def describe(self) -> dict[str, object]:
-        """Add when a fault came that waited for its moment."""
         return super().describe() | {"struck_s": self.struck_s}
 
 
@@ -190,8 +180,6 @@ def corrupt(change: Change) -> Act:
 
 
 def fill(values: Mapping[str, np.ndarray | float]) -> Change:
-    """Return what replaces these fields."""
-
     def change(floats: np.ndarray) -> None:
         for name, value in values.items():
             floats[STATE_SLICES[name]] = value
@@ -224,7 +212,6 @@ def starve(datagrams: Callable[[], Iterable[bytes]]) -> Act:
 
 
 def stop_clock(arm: HostileArm, hand: HostileHand) -> None:
-    """Send the newest state again and again."""
     newest = arm.newest().encode()
     starve(lambda: [newest])(arm, hand)
 
@@ -239,14 +226,12 @@ def send_old(arm: HostileArm, hand: HostileHand) -> None:
 
 
 def babble(service: HostileArm | HostileHand) -> None:
-    """Send random bytes at once, and in place of every answer."""
     header = service.link.header
     service.link.header = Babble(header.layout, header.device)
     service.link.send_bytes(service.link.header.encode(p.Message(0, 0)))
 
 
 def drop(service: HostileArm | HostileHand) -> None:
-    """Close the connection."""
     service.link.drop("fault")
     service.client_gone()
 
@@ -262,7 +247,6 @@ def end_misses(arm: HostileArm, hand: HostileHand) -> None:
 
 
 def reflex(bit: ErrorBit) -> Act:
-    """Return what stops the arm by reflex for this reason."""
     return lambda arm, _: arm.reflex(frozenset({bit}))
 
 
@@ -270,12 +254,10 @@ def reflex(bit: ErrorBit) -> Act:
 
 
 def hand_sends(datagrams: Callable[[], Iterable[bytes]]) -> Act:
-    """Return what is sent in place of each of the hand's states."""
     return lambda _, hand: setattr(hand, "outgoing", lambda _: datagrams())
 
 
 def lose_width(arm: HostileArm, hand: HostileHand) -> None:
-    """Send a width that is no number."""
     hand.outgoing = lambda state: [state._replace(width_m=float("nan")).encode()]
 
 
@@ -287,13 +269,11 @@ def drop_hand_midway(arm: HostileArm, hand: HostileHand) -> None:
 
 
 def hang_hand(arm: HostileArm, hand: HostileHand) -> None:
-    """Stop the fingers once a command is under way."""
     if hand.is_midway and not hand.hung:
         hand.hung, hand.struck_s = True, time.monotonic()
 
 
 def slip(arm: HostileArm, hand: HostileHand) -> None:
-    """Lose what is held."""
     if hand.hand.is_grasped:
         hand.struck_s = time.monotonic()
         hand.hand.object_m = 0.0
@@ -371,7 +351,6 @@ class Faults:
             FAULTS[name].begin(self.arm, self.hand)
 
     def tick(self) -> None:
-        """Do what the fault does each millisecond."""
         if self.name != NONE:
             FAULTS[self.name].watch(self.arm, self.hand)
 
@@ -402,12 +381,10 @@ class HostileServer(Server):
         self.orders["fault"] = self.faults.order
 
     def tick(self) -> None:
-        """Let one millisecond of the robot's time pass."""
         super().tick()
         self.faults.tick()
 
     def describe(self) -> dict[str, object]:
-        """Add the fault."""
         return super().describe() | {"fault": self.faults.describe()}
 
 

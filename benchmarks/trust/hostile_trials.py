@@ -130,17 +130,12 @@ def connect(client: str, fci: HostileStandIn, folder: Path) -> UniforceFranka:
     return robot
 
 
-def sway(start: dict[str, float], begun_s: float, width_m: float) -> dict[str, float]:
-    """Return the target of now: to and fro along x."""
-    phase = 2 * np.pi * (time.monotonic() - begun_s) / SWAY_s
-    return {**start, AXES[0]: start[AXES[0]] + SWAY_m * np.sin(phase), AXES[4]: width_m}
-
-
 def drive(robot: UniforceFranka, start: dict[str, float], begun_s: float, width_m: float, for_s: float) -> None:
     """Act and observe at 30 Hz for so long; raises what the robot raises."""
     end_s = time.monotonic() + for_s
     while time.monotonic() < end_s:
-        robot.send_action(sway(start, begun_s, width_m))
+        to_and_fro_m = SWAY_m * np.sin(2 * np.pi * (time.monotonic() - begun_s) / SWAY_s)
+        robot.send_action({**start, AXES[0]: start[AXES[0]] + to_and_fro_m, AXES[4]: width_m})
         robot.get_observation()
         time.sleep(PERIOD_s)
 
@@ -165,10 +160,7 @@ def trial(client: str, fault: str, address: str, folder: Path) -> Trial:
 def begun_trial(client: str, fault: str, address: str, folder: Path) -> Trial:
     """Return a trial; what a starved machine stopped, before the fault or for another reason, is tried again, counted.
 
-    The last of ``STARTS`` counts, whatever came of it.
-
-    Raises:
-        RobotError: it never began.
+    The last of ``STARTS`` counts, whatever came of it; RobotError: it never began.
     """
     for starved in range(STARTS):
         with Sleeper() as sleeper:

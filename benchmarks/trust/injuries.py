@@ -40,34 +40,29 @@ class Damage:
 
 
 def cut(file: Path, share: float = 0.5) -> None:
-    """Keep the first part of a file."""
     content = file.read_bytes()
     file.write_bytes(content[: int(share * len(content))])
 
 
 def flip_bit(file: Path, at: float = 0.5) -> None:
-    """Flip one bit of a file at a share of its length."""
     content = bytearray(file.read_bytes())
     content[int(at * (len(content) - 1))] ^= 1
     file.write_bytes(content)
 
 
 def overwrite(file: Path, at: float, content: bytes) -> None:
-    """Overwrite bytes of a file from a share of its length on."""
     with file.open("r+b") as handle:
         handle.seek(int(file.stat().st_size * at))
         handle.write(content)
 
 
 def swap(one: Path, other: Path) -> None:
-    """Exchange two files."""
     kept = one.read_bytes()
     shutil.copy(other, one)
     other.write_bytes(kept)
 
 
 def edit_json(file: Path, change: Callable[[dict[str, Any]], object]) -> None:
-    """Change what a JSON file says."""
     content = json.loads(file.read_text())
     change(content)
     file.write_text(json.dumps(content))

@@ -1,8 +1,4 @@
-"""Would the attack notice a broken guard? ``python -m benchmarks.trust.mutations [out=docs/results/trust.json]``.
-
-Each mutation breaks one place of a copy of the robot's package; then the cases of ``guard_cases`` run on the copy
-until they find a violation. A mutation without one survives.
-"""
+"""Would the attack notice a broken guard? Each mutation breaks one place of a copy of the package."""
 
 import importlib.util
 import logging
@@ -17,7 +13,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 import uniforce_robots
-from benchmarks.trust.report import update
+from benchmarks.ledger import update
 from uniforce_cli.boundary import command
 from uniforce_vtla.errors import ContractError, expected
 
@@ -99,11 +95,7 @@ class MutationsConfig:
 
 
 def notice(name: str) -> str:
-    """Return the first violation found on a package with this mutation, "" for a survivor; needs a fresh process.
-
-    Raises:
-        ContractError: what the mutation replaces does not stand there once.
-    """
+    """Return the first violation found on a package with this mutation, "" for a survivor; needs a fresh process."""
     file, old, new = MUTATIONS[name]
     logging.disable(logging.CRITICAL)
     with tempfile.TemporaryDirectory() as folder:

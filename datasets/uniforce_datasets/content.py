@@ -130,20 +130,15 @@ def _check_counts(source: Source) -> None:
             raise DatasetError(expected(where, f"{wanted} frames", stored, do))
 
 
-def _marker_videos(source: Source) -> list[str]:
-    return [key for key in videos(source.info) if key in TACTILE_KEYS]
-
-
-def _middle(span: VideoSpan, length: int, fps: int) -> tuple[np.ndarray, ...]:
-    return (next(episode_frames(span, length, fps, first=length // 2)),)
-
-
 def _sample(source: Source, episode: Episode) -> None:
     """Look at the middle of marker videos and at both ends of references."""
-    for key in _marker_videos(source):
-        look = end_frames if key in REFERENCE_KEYS else _middle
+    for key in (key for key in videos(source.info) if key in TACTILE_KEYS):
+        span, length, middle = episode.videos[key], episode.length, episode.length // 2
         with _named(episode):
-            frames = look(episode.videos[key], episode.length, source.fps)
+            if key in REFERENCE_KEYS:
+                frames = end_frames(span, length, source.fps)
+            else:
+                frames = (next(episode_frames(span, length, source.fps, first=middle)),)
         _check_markers(episode, key, frames)
 
 

@@ -45,10 +45,8 @@ def check_dataset(root: str | Path, verify: str = "quick", within: Path | None =
             of all but videos, and decodes some marker images of every episode; "off" looks at the metadata only.
         within: folder that its links may lead into; None is the dataset's own.
 
-    Raises:
-        DatasetError: a file is missing, damaged, exchanged or never was saved there, a marker stream has no reference
-            or is lossy, a number isn't one; names file and episode.
-        ContractError: another ``verify``.
+    Raises DatasetError: a file is missing, damaged, exchanged or never was saved there, a marker stream has no
+    reference or is lossy, a number isn't one; names file and episode; ContractError: another ``verify``.
     """
     depth, root = check_verify(verify), Path(root)
     read_info(root, within)  # paths first: none that leads outside is opened
@@ -78,9 +76,8 @@ def rehash(root: str | Path, verify: str = "full") -> Source:
 
     An interrupted save is finished before. A recorder at work there is refused.
 
-    Raises:
-        DatasetError: content that can't be trusted (see ``check_dataset``), or a recorder at work; no hash is changed.
-        ContractError: another ``verify``.
+    Raises DatasetError: content that can't be trusted (see ``check_dataset``), or a recorder at work; no hash is
+    changed; ContractError: another ``verify``.
     """
     root, depth = Path(root), check_verify(verify)
     held = lock(claim(root), wait_s=0.0)

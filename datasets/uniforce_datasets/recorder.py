@@ -61,10 +61,9 @@ class EpisodeRecorder:
         features: columns of another kind of recording, in place of a demonstration's (``truth`` and
             ``cameras`` then say nothing); marker images are stored exactly there too.
 
-    Raises:
-        DatasetError: another recorder writes here, the folder can't be written, holds something else or other
-            features, a file that isn't as it was saved, the disk is full, a video frame was lost.
-        ContractError: a frame with a missing key, a wrong shape, or a marker image that isn't {0, 255}.
+    Raises DatasetError: another recorder writes here, the folder can't be written, holds something else or other
+    features, a file that isn't as it was saved, the disk is full, a video frame was lost; ContractError: a frame with a
+    missing key, a wrong shape, or a marker image that isn't {0, 255}.
     """
 
     def __init__(

@@ -67,15 +67,11 @@ def recover(root: Path) -> None:
 
 def commit(root: Path) -> None:
     """Move the staged episode into the dataset at ``root``."""
-    _flush(root / STAGING)
+    for path in [*(root / STAGING).rglob("*"), root / STAGING]:
+        _sync(path)
     os.replace(root / STAGING, root / COMMIT)
     _sync(root)
     _move_in(root)
-
-
-def _flush(folder: Path) -> None:
-    for path in [*folder.rglob("*"), folder]:
-        _sync(path)
 
 
 def _sync(path: Path) -> None:

@@ -6,6 +6,7 @@ Ours takes statistics of every fifth frame, as LeRobot itself samples frames whe
 x264 without a detour.
 """
 
+import itertools
 import queue
 import tempfile
 import threading
@@ -57,7 +58,7 @@ class EncoderThread(_CameraEncoderThread):
             return None
         with closing(av.open(str(self.video_path), "w")) as container:
             stream = self._stream(container, first)
-            for count, frame in enumerate(self._from(first), 1):
+            for count, frame in enumerate(itertools.chain([first], self._frames()), 1):
                 container.mux(stream.encode(self._picture(frame, count - 1)))
                 if (count - 1) % self.stats_every == 0:
                     statistics.update(_pixels(frame))
@@ -65,10 +66,6 @@ class EncoderThread(_CameraEncoderThread):
         if (count - 1) // self.stats_every + 1 < MIN_FRAMES <= count:
             statistics.update(_pixels(frame))  # a very short episode: its last frame too
         return statistics.get_statistics() if count >= MIN_FRAMES else None
-
-    def _from(self, first: np.ndarray) -> Iterator[np.ndarray]:
-        yield first
-        yield from self._frames()
 
     def _frames(self) -> Iterator[np.ndarray]:
         while not self.stop_event.is_set():

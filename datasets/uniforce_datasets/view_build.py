@@ -153,7 +153,8 @@ def _write_frames(plan: ViewPlan, encoder: LatentEncoder, building: Path, worker
                 if name not in arrays:
                     arrays[name] = _open(building, name, plan.num_frames, block)
                 arrays[name][starts[number] : starts[number + 1]] = block
-            _flush(arrays)
+            for array in arrays.values():
+                array.flush()  # type: ignore[attr-defined]
             write_json(building / PROGRESS, {"content": plan.marker["content"], "done": number + 1})
             bar.update(int(starts[number + 1] - starts[number]))
     (building / PROGRESS).unlink(missing_ok=True)
@@ -191,12 +192,6 @@ def _open(building: Path, name: str, frames: int, block: np.ndarray) -> np.ndarr
     if path.is_file():
         return np.lib.format.open_memmap(path, mode="r+")
     return np.lib.format.open_memmap(path, mode="w+", dtype=block.dtype, shape=shape)
-
-
-def _flush(arrays: dict[str, np.ndarray]) -> None:
-    for array in arrays.values():
-        assert isinstance(array, np.memmap)
-        array.flush()
 
 
 def _episode_blocks(job: _Job) -> dict[str, np.ndarray]:

@@ -175,13 +175,10 @@ def read_marker(root: Path) -> dict[str, Any]:
     if marker.get("format") != FORMAT or missing:
         came = f"format {marker.get('format')}, missing {missing}"
         raise DatasetError(expected(str(root), f"a whole view of format {FORMAT}", came, "Build it again."))
-    if not (_counted(marker) and _described(marker) and _filled(marker)):
+    counted = all(type(marker.get(name)) is int and marker[name] > 0 for name in COUNTS)
+    if not (counted and _described(marker) and _filled(marker)):
         raise DatasetError(expected(str(file), "the facts of a view", "others", "Build it again."))
     return marker
-
-
-def _counted(marker: dict[str, Any]) -> bool:
-    return all(type(marker.get(name)) is int and marker[name] > 0 for name in COUNTS)
 
 
 def _described(marker: dict[str, Any]) -> bool:

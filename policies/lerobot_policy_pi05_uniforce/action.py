@@ -7,21 +7,17 @@ newtons), so a blind policy could hold a press without touch; and the network mu
 command, because commanded − measured predicts the press.  Hence the base is added outside the network.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from lerobot.processor import PolicyActionProcessorStep, ProcessorStepRegistry
 from torch import Tensor, nn
 
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import ActionSettings
 from uniforce_vtla.errors import ContractError, RolloutError, expected
-
-if TYPE_CHECKING:
-    from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import ActionSettings
 
 LARGEST_LEAP = 10.0  # of ``delta_scale`` in one control step: 40 mm in x, 0.5 rad; demos stay below 2
 
@@ -104,8 +100,7 @@ class IssuedTarget:
     def base(self, measured: Tensor) -> Tensor:
         """Return the (B, A) base of the next chunk: what was issued last, else the measured state.
 
-        Raises:
-            RolloutError: the number of environments changed without a reset.
+        Raises RolloutError: the number of environments changed without a reset.
         """
         if self.last is None:
             return measured
@@ -171,8 +166,7 @@ class CheckActionStep(PolicyActionProcessorStep):
     def action(self, action: Tensor) -> Tensor:
         """Return the action (…, A) unchanged.
 
-        Raises:
-            RolloutError: NaN, inf, or an axis outside the range: hold the robot.
+        Raises RolloutError: NaN, inf, or an axis outside the range: hold the robot.
         """
         if not bool(action.isfinite().all()):
             do = "Hold the robot; the policy or its input is broken."

@@ -1,8 +1,6 @@
 """VLM and action expert of both sizes: LeRobot's own with gated touch, and one small enough for one CPU core."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from lerobot.policies.pi05 import modeling_pi05 as stock
@@ -10,11 +8,9 @@ from lerobot.policies.pi_gemma import _gated_residual, layernorm_forward
 from torch import Tensor, nn
 from transformers.models.gemma.modeling_gemma import apply_rotary_pos_emb
 
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import VOCABULARY
 from lerobot_policy_pi05_uniforce.touch.tokens import GatedColumns
-
-if TYPE_CHECKING:
-    from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 
 NUM_HEADS = 8  # LeRobot's joint layer multiplies by 8
 PATCH_PX = 14  # SigLIP's patch, as in the real model

@@ -43,9 +43,8 @@ MISFITS = (
 def check_settings(saved: dict[str, Any], where: str) -> None:
     """Check a saved ``config.json``.
 
-    Raises:
-        CheckpointError: another policy, settings of 0.1.0, a tokenizer elsewhere, other marker images, or a size no
-            machine holds.
+    Raises CheckpointError: another policy, settings of 0.1.0, a tokenizer elsewhere, other marker images, or a size no
+    machine holds.
     """
     if saved.get("type") != TYPE:
         came = repr(saved.get("type"))[:80]
@@ -94,8 +93,7 @@ def check_processors(folder: Path) -> None:
     LeRobot imports and calls whatever class a step names; only steps that registered themselves are let through, so
     that a checkpoint can't run a program of its choice.
 
-    Raises:
-        CheckpointError: damaged, a step that names a class, or a state outside the folder, or with NaN or inf.
+    Raises CheckpointError: damaged, a step that names a class, or a state outside the folder, or with NaN or inf.
     """
     for name in PROCESSORS:
         if not (folder / name).is_file():
@@ -156,8 +154,7 @@ def check_sensors(config: PI05UniforceConfig, mounted: Mapping[Finger, str]) -> 
         config: the policy's config; ``swap`` or ``left_sensor``/``right_sensor`` ask for a change.
         mounted: finger → kind of sensor worn now.
 
-    Raises:
-        CheckpointError: a slot's sensor differs without being asked for.
+    Raises CheckpointError: a slot's sensor differs without being asked for.
     """
     notes = []
     for slot, finger in config.finger_by_slot().items():

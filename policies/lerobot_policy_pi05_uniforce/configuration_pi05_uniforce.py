@@ -109,8 +109,7 @@ class SamplerSettings:
 class PI05UniforceConfig(PI05Config):
     """π0.5 with force tokens.  A field left out takes its size's default (``sizes.py``).
 
-    Raises:
-        ContractError: an unknown choice, slot, finger or token site, or settings that don't go together.
+    Raises ContractError: an unknown choice, slot, finger or token site, or settings that don't go together.
     """
 
     size: str = "auto"  # "tiny" (CPU, from scratch) | "base" (real π0.5) | "auto": base where CUDA is
@@ -158,7 +157,9 @@ class PI05UniforceConfig(PI05Config):
             if getattr(owner, name) is None:
                 setattr(owner, name, copy.deepcopy(value))
         self.image_resolution = (self.image_resolution[0], self.image_resolution[1])  # lists come from JSON
-        self._check_choices(*CHOICES)
+        for path, known in CHOICES.items():
+            came = getattr(*self._owner(path))
+            _require(came in known, path, " | ".join(known), came)
         self._check_together()
         if self.action.objective == "regression":
             self.num_inference_steps, self.sampler.noise_scale = 1, 0.0
@@ -170,11 +171,6 @@ class PI05UniforceConfig(PI05Config):
     def _owner(self, path: str) -> tuple[Any, str]:
         group, _, name = path.rpartition(".")
         return (getattr(self, group) if group else self), name
-
-    def _check_choices(self, *paths: str) -> None:
-        for path in paths:
-            came = getattr(*self._owner(path))
-            _require(came in CHOICES[path], path, " | ".join(CHOICES[path]), came)
 
     def _check_together(self) -> None:
         touch, action, augment = self.touch, self.action, self.augment

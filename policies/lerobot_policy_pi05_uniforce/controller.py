@@ -38,8 +38,7 @@ def shipped_checkpoint() -> Path:
 def stored_config(checkpoint: Path) -> PI05UniforceConfig:
     """Return the checked settings of a checkpoint folder, to be run on the CPU.
 
-    Raises:
-        CheckpointError: another policy, or settings or processors that are missing, damaged or don't fit.
+    Raises CheckpointError: another policy, or settings or processors that are missing, damaged or don't fit.
     """
     file = weights.find(checkpoint, weights.CONFIG)
     stored.check_settings(read_object(file, CheckpointError), str(checkpoint))
@@ -58,8 +57,7 @@ class Deadlines:
     A call that finds k actions still queued is due when they and the present step are over: k + 1 control periods. What
     comes later leaves the robot without a new action; those control steps are counted too.
 
-    Raises:
-        ContractError: no positive rate.
+    Raises ContractError: no positive rate.
     """
 
     def __init__(self, control_hz: float) -> None:
@@ -106,8 +104,7 @@ class PolicyController:
         calibrations: finger → folder of a calibration that its sensor wears.
         monitor: "stop" when a sensor isn't healthy | "off".
 
-    Raises:
-        CheckpointError: as ``stored_config``, weights that don't fit, or a sensor that differs unasked.
+    Raises CheckpointError: as ``stored_config``, weights that don't fit, or a sensor that differs unasked.
     """
 
     def __init__(

@@ -1,17 +1,13 @@
 """The model card of a checkpoint: its touch, its data, its scores, its licence."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from huggingface_hub import ModelCard, ModelCardData
 
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from uniforce_vtla.errors import ContractError, expected
-
-if TYPE_CHECKING:
-    from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 
 CARD = "README.md"
 BASE_MODEL = "lerobot/pi05_base"
@@ -29,8 +25,7 @@ def model_card(
 ) -> ModelCard:
     """Return the card of a policy, trained with ``train_config.json``'s settings, scored by ``uniforce score``.
 
-    Raises:
-        ContractError: scores without arms.
+    Raises ContractError: scores without arms.
     """
     base, asked = config.size == "base", ("steps", "batch_size", "seed")
     trained_on = config.trained_on.get("repo_id") or ""

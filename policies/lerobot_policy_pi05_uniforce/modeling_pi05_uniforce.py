@@ -120,8 +120,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
 
         ``config.verify`` says how files are compared with their hashes.
 
-        Raises:
-            CheckpointError: missing, changed or damaged files, tensors that don't fit, touch settings that differ.
+        Raises CheckpointError: missing, changed or damaged files, tensors that don't fit, touch settings that differ.
         """
         source, at = pretrained_name_or_path, (revision, local_files_only)
         verify = "full" if config is None else config.verify
@@ -272,8 +271,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
 
         Only the flow runs again; of the (preprocessed) batch touch and the measured state are read.
 
-        Raises:
-            ContractError: touch that isn't in the suffix, the stock sampler, or nothing predicted before.
+        Raises ContractError: touch that isn't in the suffix, the stock sampler, or nothing predicted before.
         """
         self.eval()
         device = self.delta_scale.device

@@ -42,8 +42,7 @@ OFF: dict[str, Any] = {  # what no size uses by default
 def resolve_size(size: str, device: str | None) -> str:
     """Return "tiny" or "base"; "auto" takes base where CUDA runs it, since 4 B weights don't fit a laptop.
 
-    Raises:
-        ContractError: no such size.
+    Raises ContractError: no such size.
     """
     if size == "auto":
         cuda = torch.cuda.is_available() and (device is None or device.startswith("cuda"))

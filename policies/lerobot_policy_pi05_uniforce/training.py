@@ -5,23 +5,19 @@ projection and MLP, and the VLM's final norm, therefore get no gradient. Frozen,
 data-parallel training need not look for unused parameters in every step.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from lerobot.policies.pi05 import modeling_pi05 as stock
 from torch import Tensor, nn
 
 from lerobot_policy_pi05_uniforce.checkpoint import ENCODED
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import ACTION, VIEW_MARKER, descriptor_key, latent_key
-
-if TYPE_CHECKING:
-    from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 
 Named = tuple[str, nn.Parameter]
 # random even on a pretrained backbone
@@ -104,8 +100,7 @@ def read_provenance(dataset_meta: Any, config: PI05UniforceConfig) -> None:
 def read_view(dataset_meta: Any, config: PI05UniforceConfig) -> None:
     """Take provenance from a training view: refuse latents of another tokenizer, note which sensors it holds.
 
-    Raises:
-        DatasetError: the view's latents were made by another tokenizer than the policy's.
+    Raises DatasetError: the view's latents were made by another tokenizer than the policy's.
     """
     marker = Path(getattr(dataset_meta, "root", "")) / VIEW_MARKER
     if dataset_meta is None or not config.slots or not marker.is_file():

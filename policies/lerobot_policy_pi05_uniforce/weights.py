@@ -29,8 +29,7 @@ HEADS = (f"{BACKBONE}paligemma.lm_head.weight", f"{BACKBONE}gemma_expert.lm_head
 def find(source: str | Path, name: str, revision: str | None = None, local_files_only: bool = False) -> Path:
     """Return the path of one file of a checkpoint folder or hub repository.
 
-    Raises:
-        CheckpointError: there is no such file.
+    Raises CheckpointError: there is no such file.
     """
     if Path(source).is_dir() or Path(source).is_absolute():
         path = Path(source) / name
@@ -48,8 +47,7 @@ def find(source: str | Path, name: str, revision: str | None = None, local_files
 def check_files(source: str | Path, verify: str, revision: str | None, local_files_only: bool) -> None:
     """Compare every file of a checkpoint folder or hub repository with its hash, fetching those of a repository.
 
-    Raises:
-        CheckpointError: a file that is missing, changed or without a hash.
+    Raises CheckpointError: a file that is missing, changed or without a hash.
     """
     folder = find(source, CONFIG, revision, local_files_only).parent
     with suppress(CheckpointError):  # a checkpoint without hashes: ``check_hashes`` says so
@@ -76,8 +74,7 @@ def fill(
         rename: stored names → stored name: name in ``module``; what isn't in it isn't wanted.
         fresh: prefixes of names that may be missing: modules the file's author didn't have.
 
-    Raises:
-        CheckpointError: a truncated or damaged file, or naming the tensors that don't fit or aren't finite.
+    Raises CheckpointError: a truncated or damaged file, or naming the tensors that don't fit or aren't finite.
     """
     with opened(path) as stored:
         tensors = {own: stored.get_tensor(name) for name, own in rename(list(stored.keys())).items()}

@@ -78,8 +78,10 @@ def calibrate_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibrat
 
 
 def pooled_latents(tokenizer: Tokenizer) -> Encode:
-    """Return what encodes a finger's marker images as heads and policies read them."""
-    return lambda reference, current, finger: _pooled(tokenizer.encode(reference[None], current, finger))
+    """Return what encodes a finger's marker images as heads and policies read them, (n, POOL², L)."""
+    from uniforce_vtla.tokenizer.latent import POOL, pool_latent
+
+    return lambda reference, current, finger: pool_latent(tokenizer.encode(reference[None], current, finger), POOL)  # type: ignore[return-value]
 
 
 def simulated_grasps(config: CalibrateCommand, encode: Encode) -> Grasps:
@@ -136,12 +138,6 @@ def recorded_grasps(config: CalibrateCommand, tokenizer: Tokenizer) -> Grasps:
         kind = "tool" if recording.indenter in split(config.tools) else "small"
         classes += [kind] * len(recording.left_frames)
     return Grasps(torch.cat(new), torch.cat(anchor), tuple(classes))  # type: ignore[arg-type]  # cat keeps the origin
-
-
-def _pooled(z: Latent) -> Latent:
-    from uniforce_vtla.tokenizer.latent import POOL, pool_latent
-
-    return pool_latent(z, POOL)  # type: ignore[return-value]  # (n, POOL², L): what heads and policies read
 
 
 def check_agreement(found: Calibration, config: CalibrateCommand) -> str:

@@ -54,10 +54,8 @@ class ConvertConfig:
 def convert(config: ConvertConfig) -> Path:
     """Build, fill and save the policy with its processors; return its folder.
 
-    Raises:
-        CheckpointError: no π0.5 there, a damaged file, or tensors that are missing, left over or misshapen.
-        ContractError: settings that don't go together.
-        DatasetError: no view, or one that lacks the touch input.
+    Raises CheckpointError: no π0.5 there, a damaged file, or tensors that are missing, left over or misshapen;
+    ContractError: settings that don't go together; DatasetError: no view, or one that lacks the touch input.
     """
     from lerobot.utils.feature_utils import dataset_to_policy_features
 

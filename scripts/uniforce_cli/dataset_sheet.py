@@ -38,11 +38,14 @@ def write_sheet(summary: EpisodeSummary, films: Films, facts: Mapping[str, str],
     latent = draw_channels(summary, held, folder / f"{stem}_latent.png")
     heads = ["press on board"] * (summary.found is not None)
     heads += [f"{finger} {name}" for finger in FINGERS for name, _ in FORCES]
+    # words, first frame, the one after the last, and kind
+    events = [(f"{a} {k.name}", k.frame, k.frame + 1, "") for a, k in zip(LETTERS, summary.key_frames, strict=False)]
+    events += [(stretch.name, stretch.first, stretch.end, "beyond") for stretch in summary.stretches]
     text = TEMPLATES.get_template("episode_page.html").render(
         **{"summary": summary, "facts": facts, "line": line, "moments": moments, "latent": latent, "heads": heads},
         captions={name: _caption(name) for name in films.pictures},
         held=held.name,
-        events=_events(summary),
+        events=events,
         data=_data(summary, films, line),
     )
     page = folder / f"{stem}.html"
@@ -53,12 +56,6 @@ def write_sheet(summary: EpisodeSummary, films: Films, facts: Mapping[str, str],
 def _caption(stream: str) -> str:
     kind, _, name = stream.partition("/")
     return f"{name} camera" if kind == "camera" else f"{name} finger, {kind}"
-
-
-def _events(summary: EpisodeSummary) -> list[tuple[str, int, int, str]]:
-    """Return words, first frame, the one after the last and kind of each key frame and stretch beyond a limit."""
-    events = [(f"{a} {k.name}", k.frame, k.frame + 1, "") for a, k in zip(LETTERS, summary.key_frames, strict=False)]
-    return events + [(stretch.name, stretch.first, stretch.end, "beyond") for stretch in summary.stretches]
 
 
 def _values(summary: EpisodeSummary) -> dict[str, np.ndarray]:

@@ -56,12 +56,10 @@ class ProgressBars:
         return len(text)
 
     def flush(self) -> None:
-        """Flush both."""
         self._terminal.flush()
         self._log.flush()
 
     def isatty(self) -> bool:
-        """Return whether a person is looking."""
         return self._terminal.isatty()
 
 
@@ -95,7 +93,6 @@ def logged(path: Path) -> Iterator[Callable[[str], None]]:
 
 
 def run(config: DemoConfig) -> None:
-    """Run the demo and print where everything is."""
     start, out = time.perf_counter(), Path(config.out)
     _start_over(out)
     with logged(out / LOG) as say:

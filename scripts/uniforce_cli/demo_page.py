@@ -7,8 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.image import imread
 
-from uniforce_vtla.contact.indenters import gap_map
-from uniforce_vtla.contact.simulator import TactileSimulator
+from uniforce_vtla.contact import TactileSimulator, gap_map
 from uniforce_vtla.contracts import ContactState, MarkerPair
 from uniforce_vtla.evaluation.arms import ArmReport
 from uniforce_vtla.evaluation.pictures import PICTURE_DPI, draw_outcomes

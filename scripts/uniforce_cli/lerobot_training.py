@@ -215,10 +215,7 @@ def _said(error: object) -> str:
 
 
 def train(argv: Sequence[str]) -> None:
-    """Run ``lerobot-train`` on the given arguments.
-
-    Raises UniForceError: settings, a dataset or a checkpoint that can't be used.
-    """
+    """Run ``lerobot-train`` on the given arguments; UniForceError: settings, data or a checkpoint it can't use."""
     register_third_party_plugins()
     verify, settings = take_verify(argv)
     flags = to_lerobot(settings)

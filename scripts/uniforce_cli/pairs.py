@@ -17,7 +17,6 @@ from uniforce_vtla.options import OutFolder, Pattern, Positive, Range, Seed, Sha
 from uniforce_vtla.results_file import provenance, write_json
 
 if TYPE_CHECKING:
-    from uniforce_robots.franka.limits import HandSettings
     from uniforce_robots.pairs.recorder import SessionReport, Status
     from uniforce_robots.pairs.rehearsal import SimulatedRig
     from uniforce_robots.pairs.rig import PairRig, RobotRig
@@ -119,11 +118,10 @@ def _robot_rig(config: RecordPairsConfig, rate_hz: float) -> Iterator[RobotRig]:
     """Connect fingers, keyboard and a soft Franka led by hand, in this order, and let go of them in the other.
 
     Never run on hardware. The fingers' references are taken while connecting: keep them in free air.
-
-    Raises SensorError, RobotError, TeleoperatorError: whatever is not there.
     """
     from uniforce_cli.touch import TouchConfig, opened
     from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
+    from uniforce_robots.franka.limits import HandSettings
     from uniforce_robots.pairs.rig import RobotRig
     from uniforce_robots.teleop import UniforceHandGuide, UniforceHandGuideConfig
     from uniforce_vtla.keys import AXES

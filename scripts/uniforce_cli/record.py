@@ -69,15 +69,11 @@ class RecordConfig:
 def record(config: RecordConfig, device_flags: Sequence[str] = (), given: Collection[str] = ()) -> SessionEnd:
     """Record what is missing.
 
-    Args:
-        config: what and where.
-        device_flags: ``--robot.KEY=…`` and ``--teleop.KEY=…``.
-        given: settings that were named, also with the value they have anyway.
+    ``device_flags`` are ``--robot.KEY=…`` and ``--teleop.KEY=…``, ``given`` the settings that were named, also with the
+    value they have anyway.
 
-    Raises:
-        ContractError: a robot, teleoperator, sensor, level or setting that is unknown.
-        DatasetError: see ``EpisodeRecorder``.
-        RobotError, SensorError, TeleoperatorError: it can't be connected.
+    Raises ContractError: a robot, teleoperator, sensor, level or setting that is unknown; DatasetError: see
+    ``EpisodeRecorder``; RobotError, SensorError, TeleoperatorError: it can't be connected.
     """
     _check(config)
     _refuse_ignored(config, device_flags, given)

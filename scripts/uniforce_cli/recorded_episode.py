@@ -41,10 +41,7 @@ class EpisodeForces:
     true_force_N: np.ndarray | None  # the same from the simulator; None for a robot's recording
 
     def judge(self, pad_friction: tuple[float, float]) -> tuple[FingerEstimate, FingerEstimate | None]:
-        """Return the estimate from the fingers, and the same from true forces where there are any.
-
-        Raises ContractError, DatasetError: see ``estimate_events``.
-        """
+        """Estimate from the fingers, and from true forces where there are any; raises as ``estimate_events``."""
 
         def judged(force_N: np.ndarray) -> FingerEstimate:
             return estimate_events(self.time_s, force_N, self.tool_m, pad_friction)
@@ -59,12 +56,7 @@ ForceReader = Callable[[Source, Episode, Finger], np.ndarray]
 class RecordingForces:
     """A recorded dataset behind a reader of forces; its numbers are read once for all episodes.
 
-    Args:
-        root: the dataset's folder.
-        forces: reads newtons, e.g. ``descriptor_heads()``.
-        verify: how the dataset is checked, see ``check_dataset``.
-
-    Raises DatasetError: a dataset that can't be read, or lacks a finger.
+    It is checked as ``verify`` says. Raises DatasetError: a dataset that can't be read, or lacks a finger.
     """
 
     def __init__(self, root: str | Path, forces: ForceReader, verify: str = "quick") -> None:
@@ -92,10 +84,9 @@ class RecordingForces:
 
 
 def descriptor_heads(folder: str = "") -> ForceReader:
-    """Return a reader of hand descriptors, never through the tokenizer a policy may have acted on: the one for scores.
+    """Return a reader of hand descriptors, never through the tokenizer a policy may have acted on: for scores.
 
-    Args:
-        folder: of python -m benchmarks.descriptor_heads; empty for the shipped ones, of the wiping scene.
+    ``folder`` is of python -m benchmarks.descriptor_heads; empty for the shipped ones, of the wiping scene.
     """
     load = cache(lambda sensor: DescriptorHead.from_pretrained(sensor, folder or None))
 
@@ -110,7 +101,7 @@ def descriptor_heads(folder: str = "") -> ForceReader:
 def force_head(tokenizer: Tokenizer, head: ForceHead) -> ForceReader:
     """Return a reader of the latents: what a force head makes of them, frame after frame, as on the robot.
 
-    Raises CheckpointError: (when read) a head that was trained on another tokenizer's latents.
+    It raises CheckpointError: a head that was trained on another tokenizer's latents.
     """
 
     def read(source: Source, episode: Episode, finger: Finger) -> np.ndarray:
@@ -137,12 +128,9 @@ def latent_change(tokenizer: Tokenizer, source: Source, episode: Episode, finger
 def marker_images(source: Source, episode: Episode, finger: Finger) -> tuple[np.ndarray, Iterator[np.ndarray]]:
     """Return an episode's reference (H, W), and its marker images (H, W) one by one."""
     keys = (tactile_key(finger, reference=True), tactile_key(finger))
-    reference, current = (map(_grey, frames(source, episode, key)) for key in keys)
+    grey = (map(lambda image: np.ascontiguousarray(image[..., 0]), frames(source, episode, key)) for key in keys)
+    reference, current = grey
     return next(reference), current
-
-
-def _grey(image: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(image[..., 0])
 
 
 def frames(source: Source, episode: Episode, key: str) -> Iterator[np.ndarray]:

@@ -11,10 +11,7 @@ LOOPBACK = "127.0.0.1"
 
 
 def import_rerun(wanted_by: str, instead: str) -> ModuleType:
-    """Return the package ``rerun``.
-
-    Raises ContractError: it isn't installed; names the setting that wanted it and what to choose instead.
-    """
+    """Return the package ``rerun``; ContractError: not installed, naming who wanted it and what to use instead."""
     try:
         return importlib.import_module("rerun")
     except ImportError as error:

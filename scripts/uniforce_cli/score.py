@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from uniforce_cli.boundary import command
 from uniforce_cli.score_settings import SCRIPTS, ScoreConfig
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.results_file import provenance, write_json
+from uniforce_vtla.results_file import append_line, provenance, write_json
 
 if TYPE_CHECKING:
     from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow
@@ -38,13 +38,6 @@ def check_policies(config: ScoreConfig) -> None:
         settings.finger_by_slot()
 
 
-def check_film(film: Sequence[int], seeds: range) -> None:
-    """Refuse to film what isn't scored."""
-    if unscored := sorted(set(film) - set(seeds)):
-        do = "Film what is scored: set first_seed and rollouts."
-        raise ContractError(expected("film", f"seeds {seeds[0]}…{seeds[-1]}", unscored, do))
-
-
 def score_arms(configs: Sequence[ScoreConfig], workers: int) -> list[ArmReport]:
     """Score several arms in turns, seed by seed, so that a killed run has paired seeds of all of them.
 
@@ -54,11 +47,16 @@ def score_arms(configs: Sequence[ScoreConfig], workers: int) -> list[ArmReport]:
     from joblib import Parallel, delayed
     from tqdm import tqdm
 
-    from uniforce_cli.score_worker import Job, score_job
-    from uniforce_vtla.evaluation.arms import ArmReport, write_row
+    from uniforce_cli.score_worker import score_job
+    from uniforce_vtla.evaluation.arms import ArmReport
 
     for config in configs:
-        check_film(config.film, config.seeds)
+        if unscored := sorted(set(config.film) - set(config.seeds)):
+            wanted, do = (
+                f"seeds {config.seeds[0]}…{config.seeds[-1]}",
+                "Film what is scored: set first_seed and rollouts.",
+            )
+            raise ContractError(expected("film", wanted, unscored, do))
     done = [_start(config) for config in configs]
     missing = [  # all arms' first seeds first
         (seed, index)
@@ -66,12 +64,11 @@ def score_arms(configs: Sequence[ScoreConfig], workers: int) -> list[ArmReport]:
         for seed in config.seeds
         if seed not in rows or (seed in config.film and not config.video(seed).exists())
     ]
-    jobs = [Job(index, configs[index], seed) for seed, index in sorted(missing)]
+    jobs = [delayed(score_job)(index, configs[index], seed) for seed, index in sorted(missing)]
     label = configs[0].arm if len(configs) == 1 else f"{len(configs)} arms"
     pool = Parallel(max(1, min(workers, len(jobs))), return_as="generator_unordered", batch_size=1)
-    episodes = pool(delayed(score_job)(job) for job in jobs)
-    for index, row in tqdm(episodes, total=len(jobs), desc=label, unit="episode", disable=None):
-        write_row(configs[index].folder / ROWS, row)
+    for index, row in tqdm(pool(jobs), total=len(jobs), desc=label, unit="episode", disable=None):
+        append_line(configs[index].folder / ROWS, asdict(row))
         done[index][row.seed] = row
     return [ArmReport(c.arm, [rows[seed] for seed in c.seeds]) for c, rows in zip(configs, done, strict=True)]
 

@@ -6,7 +6,6 @@ phase but of another scene.
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +47,6 @@ class ScriptController:
         self._env: Any = None
 
     def reset(self, env: Any) -> None:
-        """Start the script's episode."""
         self._env = env
         self._script.reset(env)
 
@@ -61,26 +59,16 @@ class ScriptController:
         return np.asarray(self._script.act(self._env))[None]
 
 
-@dataclass(frozen=True)
-class Job:
-    """One episode of one arm; ``index`` is the arm's number."""
-
-    index: int
-    config: ScoreConfig
-    seed: int
-
-
-def score_job(job: Job) -> tuple[int, EpisodeRow]:
-    """Roll one episode out and return its row."""
+def score_job(index: int, config: ScoreConfig, seed: int) -> tuple[int, EpisodeRow]:
+    """Roll one episode of an arm out and return the arm's number and the row."""
     worker_process()
-    config, seed = job.config, job.seed
     env, controller = _build(config.policy_of(seed), config.rig, config.control, config.folder)
     film = seed < config.first_seed + config.videos or seed in config.film
     torch.manual_seed(seed)  # the policy's own noise is part of the paired seed
     rollout = roll_out(env, controller, seed, keep_frames=film)
     if film:
         _keep(rollout, config)
-    return job.index, row_of(rollout)
+    return index, row_of(rollout)
 
 
 @functools.lru_cache(maxsize=64)  # arms take turns, and training seeds within them
@@ -103,9 +91,8 @@ def _build(policy: str, rig: Rig, control: str, out: Path) -> tuple[WipeEnv, Con
 def controlled(controller: PolicyController, control: str, env: WipeEnv, mounted: dict[Finger, str]) -> Controller:
     """Return the controller under a control, ``masked``, ``shuffled`` or ``frozen``; "" leaves it as it is.
 
-    ``mounted`` says in words what the fingers wear, in the scenes that lend their touch too.
-
-    Raises ContractError: an unknown control.
+    ``mounted`` says in words what the fingers wear, in the scenes that lend their touch too. Raises ContractError: an
+    unknown control.
     """
     if control == "shuffled":
         return ShuffledTouch(controller, donated_touch(env.level.name, mounted, env.drawn))
@@ -133,22 +120,31 @@ def donated_touch(
     return bank
 
 
-class ShuffledTouch:
-    """A controller that gets, at every look, the touch of a random moment of another scene in the same phase."""
+class OtherTouch:
+    """A controller that gets other touch than the scene's."""
 
-    def __init__(self, inner: Controller, bank: dict[int, list[Donated]]) -> None:
-        self._inner, self._bank = inner, bank
+    def __init__(self, inner: Controller) -> None:
+        self._inner = inner
         self._env: Any = None
 
     def reset(self, env: Any) -> None:
-        """Start an episode; the scene's seed decides which touch it gets."""
         self._env = env
-        self._rng = np.random.default_rng([env.scene.seed, 31])
         self._inner.reset(env)
 
     def facts(self) -> dict[str, float]:
-        """Return the inner controller's facts."""
         return self._inner.facts()
+
+
+class ShuffledTouch(OtherTouch):
+    """It gets, at every look, the touch of a random moment of another scene in the same phase, by the scene's seed."""
+
+    def __init__(self, inner: Controller, bank: dict[int, list[Donated]]) -> None:
+        super().__init__(inner)
+        self._bank = bank
+
+    def reset(self, env: Any) -> None:
+        super().reset(env)
+        self._rng = np.random.default_rng([env.scene.seed, 31])
 
     def chunk(self, observation: dict[str, Any], task: str) -> np.ndarray:
         """Return the inner controller's chunk for this observation with touch exchanged."""
@@ -159,22 +155,12 @@ class ShuffledTouch:
         return self._inner.chunk(observation | {"pixels": observation["pixels"] | exchanged}, task)
 
 
-class FrozenTouch:
-    """A controller whose touch stays, from half a second of wiping on, as it was then."""
-
-    def __init__(self, inner: Controller) -> None:
-        self._inner = inner
-        self._env: Any = None
+class FrozenTouch(OtherTouch):
+    """Its touch stays, from half a second of wiping on, as it was then."""
 
     def reset(self, env: Any) -> None:
-        """Start an episode with touch that works."""
-        self._env, self._wiping_from_s = env, np.inf
-        self._kept: dict[str, np.ndarray] = {}
-        self._inner.reset(env)
-
-    def facts(self) -> dict[str, float]:
-        """Return the inner controller's facts."""
-        return self._inner.facts()
+        super().reset(env)
+        self._wiping_from_s, self._kept = np.inf, dict[str, np.ndarray]()
 
     def chunk(self, observation: dict[str, Any], task: str) -> np.ndarray:
         """Return the inner controller's chunk for this observation, or for one whose touch stands still."""

@@ -48,10 +48,9 @@ class ShowDatasetConfig:
 def show_dataset(config: ShowDatasetConfig) -> list[Path]:
     """Write a page or a recording for each chosen episode and return their paths.
 
-    Raises:
-        ContractError: unknown form or episode, friction of the wrong form, rerun asked for and not installed.
-        DatasetError: a dataset that can't be read, lacks a finger, or is truncated.
-        CheckpointError: a tokenizer or head that can't be loaded.
+    Raises ContractError: unknown form or episode, friction of the wrong form, rerun asked for and not installed;
+    DatasetError: a dataset that can't be read, lacks a finger, or is truncated; CheckpointError: a tokenizer or head
+    that can't be loaded.
     """
     from tqdm import tqdm
 

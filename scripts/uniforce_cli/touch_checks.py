@@ -1,4 +1,7 @@
-"""Checks of a tactile sensor: how fast and fresh it is, which way up it sits on its finger, and at what angle."""
+"""Checks of a tactile sensor: how fast and fresh it is, which way up it sits on its finger, and at what angle.
+
+Each raises SensorError where the sensor dies meanwhile.
+"""
 
 import time
 from collections.abc import Callable, Sequence
@@ -22,10 +25,7 @@ ANGLE_DEG = 5.0  # a hand drags no straighter
 
 
 def check_rate(finger: TactileFinger, seconds: float) -> int:
-    """Print rate, losses, and ages at random moments beside an idle loop's lateness; 1 if anything was lost or bad.
-
-    Raises SensorError: the sensor died meanwhile.
-    """
+    """Print rate, losses, and ages at random moments beside an idle loop's lateness; 1 if anything was lost or bad."""
     before, first = finger.counts, finger.latest(WAIT_MS).index
     rng, start_s = np.random.default_rng(0), time.monotonic()
     ages_ms, late_ms = [], []
@@ -49,10 +49,7 @@ def check_rate(finger: TactileFinger, seconds: float) -> int:
 
 
 def check_orientation(finger: TactileFinger, asked: Sequence[str], seconds: float) -> int:
-    """Have each quarter in ``asked`` pressed, within ``seconds`` each; print which one moved. 0 if all agree.
-
-    Raises SensorError: the sensor died.
-    """
+    """Have each quarter in ``asked`` pressed, within ``seconds`` each; print which one moved. 0 if all agree."""
     print("Look at the pad with the fingertip up, and press where asked, alone and gently.")
     seen: dict[str, str] = {}
     for quarter in asked:
@@ -73,10 +70,7 @@ def check_orientation(finger: TactileFinger, asked: Sequence[str], seconds: floa
 
 
 def check_angle(finger: TactileFinger, seconds: float) -> int:
-    """Have the skin dragged towards the fingertip, once; print the angle on the mount. 0 if it is set right.
-
-    Raises SensorError: the sensor died.
-    """
+    """Have the skin dragged towards the fingertip, once; print the angle on the mount. 0 if it is set right."""
     print("Press a fingertip on the pad and drag the skin straight towards the sensor's tip, then let go.", flush=True)
     moved_px = _longest_drag(finger, seconds)
     if moved_px is None:

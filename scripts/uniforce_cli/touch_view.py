@@ -14,8 +14,7 @@ from uniforce_robots.sensors.finger import TactileFinger
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.mirror import to_canonical, to_finger_frame
-from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 from uniforce_vtla.tokenizer.streaming import StreamingEncoder
 
 WAIT_MS = 1000.0
@@ -45,10 +44,8 @@ def views(
 ) -> Iterator[TouchView]:
     """Yield a view of each new sample of a connected finger that has its reference, worn on ``side``.
 
-    Raises:
-        CheckpointError: a head of another tokenizer.
-        ContractError: a finger without reference.
-        SensorError: no new sample.
+    Raises CheckpointError: a head of another tokenizer; ContractError: a finger without reference; SensorError: no new
+    sample.
     """
     encoder = StreamingEncoder(tokenizer, side, head)
     reference = finger.reference_image()[..., 0]
@@ -145,10 +142,7 @@ def counts_picture(change: np.ndarray) -> np.ndarray:
 
 
 def save_panel(view: TouchView, path: str) -> Path:
-    """Write the panel as a picture file; return its path.
-
-    Raises ContractError: OpenCV can't write there, or not that kind of file.
-    """
+    """Write the panel as a picture file; return its path; ContractError: OpenCV can't write there, or not that kind."""
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     try:

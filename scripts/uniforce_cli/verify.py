@@ -25,9 +25,8 @@ class VerifyConfig:
 def verify(config: VerifyConfig) -> str:
     """Return a line about what was found whole.
 
-    Raises:
-        DatasetError: something isn't as it was saved, or its content can't be trusted.
-        ContractError: another ``verify``; a view, which is built again instead of hashed again.
+    Raises DatasetError: something isn't as it was saved, or its content can't be trusted; ContractError: another
+    ``verify``; a view, which is built again instead of hashed again.
     """
     from uniforce_datasets.hashes import check_hashes
     from uniforce_datasets.lossless import check_dataset, rehash

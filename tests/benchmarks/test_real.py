@@ -13,8 +13,7 @@ from benchmarks.real.tactip_shear import SHEAR, marker_image, read_tactip_shear
 from uniforce_vtla.contact import TactileSimulator, free_air, gap_map
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.errors import DatasetError
-from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.settings import TokenizerConfig
+from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
 
 RADIUS_PX = 210
 

@@ -19,8 +19,7 @@ from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.episodes import walk
 from uniforce_vtla.contact.worn_in_words import wear
 from uniforce_vtla.evaluation.episode import WIPING_PHASE
-from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 from uniforce_vtla.tokenizer.latent_range import LatentRange
 
 SCENE = range(39_700, 39_701)

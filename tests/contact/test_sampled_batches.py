@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.probes.sequences import force_sequences, press_shear_release
+from benchmarks.probes.labelled_set import force_sequences, press_shear_release
 from benchmarks.speed.contact import bench_contact
 from uniforce_vtla.contact import (
     PAPER_RANGE,

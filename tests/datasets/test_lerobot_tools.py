@@ -22,8 +22,6 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def run(monkeypatch: pytest.MonkeyPatch):
-    """Call a command's entry point, as its script does."""
-
     def called(name: str, *words: str) -> None:
         monkeypatch.setattr(sys, "argv", [f"lerobot-{name.replace('_', '-')}", *words])
         importlib.import_module(f"lerobot.scripts.lerobot_{name}").main()

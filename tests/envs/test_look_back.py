@@ -27,7 +27,6 @@ def env() -> WipeEnv:
 
 
 def run(env: WipeEnv, disturb: Callable[[InkField, bool], None]) -> list[str]:
-    """Return the phases the expert went through, in turn."""
     expert, phases, done = WipeExpert(), [], False
     expert.reset(env)
     while not done:

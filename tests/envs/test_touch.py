@@ -6,16 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lerobot_env_uniforce_wiping import WipeEnv
-from lerobot_env_uniforce_wiping.expert import WipeExpert
+from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from uniforce_vtla.contact.units import UnitVariation
 from uniforce_vtla.contact.virtual import any_virtual, as_virtual
 from uniforce_vtla.contact.wear import Creep
 from uniforce_vtla.contact.worn import WornSensor, drawing
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.keys import tactile_name
-from uniforce_vtla.tokenizer import Tokenizer
-from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 
 
 @pytest.mark.parametrize("finger", FINGERS)

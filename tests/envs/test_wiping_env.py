@@ -7,9 +7,8 @@ import pytest
 from lerobot.envs.factory import make_env, make_env_config
 from lerobot.envs.utils import env_to_policy_features, preprocess_observation
 
-from lerobot_env_uniforce_wiping import ExpertNoise, UniforceWipingConfig, WipeEnv, WipeExpert
+from lerobot_env_uniforce_wiping import ExpertNoise, UniforceWipingConfig, WipeEnv, WipeExpert, draw_scene
 from lerobot_env_uniforce_wiping.episodes import walk
-from lerobot_env_uniforce_wiping.scene_params import draw_scene
 from lerobot_env_uniforce_wiping.sequence import Sweep
 from uniforce_vtla.contracts import FINGERS, check_marker_image
 from uniforce_vtla.errors import ContractError, RolloutError, SensorError
@@ -22,7 +21,6 @@ EASY_SEEDS = (1, 2, 4)
 
 @pytest.fixture(scope="module")
 def grasped() -> WipeEnv:
-    """An environment whose expert has just put the eraser on the board."""
     env, expert = WipeEnv(), WipeExpert()
     env.start(SEED)
     steps_to_the_first_sweep(env, expert)

@@ -35,11 +35,11 @@ few = settings(max_examples=8, deadline=None)  # each is a grasp of a tenth of a
 )
 def test_indentation_is_force_over_stiffness_and_both_pads_carry_the_same(width_m, mass_kg, gel) -> None:
     found = squeeze(width_m, eraser_mass_kg=mass_kg, stiffness=gel)
-    rows = zip(found.force_N, found.depth_mm, (PADS.flat_N_mm, PADS.dome_N_mm), gel, strict=True)
+    rows = zip(*found, (PADS.flat_N_mm, PADS.dome_N_mm), gel, strict=True)
     for force_N, depth_mm, nominal, scale in rows:
         assert force_N > 1
         assert depth_mm == pytest.approx(force_N / (nominal * scale), rel=0.01)
-    left_N, right_N = found.force_N
+    left_N, right_N = found[0]
     assert left_N == pytest.approx(right_N, rel=0.02)
 
 
@@ -47,7 +47,7 @@ def test_indentation_is_force_over_stiffness_and_both_pads_carry_the_same(width_
 @given(friction=st.floats(0.3, 0.8), width_m=st.floats(0.018, 0.024))
 def test_slip_load_is_two_mu_grip(friction: float, width_m: float) -> None:
     found = slip_load(friction, width_m)
-    assert found.measured_N == pytest.approx(found.coulomb_N, rel=0.05)
+    assert found["measured_N"] == pytest.approx(found["coulomb_N"], rel=0.05)
 
 
 @pytest.mark.parametrize("friction", [0.3, 0.6, 0.8])

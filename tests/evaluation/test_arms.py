@@ -1,6 +1,6 @@
 """Scores of arms, and the statistics they are compared with."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +10,12 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from uniforce_vtla.errors import ContractError
-from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow, read_rows, table, write_row
+from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow, read_rows, table
 from uniforce_vtla.evaluation.comparison import AtMostWorse, as_good, better
 from uniforce_vtla.evaluation.pictures import draw_arms
 from uniforce_vtla.evaluation.statistics import holm, mcnemar, non_inferior, wilson
 from uniforce_vtla.keys import OUTCOME_NAMES
+from uniforce_vtla.results_file import append_line
 
 
 def row(seed: int, outcome: str = "success", clean: bool = True) -> EpisodeRow:
@@ -30,12 +31,12 @@ def test_outcomes_sum_to_n(outcomes: list[str]) -> None:
 
 def test_rows_survive_a_line_cut_short(tmp_path: Path) -> None:
     file = tmp_path / "episodes.jsonl"
-    write_row(file, row(3))
-    write_row(file, row(4, "residual", False))
+    append_line(file, asdict(row(3)))
+    append_line(file, asdict(row(4, "residual", False)))
     with file.open("a") as handle:
         handle.write('{"seed": 5, "outc')
     assert read_rows(file) == {3: row(3), 4: row(4, "residual", False)}
-    write_row(file, row(5))  # scored again
+    append_line(file, asdict(row(5)))  # scored again
     assert read_rows(file) == {3: row(3), 4: row(4, "residual", False), 5: row(5)}
 
 

@@ -126,7 +126,6 @@ class Kept:
         self._map = mmap.mmap(os.open(path, os.O_RDWR), KEPT_BYTES) if path else None
 
     def hold(self, name: str, data: bytes) -> None:
-        """Note what is about to be read."""
         if self._map is not None:
             note = f"{name}, {len(data)} bytes: ".encode() + data[: KEPT_BYTES - 200]
             self._map[: len(note) + 1] = note + b"\0"
@@ -139,7 +138,6 @@ def limit_memory() -> None:
 
 
 def main() -> None:
-    """Run a group."""
     group, inputs, seed, *names = sys.argv[1:]
     campaign = {"bytes": byte_campaign, "files": file_campaign}[group]
     for counts in campaign(int(inputs), int(seed), names):

@@ -40,8 +40,6 @@ HASH = "a" * 64
 
 @dataclass(frozen=True)
 class FileTarget:
-    """A folder that can be read, and how."""
-
     folder: Path
     read: Callable[[], Any]
     typed: tuple[type[Exception], ...] = TYPED

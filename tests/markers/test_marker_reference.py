@@ -9,9 +9,8 @@ import pytest
 import torch
 from scipy.spatial import cKDTree
 
-from uniforce_vtla.contact.indenters import SEEN, UNSEEN
+from uniforce_vtla.contact import SEEN, UNSEEN, TactileSimulator, free_air
 from uniforce_vtla.contact.sampling import sample_objects
-from uniforce_vtla.contact.simulator import TactileSimulator, free_air
 from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.errors import ContractError, SensorError

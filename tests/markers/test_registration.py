@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from uniforce_vtla.contact.simulator import TactileSimulator
-from uniforce_vtla.contact.units import UnitVariation
+from uniforce_vtla.contact import TactileSimulator, UnitVariation
 from uniforce_vtla.markers.canonicalizer import Canonicalizer
 from uniforce_vtla.markers.registration import drawn_px, find_view, seen_from
 from uniforce_vtla.sensors import get_sensor

@@ -234,8 +234,6 @@ def test_pairs_are_not_kept_for_ever(policy, make_batch):
 
 
 class Recorded(TorchDispatchMode):
-    """Names of the operations that ran."""
-
     def __init__(self):
         super().__init__()
         self.names = set()

@@ -9,9 +9,8 @@ import torch
 
 from uniforce_cli.calibrate import CalibrateCommand, main, recorded_grasps
 from uniforce_datasets.readers import uniforce_pairs
-from uniforce_vtla.tokenizer import Tokenizer
+from uniforce_vtla.tokenizer import Latent, Tokenizer
 from uniforce_vtla.tokenizer.calibration import Calibration
-from uniforce_vtla.tokenizer.latent import Latent
 
 
 @pytest.mark.slow

@@ -38,7 +38,6 @@ def test_bad_inputs_end_in_one_line(name, room, monkeypatch, capfd) -> None:
 
 
 def undeclared(option: Option) -> bool:
-    """Return whether an option says nothing of what it may be."""
     return option.kind in (int, float, str) and option.rule is None
 
 

@@ -13,24 +13,26 @@ import pytest
 from lerobot_env_uniforce_wiping import WipeEnv
 from uniforce_cli import score_worker
 from uniforce_cli.score import SCRIPTS, ScoreConfig, score, score_arms
-from uniforce_cli.score_worker import FrozenTouch, Job, ShuffledTouch, controlled, donated_touch, score_job
+from uniforce_cli.score_worker import FrozenTouch, ShuffledTouch, controlled, donated_touch, score_job
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.evaluation.arms import EpisodeRow
 from uniforce_vtla.keys import TACTILE_NAMES
 
-RolledOut = Callable[[Callable[[score_worker.Job], bool]], list[score_worker.Job]]
+Asked = list[tuple[int, ScoreConfig]]
+Rule = Callable[[int, ScoreConfig], bool]
+RolledOut = Callable[[Rule], Asked]
 
 
 @pytest.fixture
 def rolled_out(monkeypatch: pytest.MonkeyPatch) -> RolledOut:
     """Let a rule say whether an episode is clean, instead of rolling it out; return what was asked for."""
 
-    def stand_in(clean: Callable[[score_worker.Job], bool]) -> list[score_worker.Job]:
-        jobs: list[score_worker.Job] = []
+    def stand_in(clean: Rule) -> Asked:
+        jobs: Asked = []
 
-        def fake(job: score_worker.Job) -> tuple[int, EpisodeRow]:
-            jobs.append(job)
-            return job.index, EpisodeRow(job.seed, "success", clean(job), False, False, 0, 0, 0, 0, 0, 0)
+        def fake(index: int, config: ScoreConfig, seed: int) -> tuple[int, EpisodeRow]:
+            jobs.append((seed, config))
+            return index, EpisodeRow(seed, "success", clean(seed, config), False, False, 0, 0, 0, 0, 0, 0)
 
         monkeypatch.setattr(score_worker, "score_job", fake)
         return jobs
@@ -45,7 +47,7 @@ def test_a_script_is_not_taken_for_a_policy() -> None:
 
 
 def test_training_seeds_take_turns_from_scene_to_scene(tmp_path: Path, rolled_out: RolledOut) -> None:
-    rolled_out(lambda job: "seed0" in job.config.policy_of(job.seed))
+    rolled_out(lambda seed, config: "seed0" in config.policy_of(seed))
     config = ScoreConfig(policy="seed0/v, seed1/v", arm="V", rollouts=5, out=str(tmp_path))
     assert config.policies == ["seed0/v", "seed1/v"]
     (report,) = score_arms([config], workers=1)
@@ -53,18 +55,18 @@ def test_training_seeds_take_turns_from_scene_to_scene(tmp_path: Path, rolled_ou
 
 
 def test_arms_take_turns_and_a_second_run_does_nothing(tmp_path: Path, rolled_out: RolledOut) -> None:
-    jobs = rolled_out(lambda job: True)
+    jobs = rolled_out(lambda *_: True)
     arms = [ScoreConfig(arm=name, rollouts=2, first_seed=5, out=str(tmp_path)) for name in ("V", "V+T")]
     for _ in range(2):
         reports = score_arms(arms, workers=1)
-        assert [(job.seed, job.config.arm) for job in jobs] == [(5, "V"), (5, "V+T"), (6, "V"), (6, "V+T")]
+        assert [(seed, config.arm) for seed, config in jobs] == [(5, "V"), (5, "V+T"), (6, "V"), (6, "V+T")]
     assert [r.count("clean") for r in reports] == [2, 2]
 
 
 def test_a_scored_seed_is_rolled_out_again_to_be_filmed_and_only_once(tmp_path: Path, rolled_out: RolledOut) -> None:
-    def filmed(job: score_worker.Job) -> bool:
-        if job.seed in job.config.film:
-            job.config.video(job.seed).touch()
+    def filmed(seed: int, config: ScoreConfig) -> bool:
+        if seed in config.film:
+            config.video(seed).touch()
         return True
 
     jobs = rolled_out(filmed)
@@ -72,13 +74,13 @@ def test_a_scored_seed_is_rolled_out_again_to_be_filmed_and_only_once(tmp_path: 
     score_arms([plain], workers=1)
     for _ in range(2):
         reports = score_arms([dataclasses.replace(plain, film=[6])], workers=1)
-        assert [job.seed for job in jobs] == [5, 6, 7, 6] and reports[0].n == 3
+        assert [seed for seed, _ in jobs] == [5, 6, 7, 6] and reports[0].n == 3
     with pytest.raises(ContractError, match="5…7"):
         score_arms([dataclasses.replace(plain, film=[8])], workers=1)
 
 
 def test_a_slot_the_policy_lacks_is_refused_before_processes_start(tmp_path: Path, rolled_out: RolledOut) -> None:
-    jobs = rolled_out(lambda job: True)
+    jobs = rolled_out(lambda *_: True)
     with pytest.raises(ContractError, match="touch0"):
         score(ScoreConfig(swap="nose:left", workers=1, out=str(tmp_path)))
     assert not jobs
@@ -104,8 +106,6 @@ def test_every_script_can_be_scored() -> None:
 
 
 class Watching:
-    """A controller that keeps what it was shown."""
-
     def __init__(self) -> None:
         self.seen: list[dict[str, Any]] = []
 
@@ -157,6 +157,5 @@ def test_frozen_touch_stays_as_it_was_half_a_second_into_the_wipe() -> None:
 def test_unknown_controls_and_controls_of_scripts_are_refused(tmp_path: Any) -> None:
     with pytest.raises(ContractError, match="masked"):
         controlled(None, "asleep", WipeEnv("easy"), {})  # type: ignore[arg-type]
-    job = Job(0, ScoreConfig(policy="expert", control="masked", out=str(tmp_path)), 1)
     with pytest.raises(ContractError, match="Controls are for policies"):
-        score_job(job)
+        score_job(0, ScoreConfig(policy="expert", control="masked", out=str(tmp_path)), 1)

@@ -50,8 +50,6 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class Sources(HTMLParser):
-    """Collects what a page points at, and its tags."""
-
     def __init__(self) -> None:
         super().__init__()
         self.found: list[str] = []
@@ -182,7 +180,6 @@ def test_key_frames_and_stretches_are_where_things_happen() -> None:
 
 
 def films_of(frames: int, name: str = "camera/front") -> Films:
-    """Return one stream that brightens, a picture for each tenth frame."""
     shown = tuple(range(0, frames, 10))
     greys = (np.full((24, 24, 3), 250 * number // frames, np.uint8) for number in shown)
     return Films(shown, {name: tuple(encoded(grey, ".webp") for grey in greys)})

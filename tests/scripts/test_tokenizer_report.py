@@ -7,16 +7,15 @@ from pathlib import Path
 import pytest
 
 from benchmarks import tokenizer_report
-from benchmarks.baselines import rows as baseline_rows
 from benchmarks.probes.hard_sets import HETERO_HARD, draw_hard
-from benchmarks.probes.report_sets import get_report_set
-from benchmarks.probes.zero_shot import Table, set_facts_of
+from benchmarks.probes.labelled_set import set_facts
+from benchmarks.probes.report_sets import REPORT_SETS
+from benchmarks.probes.zero_shot import Table
 from benchmarks.tokenizer_report import TokenizerReportCommand, main, measure
 from uniforce_vtla.arguments import choose, parse
 from uniforce_vtla.contact.virtual import as_virtual
-from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
 from uniforce_vtla.tokenizer.force_head import HeadTrainingConfig
-from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
 
 def test_a_table_needs_a_frozen_set(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -27,7 +26,7 @@ def test_a_table_needs_a_frozen_set(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 def test_every_row_can_be_named_on_the_command_line() -> None:
     tokenizer = Tokenizer.random(TokenizerConfig(width=16, depth=1, heads=2))
-    makers = baseline_rows.trained(Table({}, {}), tokenizer, 1)
+    makers = tokenizer_report.trained(Table({}, {}), tokenizer, 1)
     for name in makers:
         assert list(choose(makers, name)) == [name]  # and no comma
         assert parse(TokenizerReportCommand, [f"only=mean,{name}"]).only == f"mean,{name}"
@@ -39,8 +38,8 @@ def test_one_row_measured_anew_leaves_the_rest_of_the_table(tmp_path: Path, monk
     sets = {name: draw_hard(recipe, as_virtual(name), 128) for name in ("tactip", "uskin")}
     table = Table(sets, sets, HeadTrainingConfig(steps=2))
     monkeypatch.setattr(tokenizer_report, "draw_sets", lambda *_: table)
-    report_set = get_report_set("hetero_hard_v2")
-    (tmp_path / report_set.facts_file).write_text(json.dumps(set_facts_of(recipe, sets)))
+    report_set = REPORT_SETS["hetero_hard_v2"]
+    (tmp_path / report_set.facts_file).write_text(json.dumps(set_facts(recipe, sets)))
     tokenizer = Tokenizer.random(TokenizerConfig(width=16, depth=1, heads=2))
     command = TokenizerReportCommand(set=report_set.name, results=str(tmp_path), facts=str(tmp_path), seeds=1)
     before = measure(replace(command, only="mean,UniForce"), report_set, tokenizer)

@@ -18,7 +18,6 @@ LISTENING = ("bind", "create_server", "HTTPServer", "ThreadingHTTPServer", "star
 
 
 def listeners(source: str) -> list[str]:
-    """Return every call that makes something listen."""
     calls = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call)]
     return [ast.unparse(call) for call in calls if ast.unparse(call.func).split(".")[-1] in LISTENING]
 

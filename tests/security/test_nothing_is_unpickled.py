@@ -25,7 +25,6 @@ PROCESSES = {  # of joblib: its loader is what unpickles files
 
 
 def breaches(source: str, name: str) -> Iterator[str]:
-    """Yield what in a module could run code that a file brings along."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             yield from (f"import {a.name}" for a in node.names if a.name.split(".")[0] in UNPICKLERS)
@@ -85,8 +84,6 @@ def test_each_breach_would_be_seen(source: str) -> None:
 
 
 class Bomb:
-    """Leaves a mark where it is unpickled."""
-
     def __init__(self, mark: Path) -> None:
         self.mark = mark
 

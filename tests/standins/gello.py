@@ -64,7 +64,6 @@ class GelloStandIn(StandInServer):
         self._in = b""
 
     def on_fault(self) -> None:
-        """Cut answers into pieces for ``split``."""
         super().on_fault()
         self._port.pieces = 3 if self.fault == "split" else READ_BYTES
 
@@ -91,7 +90,6 @@ class GelloStandIn(StandInServer):
         return b"".join(self._position(motor, counts) for motor in asked)
 
     def _counts(self) -> np.ndarray:
-        """(8,) positions now, as the motors count them."""
         phase = 2 * np.pi * time.monotonic() / self.config.period_s
         joints = HOME_q_rad + self.config.swing_rad * np.sin(phase)
         angles = np.array([*(joints + JUMP_rad * (self.fault == "jump")), self.config.trigger_rad])

@@ -48,7 +48,6 @@ class SpaceMouseStandIn(StandInServer):
         self._due = {"push": push, "burst": push * BURST, "close": closing, "short": [b"\x01\x00"]}
 
     def on_fault(self) -> None:
-        """Send the state of rest once, where the cap is let go."""
         super().on_fault()
         for report in reports(REST, 0) if self.fault == "none" else []:
             self.plug.send(report)

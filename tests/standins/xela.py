@@ -87,7 +87,6 @@ class XelaStandIn(StandInServer):
         self._number = 0
 
     def on_fault(self) -> None:
-        """Close the connections properly for ``close``."""
         if self.fault == "close":
             self.plug.send(frame(Opcode.CLOSE, (1001).to_bytes(2)))
             self.plug.flush()

@@ -7,9 +7,8 @@ import torch
 
 from uniforce_vtla.contracts import FINGERS, Finger, MarkerPair
 from uniforce_vtla.errors import CheckpointError, ContractError
-from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
 from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig
-from uniforce_vtla.tokenizer.settings import TokenizerConfig
 from uniforce_vtla.tokenizer.streaming import StreamingEncoder
 
 

@@ -54,7 +54,6 @@ def test_bad_references_raise() -> None:
 
 
 def wipe(seed: int, frames: int = 60) -> tuple[np.ndarray, np.ndarray]:
-    """Return descriptors that are the force itself, and the force."""
     force = np.random.default_rng(seed).uniform(-4, 4, (frames, 3)).astype(np.float32)
     return (np.concatenate([force, force], axis=1) * NATURAL_UNITS).astype(np.float32), force
 

@@ -10,10 +10,8 @@ from benchmarks.probes.labelled_set import FROZEN, HEAD_TRAINING, SENSORS, draw_
 from benchmarks.probes.zero_shot import encode_set, predict, score, shipped_cell
 from uniforce_vtla.errors import CheckpointError
 from uniforce_vtla.file_hashes import drop_hashes
-from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer import Latent, Tokenizer, TokenizerConfig
 from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig, HeadTrainingConfig, train_head
-from uniforce_vtla.tokenizer.latent import Latent
-from uniforce_vtla.tokenizer.settings import TokenizerConfig
 from uniforce_vtla.tokenizer.weights import ASSETS, SIZES
 
 

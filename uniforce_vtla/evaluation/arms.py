@@ -1,9 +1,7 @@
 """From scored episodes to an arm's line in the table."""
 
-import json
-import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +11,7 @@ from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.evaluation.rollout import Rollout
 from uniforce_vtla.evaluation.statistics import wilson
 from uniforce_vtla.keys import OUTCOME_NAMES
+from uniforce_vtla.results_file import read_lines
 
 CONTACT_N = 0.5  # of press: the eraser is on the board
 
@@ -63,31 +62,10 @@ def row_of(rollout: Rollout) -> EpisodeRow:
     )
 
 
-def write_row(path: Path, row: EpisodeRow) -> None:
-    """Append a row and force it to disk: a killed run keeps every finished episode.
-
-    A last line that a kill has cut short is overwritten, as ``read_rows`` leaves it out.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("ab+") as handle:
-        handle.seek(0)
-        handle.truncate(handle.read().rfind(b"\n") + 1)
-        handle.write(json.dumps(asdict(row)).encode() + b"\n")
-        handle.flush()
-        os.fsync(handle.fileno())
-
-
 def read_rows(path: Path) -> dict[int, EpisodeRow]:
-    """Return the finished rows by seed; a last line cut short by a kill is left out.
-
-    Raises:
-        ContractError: rows of another version.
-    """
-    if not path.exists():
-        return {}
-    complete = path.read_text().split("\n")[:-1]
+    """Return the finished rows of a file of ``append_line`` by seed; ContractError: rows of another version."""
     try:
-        rows = [EpisodeRow(**json.loads(line)) for line in complete if line]
+        rows = [EpisodeRow(**line) for line in read_lines(path)]
     except (TypeError, ValueError) as error:
         do = "Score into another folder."
         raise ContractError(expected(str(path), "rows of this version", error, do)) from error

@@ -37,12 +37,14 @@ def _scored(reports: Mapping[str, ArmReport], pairs: Pairs) -> Iterator[tuple[di
                 yield {"arms": [first, second], "n": len(one)}, one, two
 
 
+def difference(one: Clean, two: Clean) -> dict[str, Any]:
+    """Return exact McNemar of two arms on the same seeds, and by how many points the first is better."""
+    return asdict(mcnemar(one, two)) | {"points": 100 * (sum(one) - sum(two)) / len(one)}
+
+
 def better(reports: Mapping[str, ArmReport], pairs: Pairs) -> list[dict[str, Any]]:
     """Return, per pair scored on shared seeds, exact McNemar, Holm over the family."""
-    tests = []
-    for pair, one, two in _scored(reports, pairs):
-        points = {"points": 100 * (sum(one) - sum(two)) / len(one)}
-        tests.append(pair | asdict(mcnemar(one, two)) | points)
+    tests = [pair | difference(one, two) for pair, one, two in _scored(reports, pairs)]
     for test, adjusted in zip(tests, holm([test["p_value"] for test in tests]), strict=True):
         test["p_holm"] = adjusted
     return tests

@@ -147,12 +147,9 @@ def _column(panels: dict[str, Axes], summary: EpisodeSummary, frame: KeyFrame) -
         strength, panel = summary.strength(finger), panels[f"{finger} latent"]
         panel.imshow(strength[frame.frame], cmap="magma", vmin=0, vmax=max(float(strength.max()), 1e-6))
         forces = {"estimate": summary.force_N, "true": summary.true_force_N}
-        words = [f"{k} {_newtons(v[frame.frame, number])}" for k, v in forces.items() if v is not None]
+        known = {name: force_N[frame.frame, number] for name, force_N in forces.items() if force_N is not None}
+        words = [f"{name} ({', '.join(f'{value:+.1f}' for value in force_N)}) N" for name, force_N in known.items()]
         panel.set_xlabel("\n".join(words), fontsize=8)
-
-
-def _newtons(force_N: np.ndarray) -> str:
-    return "(" + ", ".join(f"{value:+.1f}" for value in force_N) + ") N"
 
 
 def draw_channels(summary: EpisodeSummary, frame: KeyFrame, path: Path) -> Path:

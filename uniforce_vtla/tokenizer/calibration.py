@@ -159,7 +159,10 @@ def calibrate(
     found, ridge = fit_map(own_new[fit], own_anchor[fit])
     truth, before, after = (head(Latent.of(z[judge], origin)).numpy() for z in (own_anchor, own_new, found(own_new)))
     kinds = names[judge]
-    judged = {c: _judged(truth[kinds == c], before[kinds == c], after[kinds == c]) for c in OBJECT_CLASSES}
+    judged = {}
+    for kind in OBJECT_CLASSES:
+        t, a, b = (values[kinds == kind] for values in (truth, after, before))
+        judged[kind] = Agreement(len(t), _r2(t, a), _abs_r(t, a), _r2(t, b))
     turn_deg = float(np.degrees(in_plane_turn_rad(before[:, :2], truth[:, :2])))
     return Calibration(found, origin, head.hash, new, anchor, ridge, turn_deg, judged)
 
@@ -207,10 +210,6 @@ def _best_ridge(x: torch.Tensor, y: torch.Tensor) -> float:
         return total
 
     return min(RIDGES, key=error)
-
-
-def _judged(truth: np.ndarray, before: np.ndarray, after: np.ndarray) -> Agreement:
-    return Agreement(len(truth), _r2(truth, after), _abs_r(truth, after), _r2(truth, before))
 
 
 def _r2(truth: np.ndarray, read: np.ndarray) -> tuple[float, float, float]:

@@ -49,8 +49,7 @@ class LatentRange(nn.Module):
     def fit(cls, latents: torch.Tensor, kind: str, tokenizer_hash: str) -> LatentRange:
         """Return the range of (n, P, L) pooled latents; its limits are infinite until they are set.
 
-        Raises:
-            ContractError: fewer latents than numbers in one.
+        Raises ContractError: fewer latents than numbers in one.
         """
         rows = latents.flatten(1)
         count, size = rows.shape
@@ -66,8 +65,7 @@ class LatentRange(nn.Module):
     def from_pretrained(cls, kind: str, path: str | Path | None = None) -> LatentRange:
         """Load a shipped kind's range for a size of tokenizer ("small" by default, "nano"), or any range's folder.
 
-        Raises:
-            CheckpointError: no range for that kind, or a checkpoint that doesn't fit.
+        Raises CheckpointError: no range for that kind, or a checkpoint that doesn't fit.
         """
         folder = checkpoint_folder(path, f"latent_range_{kind}")
         facts = read_config(folder)
@@ -113,21 +111,26 @@ class HealthMonitor:
     def see(self, latents: torch.Tensor) -> None:
         """Take in the (B, P, L) pooled latents of one look; of several environments the worst counts.
 
-        Raises:
-            SensorError: farther from healthy units than any of them was; FreeAirError at the start of an episode.
+        Raises SensorError: farther from healthy units than any of them was; FreeAirError at the start of an episode.
         """
         if not self.active:
             return
-        self._recent.append(float(self._usual.distance(latents).max()))
+        free, run = self.judge(float(self._usual.distance(latents).max()))
+        if free > 1:
+            do = "Let go of everything and take the reference again; look whether the camera or gel has moved."
+            raise FreeAirError(self._message("in free air", self._usual.free_limit, free, do))
+        if run > 1:
+            do = "Look at the sensor; monitor=off goes on without this check."
+            raise SensorError(self._message("over half a second", self._usual.run_limit, run, do))
+
+    def judge(self, distance: float) -> tuple[float, float]:
+        """Return the mean distance over its limit in free air and over half a second; 0 while that isn't due."""
+        self._recent.append(distance)
         self._seen += 1
         mean = sum(self._recent) / len(self._recent)
-        if self._seen == FREE_LOOKS and mean > self._usual.free_limit:
-            do = "Let go of everything and take the reference again; look whether the camera or gel has moved."
-            raise FreeAirError(self._message("in free air", self._usual.free_limit, mean, do))
-        if len(self._recent) == self._recent.maxlen and mean > self._usual.run_limit:
-            do = "Look at the sensor; monitor=off goes on without this check."
-            raise SensorError(self._message("over half a second", self._usual.run_limit, mean, do))
+        free = mean / self._usual.free_limit if self._seen == FREE_LOOKS else 0.0
+        return free, mean / self._usual.run_limit if len(self._recent) == self._recent.maxlen else 0.0
 
-    def _message(self, when: str, limit: float, mean: float, do: str) -> str:
+    def _message(self, when: str, limit: float, times: float, do: str) -> str:
         what = f"{self._usual.kind} on the {self._finger} finger {when}"
-        return expected(what, f"latents within {limit:.2f} of healthy units", f"{mean:.2f}", do)
+        return expected(what, f"latents within {limit:.2f} of healthy units", f"{times * limit:.2f}", do)

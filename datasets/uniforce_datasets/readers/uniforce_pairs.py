@@ -93,8 +93,8 @@ def _recordings(
     references = [_reference(folder, side, root, config) for folder, side in zip(folders, images, strict=True)]
     name = "/".join(pairs.relative_to(root).parts) or pairs.name
     for start in range(0, len(images[0]), config.max_frames):
-        rows = slice(start, start + config.max_frames)
-        left_frames, right_frames = (_stack(side[rows]) for side in images)
+        parts = (side[start : start + config.max_frames] for side in images)
+        left_frames, right_frames = (np.stack([read_marker_picture(p, HALF_WAY) for p in part]) for part in parts)
         yield PairRecording(sensors, indenter, name, references[0], references[1], left_frames, right_frames, start)
 
 
@@ -110,10 +110,6 @@ def _reference(folder: Path, images: list[Path], root: Path, config: PairConfig)
         wanted = f"frame {config.reference_index:06d} as reference"
         raise DatasetError(expected(str(folder), wanted, f"{len(images)} others", "Name another."))
     return read_marker_picture(chosen[0], HALF_WAY)
-
-
-def _stack(paths: list[Path]) -> np.ndarray:
-    return np.stack([read_marker_picture(path, HALF_WAY) for path in paths])
 
 
 def write_uniforce_pairs(root: str | Path, recording: PairRecording, pattern: str, date: str | None = None) -> Path:
@@ -139,7 +135,8 @@ def write_uniforce_pairs(root: str | Path, recording: PairRecording, pattern: st
     for folder, reference in zip(folders, references, strict=True):
         folder.mkdir(parents=True, exist_ok=True)
         _write_reference(folder / REFERENCE_FILE, reference)
-    start = _next_index(folders[0])  # the left side counts: it is written last
+    there = [int(path.stem) for path in folders[0].glob("*.jpg") if path.stem.isdecimal()]
+    start = max(there, default=-1) + 1  # the left side counts: it is written last
     _log(pairs, recording.indenter, f"{len(recording.left_frames)} pairs from {start:06d}")
     for index, (left, right) in enumerate(zip(recording.left_frames, recording.right_frames, strict=True), start):
         _write_picture(folders[1] / f"{index:06d}.jpg", right)
@@ -173,10 +170,6 @@ def _write_reference(path: Path, reference: np.ndarray) -> None:
     elif not np.array_equal(read_marker_picture(path, HALF_WAY), bordered(reference)):
         do = "A sensor that was taken off or retared starts a new date or indenter folder."
         raise DatasetError(expected(str(path), "the reference of this recording", "another", do))
-
-
-def _next_index(folder: Path) -> int:
-    return max((int(path.stem) for path in folder.glob("*.jpg") if path.stem.isdecimal()), default=-1) + 1
 
 
 def _write_picture(path: Path, image: np.ndarray) -> None:

@@ -9,8 +9,6 @@ Whatever is captured is an ordinary function of tensors. ``capture=False`` runs 
 buffers without a graph, on any device: that is what the tests do, and all that was ever run.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
@@ -49,8 +47,7 @@ class Replayed:
     def __call__(self, *inputs: Tensor) -> tuple[Tensor, ...]:
         """Return the outputs for ``inputs``, in buffers that the next call overwrites.
 
-        Raises:
-            ContractError: inputs of other shapes than the example's.
+        Raises ContractError: inputs of other shapes than the example's.
         """
         wanted, came = ([tuple(value.shape) for value in values] for values in (self._inputs, inputs))
         if wanted != came:

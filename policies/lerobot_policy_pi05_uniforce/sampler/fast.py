@@ -49,8 +49,7 @@ class FastSampler:
     def refresh(self, touch: SuffixTouch, noise: Tensor, num_steps: int) -> Tensor:
         """Return a chunk for new touch on the cameras and text of the last ``sample``.
 
-        Raises:
-            ContractError: nothing was sampled before, or the touch isn't in the suffix.
+        Raises ContractError: nothing was sampled before, or the touch isn't in the suffix.
         """
         tables = self.prepared.tables(num_steps)
         chunk = None if self.graphed is None else self.graphed.refresh(touch, noise)

@@ -1,7 +1,5 @@
 """Once per observation: cameras, text and extra tokens through the VLM, kept as keys and values of every layer."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -96,8 +94,7 @@ class PrefixEncoder:
     def refreshed(self, prefix: Prefix, touch: SuffixTouch, chunk: int) -> Prefix:
         """Return the same cameras and text with new touch: nothing of the VLM runs again.
 
-        Raises:
-            ContractError: a network whose touch is not in the suffix.
+        Raises ContractError: a network whose touch is not in the suffix.
         """
         if prefix.touch is None or prefix.touch.tokens.shape != touch.tokens.shape:
             came = None if prefix.touch is None else tuple(prefix.touch.tokens.shape)

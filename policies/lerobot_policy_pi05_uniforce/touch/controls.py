@@ -1,25 +1,20 @@
 """In place of latents: newtons read in them, or a control: true wrench, hand-made descriptor, the images by a CNN."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.touch.encode import TouchInput, load_calibrations, packaged_hashes, taken
 from lerobot_policy_pi05_uniforce.touch.tokens import ForceTokens
 from uniforce_vtla.errors import CheckpointError, expected
 from uniforce_vtla.keys import descriptor_key, marker_pair_key, wrench_key
 from uniforce_vtla.tokenizer.force_head import ForceHead
 from uniforce_vtla.tokenizer.plain_touch import DESCRIPTOR_SIZE, PAIR_SIDE, descriptors, marker_pairs
-
-if TYPE_CHECKING:
-    from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 
 WRENCH_SCALE = (5.0, 5.0, 10.0, 100.0)  # N, N, N, Nmm: a firm wipe's shear, press and torsion become ~1
 SHAPES = {
@@ -65,8 +60,7 @@ class ControlInput(TouchInput):
 class NewtonInput(TouchInput):
     """Reads force in newtons: a frozen force head on the slot's latents, mapped by its calibration where it wears one.
 
-    Raises:
-        CheckpointError: as ``read_head``.
+    Raises CheckpointError: as ``read_head``.
     """
 
     def __init__(self, latents: TouchInput) -> None:
@@ -88,8 +82,7 @@ class NewtonInput(TouchInput):
 def read_head(head: str, tokenizer_hash: str) -> ForceHead:
     """Return the force head of a kind of sensor for a packaged tokenizer.
 
-    Raises:
-        CheckpointError: no such head; another tokenizer, which has none.
+    Raises CheckpointError: no such head; another tokenizer, which has none.
     """
     size = packaged_hashes().get(tokenizer_hash)
     if size is None:

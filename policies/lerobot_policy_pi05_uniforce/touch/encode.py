@@ -90,8 +90,7 @@ def build_encoder(config: PI05UniforceConfig, empty: bool = False) -> TactileEnc
 
     That is the packaged tokenizer of its hash, or one that is rebuilt, ``empty``, and filled from the checkpoint.
 
-    Raises:
-        CheckpointError: it was made behind another canonicalizer.
+    Raises CheckpointError: it was made behind another canonicalizer.
     """
     facts = config.touch.tokenizer
     if facts is not None and is_packaged(config):
@@ -125,8 +124,7 @@ def load_calibrations(
 
     ``made_for`` is a tokenizer's hash, "" the policy's own; or "descriptor".
 
-    Raises:
-        CheckpointError: made for another tokenizer, or of other sizes than this policy's input.
+    Raises CheckpointError: made for another tokenizer, or of other sizes than this policy's input.
     """
     found: dict[Finger, LatentMap] = {}
     for finger in FINGERS:
@@ -189,9 +187,8 @@ class TouchInput:
     def gather(self, batch: dict[str, Tensor], device: torch.device, training: bool) -> tuple[list, list]:
         """Return the slots' tensors and masks, in slot order.
 
-        Raises:
-            RolloutError: a declared input is missing or not finite, and ``on_sensor_loss`` is "error".
-            SensorError: likewise, where a sensor gives what no healthy one of its kind does.
+        Raises RolloutError: a declared input is missing or not finite, and ``on_sensor_loss`` is "error"; SensorError:
+        likewise, where a sensor gives what no healthy one of its kind does.
         """
         for monitor in self.monitors.values():
             monitor.active = not training

@@ -1,17 +1,13 @@
 """Pooled latents of one touch slot → K force tokens, and the gate behind which they may enter attention."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
-if TYPE_CHECKING:
-    from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 
 SHUT = 1e-6  # gate at the start, and the least that is left of it: a logit of −13.5
 

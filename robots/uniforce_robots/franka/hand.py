@@ -8,8 +8,7 @@ import logging
 import time
 from collections.abc import Callable
 
-from uniforce_robots.franka.clients import HandClient
-from uniforce_robots.franka.hand_command import HandCommand, HandReading, THINNEST_m
+from uniforce_robots.franka.clients import HandClient, HandCommand, HandReading, THINNEST_m
 from uniforce_robots.franka.limits import HandSettings
 from uniforce_vtla.errors import RobotError, SensorError, expected
 

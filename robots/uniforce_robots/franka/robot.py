@@ -15,11 +15,10 @@ from lerobot.cameras import Camera, make_cameras_from_configs
 from lerobot.robots import Robot
 
 from uniforce_robots.franka.arm import ArmState
-from uniforce_robots.franka.clients import make_backend
+from uniforce_robots.franka.clients import HandReading, make_backend
 from uniforce_robots.franka.config import UniforceFrankaConfig
 from uniforce_robots.franka.guards import GuardChain
 from uniforce_robots.franka.hand import Hand, require_open
-from uniforce_robots.franka.hand_command import HandReading
 from uniforce_robots.franka.poses import ToolPose
 from uniforce_robots.franka.stream import ArmStream
 from uniforce_vtla.errors import RobotError, SensorError, expected
@@ -90,10 +89,9 @@ class UniforceFranka(Robot):
     def connect(self, calibrate: bool = True) -> None:
         """Connect arm, hand and cameras. Nothing moves before the first action.
 
-        Raises:
-            RobotError: already connected, no answer within the deadline, wrong version, no client installed.
-            SensorError: a camera or finger without signal, another sensor than configured, or no free air for its
-                reference.
+        Raises RobotError: already connected, no answer within the deadline, wrong version, no client installed;
+        SensorError: a camera or finger without signal, another sensor than configured, or no free air for its
+        reference.
         """
         if self.is_connected:
             raise RobotError("robot: expected one not connected, got one that is. Disconnect first.", "other")
@@ -192,9 +190,8 @@ class UniforceFranka(Robot):
     def get_observation(self) -> dict[str, Any]:
         """Return the measured axes and the newest image of each camera.
 
-        Raises:
-            RobotError: a fault of arm or hand.
-            SensorError, RuntimeError, OSError: a camera or finger that is lost, stale or frozen; the arm has stopped.
+        Raises RobotError: a fault of arm or hand; SensorError, RuntimeError, OSError: a camera or finger that is lost,
+        stale or frozen; the arm has stopped.
         """
         with self._halting():
             axes = dict(zip(AXES, self.measured().tolist(), strict=True))

@@ -35,10 +35,9 @@ class StateCheck:
     def __call__(self, state: ArmState) -> None:
         """Accept a reading.
 
-        Raises:
-            RobotError: ``bad_state`` (no numbers, no rotation, a clock that runs backwards), ``force`` (the force
-                estimate is lost), ``speed`` or ``jump`` (faster than the arm can be), ``frozen`` (its target moved and
-                the joints did not change by a single bit).
+        Raises RobotError: ``bad_state`` (no numbers, no rotation, a clock that runs backwards), ``force`` (the force
+        estimate is lost), ``speed`` or ``jump`` (faster than the arm can be), ``frozen`` (its target moved and the
+        joints did not change by a single bit).
         """
         _require_possible(state)
         if self._last is not None:

@@ -68,9 +68,8 @@ class PairRecorder:
     def run(self) -> SessionReport:
         """Record what is missing of every indenter.
 
-        Raises:
-            DatasetError: an indenter yields hardly any pairs, or the disk is full.
-            SensorError, RobotError: from the rig; what was saved stays.
+        Raises DatasetError: an indenter yields hardly any pairs, or the disk is full; SensorError, RobotError: from the
+        rig; what was saved stays.
         """
         missing = [i for i, have in enumerate(self._store.counts) if have < self._plan.pairs]
         if missing:

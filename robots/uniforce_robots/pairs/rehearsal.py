@@ -12,8 +12,7 @@ import numpy as np
 from uniforce_robots.pairs.guided_grasp import GraspSettings, draw_grasp
 from uniforce_robots.pairs.pair_judge import FLOOR_N
 from uniforce_robots.pairs.rig import RigFrame
-from uniforce_vtla.contact.indenters import gap_maps
-from uniforce_vtla.contact.responses import ContactOptions
+from uniforce_vtla.contact import ContactOptions, gap_maps
 from uniforce_vtla.contact.simulator import draw_simulator, images_of
 from uniforce_vtla.contracts import FINGERS, ContactState, Finger
 from uniforce_vtla.markers.mirror import mirrored

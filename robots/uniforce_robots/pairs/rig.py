@@ -6,22 +6,18 @@ acceleration come from its measured poses, by a polynomial through the last mome
 hold with.
 """
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
+from uniforce_robots.franka import UniforceFranka
+from uniforce_robots.sensors.finger import TactileFinger
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import ContractError, expected
-
-if TYPE_CHECKING:
-    from uniforce_robots.franka import UniforceFranka
-    from uniforce_robots.sensors.finger import TactileFinger
 
 CLOSING = 0  # index of the closing axis in the hand's velocities and accelerations
 POSES = 7  # of the fit: a quarter of a second at 30 Hz

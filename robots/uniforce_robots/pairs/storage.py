@@ -106,9 +106,8 @@ class PairStore:
     def add(self, indenter: int, session: Session, pairs: Sequence[Pair]) -> None:
         """Store pairs of one indenter and one session durably.
 
-        Raises:
-            ContractError: an unknown indenter, or fewer than two pairs.
-            DatasetError: the disk is full, or a frame could not be stored; what was saved before is intact.
+        Raises ContractError: an unknown indenter, or fewer than two pairs; DatasetError: the disk is full, or a frame
+        could not be stored; what was saved before is intact.
         """
         if not 0 <= indenter < len(self.indenters) or len(pairs) < MIN_CHUNK:
             came = f"indenter {indenter}, {len(pairs)} pairs"

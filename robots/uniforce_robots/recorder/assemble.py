@@ -54,9 +54,7 @@ def run_session(
     ``seed`` is that of the first episode of an empty dataset; without ``out`` no progress is shown; tests use another
     ``open_store`` and store in this process.
 
-    Raises:
-        UniForceError: nothing could be connected.
-        KeyboardInterrupt: interrupted twice; everything has been let go.
+    Raises UniForceError: nothing could be connected; KeyboardInterrupt: interrupted twice; everything has been let go.
     """
     steering, interrupts = Steering(teleop), Interrupts()
     with interrupts.counted(), ExitStack() as closing:

@@ -46,10 +46,8 @@ class PlainCamera:
     def picture(self) -> Picture:
         """Return the newest frame.
 
-        Raises:
-            StaleSensorError: it is too old.
-            LostSensorError: the camera's thread has ended, or it is disconnected.
-            FrozenSensorError: the content hasn't changed for ``FROZEN_AFTER`` frames.
+        Raises StaleSensorError: it is too old; LostSensorError: the camera's thread has ended, or it is disconnected;
+        FrozenSensorError: the content hasn't changed for ``FROZEN_AFTER`` frames.
         """
         image, time_s = self._newest()
         if time_s != self._time_s:

@@ -103,12 +103,9 @@ class SampledCamera(Camera):
     def read_latest(self, max_age_ms: float | None = None) -> np.ndarray:
         """Return the newest sample's image at once; None takes the config's ``max_age_ms``.
 
-        Raises:
-            StaleSensorError: older than that, or none yet (also a TimeoutError).
-            LostSensorError: not connected or unplugged (also a ConnectionError).
-            FrozenSensorError: the content stopped changing.
-            SensorError: no markers in the frame, or taxels all zero.
-            ContractError: taxels without a reference.
+        Raises StaleSensorError: older than that, or none yet (also a TimeoutError); LostSensorError: not connected or
+        unplugged (also a ConnectionError); FrozenSensorError: the content stopped changing; SensorError: no markers in
+        the frame, or taxels all zero; ContractError: taxels without a reference.
         """
         return self._image(self.latest(max_age_ms).raw)
 

@@ -77,12 +77,10 @@ class SampleSource(ABC):
 
         Blocks for a tenth of a second or so at most.
 
-        Raises:
-            LostSensorError: it is gone.
-            ProtocolError: what came can't be understood, or has no usable time.
-            WrongSensorError: frames of another size, no such sensor, not 16 taxels.
-            SimulatedSensorError: a server says that its bus is simulated.
-            StaleSensorError: data come faster than they are read, so that their stamps would be wrong.
+        Raises LostSensorError: it is gone; ProtocolError: what came can't be understood, or has no usable time;
+        WrongSensorError: frames of another size, no such sensor, not 16 taxels; SimulatedSensorError: a server says
+        that its bus is simulated; StaleSensorError: data come faster than they are read, so that their stamps would be
+        wrong.
         """
 
     def _more_waits(self, is_full: bool) -> bool:
@@ -176,10 +174,9 @@ class SampleReader:
     def newest(self, max_age_ms: float) -> Sample:
         """Return the newest sample without waiting.
 
-        Raises:
-            LostSensorError: not connected, or gone; another SensorError where the cause has its own class.
-            FrozenSensorError: the content hasn't changed for ``frozen_after`` samples.
-            StaleSensorError: no sample yet, or older than ``max_age_ms``.
+        Raises LostSensorError: not connected, or gone; another SensorError where the cause has its own class;
+        FrozenSensorError: the content hasn't changed for ``frozen_after`` samples; StaleSensorError: no sample yet, or
+        older than ``max_age_ms``.
         """
         return self.wait_newer(-1, max_age_ms, wait_ms=0.0)
 

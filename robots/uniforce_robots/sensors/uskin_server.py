@@ -175,10 +175,8 @@ def read_message(text: str, sensor: str, name: str) -> tuple[int | None, np.ndar
 
     A greeting, or anything else without data, gives (None, None).  ``name`` is how errors call the sensor.
 
-    Raises:
-        ProtocolError: no JSON object, or words that are no counts.
-        WrongSensorError: no such sensor, or not 16 taxels.
-        SimulatedSensorError: the server says that its bus is simulated.
+    Raises ProtocolError: no JSON object, or words that are no counts; WrongSensorError: no such sensor, or not 16
+    taxels; SimulatedSensorError: the server says that its bus is simulated.
     """
     try:
         message = json.loads(text)

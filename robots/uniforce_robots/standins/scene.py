@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import interp1d
 
-from uniforce_vtla.contact.indenters import gap_maps
-from uniforce_vtla.contact.simulator import TactileSimulator, free_air
+from uniforce_vtla.contact import TactileSimulator, free_air, gap_maps
 from uniforce_vtla.contracts import QUARTERS, ContactState
 from uniforce_vtla.errors import ContractError, expected, require_one_of
 

@@ -10,15 +10,14 @@ from transformers import ViTConfig
 
 from benchmarks.baselines.cells import labels, pictures
 from benchmarks.baselines.end_to_end import EndToEndConfig, train_end_to_end
-from benchmarks.baselines.finetuned import FineTuneConfig, TokenizerEncoder, finetuned_row, fit_finetuned
+from benchmarks.baselines.finetuned import TokenizerEncoder, finetuned_row, fit_finetuned
 from benchmarks.baselines.genforce_style import TranslationConfig, genforce_style_row, train_translator, translate
 from benchmarks.baselines.resnet import ResNetConfig, build_resnet, fit_resnet, resnet_row
-from benchmarks.baselines.speed import SpeedConfig, T3Encoder, our_size, size_facts, speed_report
+from benchmarks.baselines.speed import T3Encoder, our_size, size_facts, speed_report
 from benchmarks.probes.zero_shot import Cells, Table, encode_set, score
 from benchmarks.timing import in_turns
 from uniforce_vtla.errors import ContractError
-from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.settings import TokenizerConfig
+from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
 
 SHORT = EndToEndConfig(steps=3, frames_per_step=16)
 RESNET = ResNetConfig(width=8, blocks=(1, 1, 1), training=replace(SHORT, steps=80))
@@ -31,7 +30,7 @@ def short_row(name: str, table: Table, tiny: TokenizerConfig) -> Cells:
         return resnet_row(table, 1, replace(RESNET, training=SHORT))
     if name == "genforce_style":
         return genforce_style_row(table, 1, TRANSLATION)
-    return finetuned_row(table, Tokenizer.random(tiny), 1, FineTuneConfig(SHORT))
+    return finetuned_row(table, Tokenizer.random(tiny), 1, SHORT)
 
 
 @pytest.mark.parametrize("name", ["resnet", "genforce_style", "finetuned"])
@@ -61,13 +60,6 @@ def test_translation_ignores_labels_of_the_targets_training_set(table, predictio
     np.testing.assert_array_equal(predictions()[0], honest[0])
 
 
-def test_no_seed_is_refused(table: Table, tiny: TokenizerConfig) -> None:
-    rows = [lambda: resnet_row(table, 0, RESNET), lambda: genforce_style_row(table, 0, TRANSLATION)]
-    for row in (*rows, lambda: finetuned_row(table, Tokenizer.random(tiny), 0)):
-        with pytest.raises(ContractError, match="seeds: expected"):
-            row()
-
-
 def test_resnet_learns_its_own_sensor(table: Table) -> None:
     source, unseen = table.training["gelsight"], table.frozen["gelsight"]
     predict = fit_resnet(source, RESNET, seed=0)
@@ -84,19 +76,6 @@ def test_end_to_end_loss_falls_and_repeats(table: Table) -> None:
     assert np.mean(runs[0][-5:]) < 0.8 * np.mean(runs[0][:5])
 
 
-def test_resnet_refuses_small_pictures_and_misfit_labels(table: Table) -> None:
-    source = table.training["gelsight"]
-    small = replace(source, reference=source.reference[:, :16, :16], frames=source.frames[:, :, :16, :16])
-    with pytest.raises(ContractError, match="divisible by 32"):
-        fit_resnet(small, RESNET, 0)
-    with pytest.raises(ContractError, match="forces of the source"):
-        fit_resnet(replace(source, force_N=source.force_N[:, :2]), RESNET, 0)
-    with pytest.raises(ContractError, match="uint8"):
-        fit_resnet(replace(source, frames=source.frames.astype(np.float32)), RESNET, 0)
-    with pytest.raises(ContractError, match="steps"):
-        fit_resnet(source, replace(RESNET, training=replace(SHORT, steps=0)), 0)
-
-
 def test_translator_beats_copying_the_targets_reference(table: Table) -> None:
     source, target = (pictures(table.training[s]) for s in ("gelsight", "tactip"))
     config = replace(TRANSLATION, steps=80, batch=16)
@@ -108,17 +87,6 @@ def test_translator_beats_copying_the_targets_reference(table: Table) -> None:
     assert np.abs(redrawn - target.frames).mean() < 0.8 * copied
 
 
-def test_translation_needs_paired_sets_of_a_fitting_size(table: Table) -> None:
-    source = pictures(table.training["gelsight"])
-    with pytest.raises(ContractError, match="paired sets"):
-        train_translator(source, pictures(table.frozen["tactip"]), TRANSLATION, 0)
-    with pytest.raises(ContractError, match="divisible by 256"):
-        train_translator(source, source, replace(TRANSLATION, cell=128), 0)
-    with pytest.raises(ContractError, match="training pictures of tactip"):
-        one = replace(table, training={"gelsight": table.training["gelsight"]})
-        genforce_style_row(one, 1, TRANSLATION)
-
-
 def test_fine_tuning_starts_from_the_tokenizer_and_leaves_it_alone(table: Table, tiny: TokenizerConfig) -> None:
     tokenizer = Tokenizer.random(tiny)
     before = {k: v.clone() for k, v in tokenizer.model.state_dict().items()}
@@ -126,7 +94,7 @@ def test_fine_tuning_starts_from_the_tokenizer_and_leaves_it_alone(table: Table,
     reference, frames = pictures(table.frozen["tactip"]).tensors(slice(0, 3))
     same = encode_set(tokenizer, table.frozen["tactip"])[:3]
     torch.testing.assert_close(encoder(reference, frames), same, atol=1e-5, rtol=1e-4)
-    finetuned_row(table, tokenizer, 1, FineTuneConfig(SHORT))
+    finetuned_row(table, tokenizer, 1, SHORT)
     assert all(torch.equal(before[k], v) for k, v in tokenizer.model.state_dict().items())
     assert not any(p.requires_grad for p in tokenizer.model.parameters())
 
@@ -136,15 +104,9 @@ def test_fine_tuning_improves_on_the_frozen_head(table: Table, tiny: TokenizerCo
     r2 = []
     for steps in (1, 80):
         training = EndToEndConfig(steps=steps, frames_per_step=32, learning_rate=1e-3, encoder_rate=1.0)
-        predict = fit_finetuned(source, tokenizer, table.head, FineTuneConfig(training), seed=0)
+        predict = fit_finetuned(source, tokenizer, table.head, training, seed=0)
         r2.append(np.mean(score(unseen.force_N, predict(pictures(unseen)))["r2"]))
     assert r2[1] > r2[0] and r2[1] > 0.3
-
-
-def test_fine_tuning_refuses_pictures_of_another_size(table: Table, tiny: TokenizerConfig) -> None:
-    other = Tokenizer.random(replace(tiny, side=64))
-    with pytest.raises(ContractError, match="side 64"):
-        finetuned_row(table, other, 1, FineTuneConfig(SHORT))
 
 
 def t3(depth: int) -> T3Encoder:
@@ -161,7 +123,7 @@ def test_t3_medium_has_its_published_size() -> None:
 
 def test_report_is_plain_data_and_ranks_by_work(tiny: TokenizerConfig) -> None:
     encoders = {"small": t3(1), "large": t3(24)}
-    report = speed_report(Tokenizer.random(tiny), SpeedConfig(repeats=3, ours_per_round=2), encoders)
+    report = speed_report(Tokenizer.random(tiny), encoders, rounds=3, ours_per_round=2)
     encoders = json.loads(json.dumps(report))["encoders"]
     assert set(encoders) == {"UniForce", "small", "large"}
     assert encoders["UniForce"]["times_ours"] == 1
@@ -193,8 +155,3 @@ def test_turns_alternate_after_a_warm_up() -> None:
     taken = in_turns({"a": lambda: turn("a"), "b": lambda: turn("b")}, 2, lambda call: call())
     assert order == ["a", "b"] * 3
     assert {name: len(times) for name, times in taken.items()} == {"a": 2, "b": 2}
-
-
-def test_nothing_to_repeat_is_refused(tiny: TokenizerConfig) -> None:
-    with pytest.raises(ContractError, match="at least 1"):
-        speed_report(Tokenizer.random(tiny), SpeedConfig(repeats=0), {})

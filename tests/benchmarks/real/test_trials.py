@@ -1,15 +1,14 @@
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks.real.grasps import COLUMNS, TrialConfig, changes_load, read_trials, read_uskin_csv
+from benchmarks.real.grasps import COLUMNS, read_trials, read_uskin_csv
 from uniforce_vtla.errors import DatasetError, SensorError
 
 FOLDER = Path(__file__).parents[3].parent / "shared" / "real" / "uskin_bilateral_slip" / "data_set"
-HERE = TrialConfig(lender="b")
+HERE = "b"  # the trial that lends its reference
 T = 60
 
 
@@ -42,14 +41,14 @@ def test_references_are_own_where_the_object_fell_and_else_borrowed_and_labelled
     assert trials["b"].reference_from == "own" and trials["c"].reference_from == "borrowed from b"
     np.testing.assert_array_equal(trials["c"].reference, trials["b"].reference)
     assert np.abs(trials["c"].reference - 30_000).max() < 10
-    assert changes_load(trials["b"], HERE) and not changes_load(trials["c"], HERE)
+    assert trials["b"].changes_load and not trials["c"].changes_load
 
 
 def test_bad_recordings_raise(recordings: Path) -> None:
     with pytest.raises(DatasetError, match="none"):
         read_trials(recordings / "absent", HERE)
     with pytest.raises(DatasetError, match="drop"):
-        read_trials(recordings, replace(HERE, lender="c"))
+        read_trials(recordings, "c")
     labels = recordings / "a" / "slip_label.csv"
     pd.read_csv(labels)[:-1].to_csv(labels, index=False)
     with pytest.raises(DatasetError, match="one length"):
@@ -64,7 +63,7 @@ def test_bad_recordings_raise(recordings: Path) -> None:
 def test_real_trials_are_what_the_report_says() -> None:
     trials = read_trials(FOLDER)
     assert len(trials) == 7 and sum(t.reference_from == "own" for t in trials) == 2
-    assert sum(changes_load(t, TrialConfig()) for t in trials) == 4
+    assert sum(t.changes_load for t in trials) == 4
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks.probes.sequences import force_sequences
+from benchmarks.probes.labelled_set import force_sequences
 
 COLUMNS = ["Fx(N)", "Fy(N)", "Fz(N)", "Tx(Nmm)", "Ty(Nmm)", "Tz(Nmm)"]
 LENGTH = 6
@@ -16,8 +16,6 @@ LENGTH = 6
 
 @dataclass(frozen=True)
 class MarkerTrial:
-    """A simulated trial: reference, frames, force in our axes."""
-
     sensor: str
     indenter: str
     reference: np.ndarray

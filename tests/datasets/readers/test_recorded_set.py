@@ -11,11 +11,10 @@ from benchmarks.probes.zero_shot import POOL, encode_set, predict
 from uniforce_datasets.readers import LabelledRecording, read_genforce
 from uniforce_vtla.contact import UNSEEN
 from uniforce_vtla.errors import DatasetError
-from uniforce_vtla.tokenizer import Tokenizer
+from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
 from uniforce_vtla.tokenizer.descriptor import describe
 from uniforce_vtla.tokenizer.force_head import HeadTrainingConfig, train_head
 from uniforce_vtla.tokenizer.pair_cache import shrink
-from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
 SIDE = 32
 
@@ -99,7 +98,7 @@ def test_shear_agreement_shows_the_signs() -> None:
 @pytest.mark.parametrize("sensor", ["gelsight", "uskin"])
 def test_simulated_markers_agree_with_our_axes(sensor: str) -> None:
     """Flat pads drag their markers along the shear force they report; a dome's pins follow it less."""
-    from benchmarks.probes.sequences import force_sequences
+    from benchmarks.probes.labelled_set import force_sequences
 
     batch = force_sequences(np.random.default_rng(1), sensor, 10, 5, ("sphere",), units=2, transform=None)
     recordings = [

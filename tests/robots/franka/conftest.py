@@ -3,14 +3,19 @@ from functools import partial
 
 import pytest
 from fci_client import wait_until
+from robot_fakes import FakeArm
 
 from uniforce_robots.franka.limits import HARD_LIMITS, Range, StreamSettings
 
 
 @pytest.fixture
 def eventually() -> Callable[..., float]:
-    """Wait until something is so; generous, for a busy machine."""
     return partial(wait_until, timeout_s=30.0)
+
+
+@pytest.fixture
+def arm() -> FakeArm:
+    return FakeArm()
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ from collections.abc import Callable
 import numpy as np
 
 from uniforce_robots.franka.arm import ArmState
+from uniforce_robots.franka.clients import HandCommand, HandReading
 from uniforce_robots.franka.guards import towards
-from uniforce_robots.franka.hand_command import HandCommand, HandReading
 from uniforce_robots.franka.poses import ToolPose
 from uniforce_vtla.errors import RobotError
 
@@ -16,8 +16,6 @@ SPEED_m_s = 1.5  # of the fake: at once for a test, possible for an arm
 
 
 class FakeArm:
-    """Goes to each target fast; keeps what it was asked."""
-
     def __init__(self) -> None:
         self.pose = START.ee_to_base()
         self._moved_s = time.monotonic()

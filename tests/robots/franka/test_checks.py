@@ -3,6 +3,7 @@
 import logging
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
 
@@ -13,11 +14,11 @@ from benchmarks.trust.guard_cases import drive
 from benchmarks.trust.guard_oracle import axes_of, pose_of, wrong_pose
 from benchmarks.trust.mutations import notice
 from uniforce_robots.fr3 import HAND_TO_FLANGE, HOME_q_rad, posture
-from uniforce_robots.franka.arm import HAND_GUIDED, ArmState, Gains
+from uniforce_robots.franka.arm import HAND_GUIDED, ArmState
 from uniforce_robots.franka.guards import GuardLimits
 from uniforce_robots.franka.poses import ToolPose, between, shortest_turn
 from uniforce_robots.franka.state_check import SendCheck, StateCheck
-from uniforce_vtla.errors import ContractError, RobotError
+from uniforce_vtla.errors import RobotError
 
 LIMITS = GuardLimits()
 HERE = np.array([0.45, 0.0, 0.30, 0.0])
@@ -136,11 +137,6 @@ def test_the_closing_axis_is_the_stiff_one_however_the_hand_is_turned(yaw: float
     assert not K[:3, 3:].any()
 
 
-def test_gains_that_make_no_sense_are_refused() -> None:
-    with pytest.raises(ContractError, match="0 … 3,000"):
-        Gains((-1.0, 0.0, 0.0))
-
-
 START = ArmState(5.0, 5.0, np.zeros(7), np.zeros(7), np.eye(4) + np.diag([0.0] * 4), np.zeros(6), "move", 1.0)
 
 
@@ -200,21 +196,13 @@ def test_an_arm_at_full_speed_and_one_that_rests_pass() -> None:
     assert fault(*[START] * 50) == "", "the same reading again is no jump"
 
 
-def test_readings_that_do_not_change_while_the_target_moves() -> None:
+@pytest.mark.parametrize("alive", [False, True])  # encoders of a blocked arm still change by a bit
+def test_readings_that_do_not_change_while_the_target_moves(alive: bool) -> None:
     check, target, state = StateCheck(), np.zeros(3), START
-    with pytest.raises(RobotError) as caught:
-        for _ in range(30):
+    with nullcontext() if alive else pytest.raises(RobotError) as caught:
+        for _ in range(60):
             check(state)
             target = target - np.array([0.0, 0.0, 0.001])
             check.follows(target)
-            state = moved(state, 0.01, q_rad=START.q_rad)
-    assert caught.value.fault == "frozen"
-
-
-def test_a_blocked_arm_whose_encoders_are_alive_passes() -> None:
-    check, target, state = StateCheck(), np.zeros(3), START
-    for _ in range(60):
-        check(state)
-        target = target - np.array([0.0, 0.0, 0.001])
-        check.follows(target)
-        state = moved(state, 0.01)
+            state = moved(state, 0.01, **({} if alive else {"q_rad": START.q_rad}))
+    assert alive or caught.value.fault == "frozen"

@@ -63,7 +63,6 @@ def arm(config: UniforceFrankaConfig, fci: StandIn) -> Iterator[Arm]:
 
 
 def fault_within(use: Callable[[], object], seconds: float = PATIENCE_s) -> str:
-    """Use something until it raises; a fault that never comes is a failure."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         try:

@@ -17,8 +17,6 @@ TICK_s = 0.01
 
 
 class Bench:
-    """A hand, its client, and their clock."""
-
     def __init__(self, takes_s: float = 0.1, succeeds: bool = True) -> None:
         self.now_s = 100.0
         self.client = FakeHand(takes_s, succeeds, lambda: self.now_s)
@@ -26,7 +24,6 @@ class Bench:
         self.hand.start()
 
     def run(self, for_s: float) -> str:
-        """Tick for so long; return the fault that came, empty while all is well."""
         for _ in range(round(for_s / TICK_s)):
             self.now_s += TICK_s
             try:
@@ -36,7 +33,6 @@ class Bench:
         return ""
 
     def grasp(self) -> None:
-        """Close on something and hold it."""
         self.client.is_grasped = True
         self.hand.submit(0.02)
         assert self.run(0.5) == ""

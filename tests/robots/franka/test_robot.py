@@ -24,11 +24,6 @@ from uniforce_vtla.keys import AXES
 
 
 @pytest.fixture
-def arm() -> FakeArm:
-    return FakeArm()
-
-
-@pytest.fixture
 def hand() -> FakeHand:
     return FakeHand()
 
@@ -257,8 +252,6 @@ def test_nested_settings_are_parsed_from_the_command_line() -> None:
 
 
 class BrokenCamera:
-    """A camera that works until it gets an error."""
-
     height, width = 4, 6
 
     def __init__(self) -> None:

@@ -20,11 +20,6 @@ from uniforce_vtla.errors import RobotError
 
 
 @pytest.fixture
-def arm() -> FakeArm:
-    return FakeArm()
-
-
-@pytest.fixture
 def started(arm: FakeArm, patient: StreamSettings) -> Iterator[Callable[..., ArmStream]]:
     """Return a function that starts a stream with changed settings; it is stopped at the end."""
     with ExitStack() as ending:

@@ -38,8 +38,6 @@ Chunk = tuple[int, Session, list[Pair]]
 
 @pytest.fixture
 def make_chunk() -> Callable[..., Chunk]:
-    """Return a function of (indenter, session, n, seed)."""
-
     def make(indenter: int = 0, session: int = 0, n: int = 3, seed: int = 0) -> Chunk:
         rng = np.random.default_rng(seed)
         references = {f: marker_image(100 * session + i) for i, f in enumerate(FINGERS)}

@@ -47,8 +47,6 @@ def test_it_records_exactly_what_was_asked_for(tmp_path: Path) -> None:
 
 
 class Unplugged(SimulatedRig):
-    """Loses a finger after so many frames."""
-
     def __init__(self, after: int) -> None:
         super().__init__(Rehearsal("uskin", "tactip", seed=5, grasps=QUICK))
         self._left = after

@@ -65,8 +65,6 @@ class FakeCapture(ScriptedCapture):
 
 
 class FakeRig:
-    """The parts of a robot rig, each at hand for breaking."""
-
     def __init__(self, folder: Path, monkeypatch) -> None:
         self.arm, self.hand = FakeArm(), FakeHand(takes_s=0.02)
         monkeypatch.setattr(robot_module, "make_backend", lambda config: (self.arm, self.hand))

@@ -27,7 +27,6 @@ REFERENCE = dots(0)
 
 
 def row(step: int, facts: RigFacts = FACTS) -> dict[str, np.ndarray]:
-    """Any numbers, of the right shapes."""
     features = rig_features(facts)
     plain = {k: f for k, f in features.items() if k not in RECORDERS_OWN and f["dtype"] != "video"}
     numbers = {k: np.full(f["shape"], step + 1, f["dtype"]) for k, f in plain.items()}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.recorder.faults import summary
-from benchmarks.recorder.stillness import arm_clock, find_hold
+from benchmarks.recorder.rig import arm_clock, find_hold
 from benchmarks.recorder.verdict import bars
 
 

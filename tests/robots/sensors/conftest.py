@@ -1,10 +1,11 @@
 """How much of a core this machine gives us: deadlines scale with it."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import pytest
 
+from uniforce_robots.sensors.reader import ReaderLimits, SampleReader, SampleSource
 from uniforce_robots.standins.process import StandIn
 from uniforce_vtla.errors import SensorError
 
@@ -44,8 +45,6 @@ def outcome(cpu_share: float) -> Callable[..., SensorError]:
 
 @pytest.fixture
 def recovers(cpu_share: float) -> Callable[[Callable[[], object]], None]:
-    """Return a function that calls another until it stops raising."""
-
     def wait(ask: Callable[[], object]) -> None:
         deadline_s = time.monotonic() + 3.0 + 1.0 / cpu_share
         while True:
@@ -77,3 +76,13 @@ def fails_and_recovers(outcome: Callable, recovers: Callable) -> Callable[..., N
             wait_newer(newest(1e4).index, 60_000)
 
     return check
+
+
+@pytest.fixture
+def reader(source: SampleSource) -> Iterator[SampleReader]:
+    """Read the source that a module names; there is a sample already."""
+    reader = SampleReader(source, ReaderLimits(frozen_after=20, backoff_s=0.02, backoff_max_s=0.1))
+    reader.start()
+    reader.wait_newer(-1, 30_000)
+    yield reader
+    reader.stop()

@@ -20,7 +20,6 @@ LIMITS = ReaderLimits(capacity=16, frozen_after=5, silent_s=0.3, backoff_s=0.01,
 
 
 def filled(count: int, capacity: int = 8) -> SampleReader:
-    """Return a reader that was never started, with so many samples in it."""
     reader = SampleReader(ScriptedSource(), ReaderLimits(capacity))
     reader.keep([Stamped(1_000_000 * (i + 1), np.array([i, -i], np.int32)) for i in range(count)])
     return reader

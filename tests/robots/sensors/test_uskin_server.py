@@ -4,7 +4,7 @@ import itertools
 import json
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from standins.xela import fragmented, frame, greeting, message
 from websockets.frames import Opcode
 
 from uniforce_robots.sensors import faults
-from uniforce_robots.sensors.reader import ReaderLimits, SampleReader
+from uniforce_robots.sensors.reader import SampleReader
 from uniforce_robots.sensors.uskin_server import MAX_MESSAGE_BYTES, ServerUSkin, XelaMessages, read_message
 from uniforce_robots.standins.process import StandIn
 from uniforce_robots.standins.scene import Scene, taxel_cycle
@@ -28,13 +28,8 @@ SCAN = np.random.default_rng(0).integers(0, 65_536, (16, 3)).astype(np.uint16)
 
 
 @pytest.fixture
-def reader(xela: StandIn) -> Iterator[SampleReader]:
-    limits = ReaderLimits(frozen_after=20, backoff_s=0.02, backoff_max_s=0.1)
-    reader = SampleReader(ServerUSkin(xela.address), limits)
-    reader.start()
-    reader.wait_newer(-1, 30_000)
-    yield reader
-    reader.stop()
+def source(xela: StandIn) -> ServerUSkin:
+    return ServerUSkin(xela.address)
 
 
 def test_scans_are_those_of_the_contact_simulator(reader: SampleReader):
@@ -124,7 +119,6 @@ TEXTS = ["", "short", "x" * 126, "y" * 70_000]
 
 
 def open_messages() -> XelaMessages:
-    """Return a client that has been answered."""
     client = XelaMessages("127.0.0.1", 5000, "server")
     client.feed(greeting(b"".join(client.protocol.data_to_send())))
     return client

@@ -3,7 +3,7 @@
 import itertools
 import os
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from properties import examples
 
 from benchmarks.recorder.overhead import measure_rate
 from uniforce_robots.sensors.faults import FrozenSensorError, LostSensorError, ProtocolError, StaleSensorError
-from uniforce_robots.sensors.reader import ReaderLimits, SampleReader
+from uniforce_robots.sensors.reader import SampleReader
 from uniforce_robots.sensors.uskin_slcan import MAX_TAIL_BYTES, SlcanScans, SlcanUSkin
 from uniforce_robots.standins.process import StandIn
 from uniforce_robots.standins.scene import Scene, taxel_cycle
@@ -29,15 +29,6 @@ TIMES = 10
 @pytest.fixture
 def source(slcan: StandIn) -> SlcanUSkin:
     return SlcanUSkin(slcan.address)
-
-
-@pytest.fixture
-def reader(source: SlcanUSkin) -> Iterator[SampleReader]:
-    reader = SampleReader(source, ReaderLimits(frozen_after=20, backoff_s=0.02, backoff_max_s=0.1))
-    reader.start()
-    reader.wait_newer(-1, 30_000)
-    yield reader
-    reader.stop()
 
 
 def test_scans_are_those_of_the_contact_simulator_in_order(reader: SampleReader):

@@ -19,7 +19,6 @@ from uniforce_vtla.errors import TeleoperatorError
 
 @pytest.fixture
 def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[bytes], None]]:
-    """Make a pseudo-terminal standard input; return a function that types."""
     master, slave = os.openpty()
     stdin = os.fdopen(slave, "r", closefd=False)
     monkeypatch.setattr("sys.stdin", stdin)
@@ -63,8 +62,6 @@ def measured() -> np.ndarray:
 
 @pytest.fixture
 def until() -> Callable[..., Any]:
-    """Return a function that asks until the answer satisfies; generous, for a busy machine."""
-
     def wait(ask: Callable[[], Any], says: Callable[[Any], bool], timeout_s: float = 20.0) -> Any:
         deadline = time.monotonic() + timeout_s
         while not says(answer := ask()):
@@ -92,5 +89,4 @@ def fault_of(until: Callable[..., Any]) -> Callable[[Callable[[], Any]], str]:
 
 @pytest.fixture
 def starts(until: Callable[..., Any], measured: np.ndarray) -> Callable[[Any], None]:
-    """Return a function that tries to start a device until it may."""
     return lambda device: until(lambda: fault_or_none(lambda: device.start_from(measured)), lambda f: not f)

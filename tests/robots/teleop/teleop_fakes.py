@@ -13,7 +13,6 @@ from uniforce_robots.teleop.gello import tool_axes
 
 
 def home_axes() -> np.ndarray:
-    """(5,) of the arm's home posture with open fingers."""
     return np.array([*tool_axes(HOME_q_rad, float(HAND_TO_FLANGE[2, 3])), 0.08])
 
 
@@ -26,7 +25,6 @@ class Paced:
         inner.start_from(measured)
 
     def next(self) -> np.ndarray:
-        """(5,) the next action."""
         self._now += 1 / 30
         return np.array(list(self.inner.get_action().values()))
 
