@@ -6,31 +6,26 @@ import logging
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from draccus.utils import DraccusException
 from safetensors import SafetensorError
 
 from lerobot_policy_pi05_uniforce import weights
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import ENCODED, NEVER_STORED, PI05UniforceConfig
 from uniforce_vtla.contracts import Finger, check_count
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.markers import MARKER_IMAGES
 
-if TYPE_CHECKING:
-    from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
-
 logger = logging.getLogger(__name__)
 
 TYPE = "pi05_uniforce"
-# settings of who loads a checkpoint, not of who wrote it: stored at these values alone
-NEVER_STORED = {"verify": "full", "monitor": "stop", "left_calibration": "", "right_calibration": ""}
 PROCESSORS = ("policy_preprocessor.json", "policy_postprocessor.json")
 # of whole numbers in config.json: far beyond what is ever trained, far below what fills a machine
 COUNTS = ("chunk_size", "n_action_steps", "num_inference_steps", "max_action_dim", "max_state_dim")
 LIMITS = {**dict.fromkeys(COUNTS, 4096), "tokenizer_max_length": 65536}
 TINY_LIMITS = {"width": 8192, "depth": 64, "mlp_dim": 65536}
-ENCODED = ("latent", "newtons")  # touch inputs that come from the frozen tokenizer
 FROM_MARKERS = (*ENCODED, "descriptor", "marker_pair")
 MAX_SIDE = 4096  # of an image or a feature's axis
 # What LeRobot, draccus and torch raise over settings that fit nothing

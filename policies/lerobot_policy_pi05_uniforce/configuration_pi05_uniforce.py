@@ -8,7 +8,6 @@ from typing import Any
 from lerobot.configs import NormalizationMode, PreTrainedConfig
 from lerobot.policies.pi05.configuration_pi05 import PI05Config
 
-from lerobot_policy_pi05_uniforce.checkpoint import ENCODED, NEVER_STORED
 from lerobot_policy_pi05_uniforce.sizes import GRID, resolve_size, size_settings
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError, expected
@@ -17,6 +16,9 @@ from uniforce_vtla.keys import SLOTS, TACTILE_KEYS
 # take the size's value (sizes.py); never left after __post_init__
 _BY_SIZE: Any = None
 
+# settings of who loads a checkpoint, not of who wrote it: stored at these values alone
+NEVER_STORED = {"verify": "full", "monitor": "stop", "left_calibration": "", "right_calibration": ""}
+ENCODED = ("latent", "newtons")  # touch inputs that come from the frozen tokenizer
 CHOICES = {
     "size": ("tiny", "base"),
     "verify": ("full", "quick", "off"),

@@ -17,7 +17,7 @@ from torch.nn import functional as F  # noqa: N812
 
 from lerobot_policy_pi05_uniforce import action, checkpoint, training, weights
 from lerobot_policy_pi05_uniforce.augment import vary
-from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import ENCODED, PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch, state_size
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE, floor_quantiles
@@ -85,7 +85,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
 
     def _make_touch_input(self) -> TouchInput:
         config, encoder = self.config, self.model.tactile_encoder
-        if config.touch.input not in (*checkpoint.ENCODED, "none"):
+        if config.touch.input not in (*ENCODED, "none"):
             return ControlInput(config)
         rows = (config.tokens_per_slot, config.latent_size) if encoder else (0, 0)
         monitors = build_monitors(config) if encoder else {}

@@ -8,8 +8,7 @@ from lerobot.policies.pi05 import modeling_pi05 as stock
 from torch import Tensor, nn
 
 from lerobot_policy_pi05_uniforce.backbone import make_backbone
-from lerobot_policy_pi05_uniforce.checkpoint import ENCODED
-from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import ENCODED, PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.sampler.fast import FastSampler
 from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, drop_padding
 from lerobot_policy_pi05_uniforce.touch.controls import control_tokens
