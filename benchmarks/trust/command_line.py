@@ -79,13 +79,18 @@ class Trial:
 def trials(command: str, room: Room) -> list[Trial]:
     if command == "train":
         return _train_trials(room)
-    module, function = COMMANDS[command].split(":")
-    options = options_of(getattr(importlib.import_module(module), function).config_class)
+    options = options_of(entry(command).config_class)
     named = tuple(w.format(room=room.folder, shipped=shipped_checkpoint()) for w in SOUND.get(command, ()))
     given = {word.partition("=")[0] for word in named}
     sound = (*named, *(word for word in _sound(options, room) if word.partition("=")[0] not in given))
     found = [Trial(command, bad, sound) for bad in bad_inputs(options, room)]
     return found + (_robot_trials(room) if command == "record" else [])
+
+
+def entry(command: str) -> Any:
+    """Return the function behind a command."""
+    module, function = COMMANDS[command].split(":")
+    return getattr(importlib.import_module(module), function)
 
 
 def _sound(options: Mapping[str, Option], room: Room) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ import tomllib
 import pytest
 
 from benchmarks.trust.bad_words import Room
-from benchmarks.trust.command_line import COMMANDS, MODULES, PUBLISHED, ROOT, _entry, hashes, judge, prepare, trials
+from benchmarks.trust.command_line import COMMANDS, MODULES, PUBLISHED, ROOT, entry, hashes, judge, prepare, trials
 from benchmarks.trust.command_worker import Ended, _code
 from uniforce_cli import main as command
 from uniforce_vtla.arguments import Option, options_of
@@ -31,7 +31,7 @@ def test_bad_inputs_end_in_one_line(name, room, monkeypatch, capfd) -> None:
     monkeypatch.chdir(room.folder.parent / "work")
     published, every = hashes(ROOT / PUBLISHED), trials(name, room)
     for trial in every[:: len(every) // SHARE]:
-        code = _code(_entry(name), trial.words)
+        code = _code(entry(name), trial.words)
         ended = Ended(code, "".join(capfd.readouterr()))
         assert judge(trial, ended) == "one_line", f"{trial.words}: {ended}"
     assert hashes(ROOT / PUBLISHED) == published
@@ -43,7 +43,7 @@ def undeclared(option: Option) -> bool:
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "train"])
 def test_every_option_declares_what_it_may_be(name: str) -> None:
-    options = options_of(_entry(name).config_class)
+    options = options_of(entry(name).config_class)
     assert not [o.name for o in options.values() if undeclared(o) and not o.name.startswith("run.model.")]
     rules = {type(option.rule) for option in options.values()} - {type(None)}
     assert rules <= {Range, Names, Pattern, Plain, Existing, Writable}
@@ -51,7 +51,7 @@ def test_every_option_declares_what_it_may_be(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_nothing_is_written_into_published_results_by_default(name: str) -> None:
-    config_class = _entry(name).config_class
+    config_class = entry(name).config_class
     options = options_of(config_class).values() if config_class else ()
     outputs = [o.default for o in options if isinstance(o.rule, Writable)]
     assert all(not default.startswith(str(PUBLISHED)) for default in outputs)
