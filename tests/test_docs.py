@@ -12,6 +12,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from textwrap import dedent
 
+import numpy as np
 import pytest
 
 from uniforce_cli.main import VERBS
@@ -143,6 +144,12 @@ def test_the_tutorial_names_every_fault() -> None:
 
 def test_readme_is_read_in_five_minutes() -> None:
     assert len((ROOT / "README.md").read_text().splitlines()) <= 150
+
+
+def test_readmes_python_runs_and_reads_the_press() -> None:
+    code, names = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL), {}
+    exec(code[1], names)
+    assert np.allclose(names["force_N"], [[1, 0, 6]], atol=0.5)
 
 
 def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:

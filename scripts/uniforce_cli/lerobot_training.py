@@ -23,6 +23,7 @@ from lerobot.utils.constants import PRETRAINED_MODEL_DIR
 from lerobot.utils.import_utils import register_third_party_plugins
 
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig
+from uniforce_cli.boundary import one_thread
 from uniforce_vtla.arguments import Option, check, options_of, read_value, split_words
 from uniforce_vtla.errors import CheckpointError, ContractError, UniForceError, expected
 from uniforce_vtla.file_hashes import write_hashes
@@ -34,7 +35,8 @@ VERIFY = "verify="
 CHOICES = ("policy", "env")  # LeRobot wants --policy.type=NAME
 OURS = "pi05_uniforce"
 DEFAULTS = {"policy.push_to_hub": "false", "wandb.enable": "false"}
-ON_CPU = {"num_workers": "0"}  # loading takes 3 % of a step; workers would take the cores that train
+# loading takes 3 % of a step; workers would take the cores that train. Checkpoints are small, and runs are stopped
+ON_CPU = {"num_workers": "0", "save_freq": "1000"}
 RANGES = {  # of LeRobot's own settings, which it does not check
     "steps": Range(1, 10_000_000),
     "batch_size": Range(1, 65_536),
@@ -225,6 +227,8 @@ def train(argv: Sequence[str]) -> None:
             lerobot_train.main()
         config = read_settings(flags)
         ours = isinstance(config.policy, PI05UniforceConfig) and not config.job.is_remote
+        if ours and config.policy.size == "tiny" and config.policy.device == "cpu":
+            one_thread()  # a second one buys nothing, and beside other programs they wait for each other
         accelerator = TrainingAccelerator(config.policy) if ours else None
         with training_views(verify), replaced(lerobot_train, "save_checkpoint", _save_hashed):
             lerobot_train.train(accelerator=accelerator)

@@ -4,6 +4,7 @@ import difflib
 import importlib
 import sys
 from collections.abc import Sequence
+from importlib.metadata import version
 
 GROUPS = {  # what a verb is for; the module of its name does it and is loaded when it is called, so help is quick
     "see a sensor": {
@@ -48,6 +49,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if argv is None else argv)
     if not given or given[0] in ("--help", "-h", "help"):
         print(overview())
+        return 0
+    if given == ["--version"]:
+        print(f"uniforce-vtla {version('lerobot_policy_pi05_uniforce')}")
         return 0
     name, *rest = given
     if name not in VERBS:

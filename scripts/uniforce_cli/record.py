@@ -179,7 +179,8 @@ def main(config: RecordConfig, flags: Sequence[str], given: Sequence[str]) -> in
     try:
         end = record(config, flags, given)
     except KeyboardInterrupt:
-        print("record: interrupted twice; the robot has stopped, saved episodes are whole")
+        stopped = "" if config.robot == "sim" else "; the robot has stopped"
+        print(f"record: interrupted{stopped}. Saved episodes are whole: run the same command again to go on")
         return INTERRUPTED
     print(f"record: {end.message}")
     print(f"demos in {config.root} (LeRobot v3 dataset {config.repo_id})")

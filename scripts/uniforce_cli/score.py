@@ -29,7 +29,8 @@ def score(config: ScoreConfig) -> ArmReport:
 
 
 def check_policies(config: ScoreConfig) -> None:
-    """Refuse a damaged checkpoint and a slot it lacks, before processes start."""
+    """Refuse an unknown sensor or fault, a damaged checkpoint and a slot it lacks, before processes start."""
+    _ = config.rig.kinds
     from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint, stored_config
 
     for policy in {*config.policies} - {*SCRIPTS}:

@@ -9,7 +9,7 @@ HELP = """\
 Train a policy with LeRobot's trainer; everything after the verb is a setting of lerobot-train.
 
   uniforce train policy=pi05_uniforce dataset.repo_id=local/wipe dataset.root=outputs/wipe \\
-      output_dir=outputs/train steps=3000 batch_size=32
+      output_dir=outputs/train steps=6000 batch_size=32
 
   policy=NAME            becomes --policy.type=NAME; policy.size=tiny|base chooses the size (tiny without CUDA)
   policy.touch.slots="{touch0: right, touch1: left}"   which finger fills which touch slot; {} or
@@ -20,8 +20,9 @@ Train a policy with LeRobot's trainer; everything after the verb is a setting of
   verify=full|quick|off  check the dataset before (default: full if its repo_id isn't local/…, else quick)
   more: lerobot-train --help (run with --policy.type=pi05_uniforce to see this policy's settings)
 
-Added unless given: policy.push_to_hub=false, wandb.enable=false; num_workers=0 on a CPU.  A dataset root that holds a
-training view (uniforce_view.json: cached latents, small images) is read through it, many times faster than video.
+Added unless given: policy.push_to_hub=false, wandb.enable=false; num_workers=0, save_freq=1000 on a CPU.  A dataset
+root that holds a training view (uniforce_view.json: cached latents, small images) is read through it, many times faster
+than video.
 """
 
 

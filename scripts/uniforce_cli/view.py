@@ -63,4 +63,6 @@ def main(config: ViewConfig) -> None:
     out = make_view(config)
     facts = json.loads((out / "uniforce_view.json").read_text())
     print(f"view in {out}: {len(facts['episodes'])} episodes, {facts['num_frames']} frames")
-    print(f"next: uniforce train policy=pi05_uniforce dataset.repo_id=local/view dataset.root={out}")
+    tiny = "policy.size=tiny policy.device=cpu steps=6000 batch_size=32"
+    data = f"dataset.repo_id=local/view dataset.root={out}"
+    print(f"next: uniforce train policy=pi05_uniforce {tiny} {data} output_dir={out.parent / 'train'}")
