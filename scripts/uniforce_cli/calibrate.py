@@ -168,5 +168,5 @@ def main(config: CalibrateCommand) -> None:
     worst = check_agreement(found, config)
     if found.worst()[1] < config.fit.warn_below:
         logger.warning("%s: grasp again, more of them and all over the pad", worst)
-    then = f"uniforce score right_sensor={config.new} right_calibration={config.out} …"
+    then = f"uniforce score policy=… right_sensor={config.new} right_calibration={config.out}"
     print(f"{worst}; map in {found.save(config.out)}. Next: {then}")
