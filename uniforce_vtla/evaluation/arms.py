@@ -105,12 +105,13 @@ class ArmReport:
 
 
 def table(reports: Sequence[ArmReport]) -> str:
-    """Return a Markdown table, one line per arm, k/n with Wilson 95 % intervals."""
-    head = "| arm | clean success | success | failed grasp | residual | aborted | slippage | excess force |"
-    lines = [head, "|" + "---|" * 8]
+    """Return a Markdown table, one line per arm, k/n with Wilson 95 % intervals; "in band" is the mean share."""
+    head = "| arm | clean success | success | in band | failed grasp | residual | aborted | slippage | excess force |"
+    lines = [head, "|" + "---|" * 9]
     counted = ("failed_grasp", "residual", "aborted", "slippage", "excess_force")
     for report in reports:
-        counts = [report.count(name) for name in counted]
+        share = sum(row.in_band_share for row in report.rows) / report.n
+        counts = [f"{share:.2f}", *(report.count(name) for name in counted)]
         clean, success = (wilson(report.count(c), report.n) for c in ("clean", "success"))
         lines.append("| " + " | ".join([report.arm, str(clean), str(success), *map(str, counts)]) + " |")
     return "\n".join(lines)
