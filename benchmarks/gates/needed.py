@@ -16,7 +16,7 @@ from benchmarks.gates.__main__ import GATES
 from benchmarks.gates.fitting import Fitted, fit
 from benchmarks.ledger import Ledger
 from benchmarks.scene_blocks import BLOCKS
-from benchmarks.stress.actors import Arm, Row, play
+from benchmarks.stress.actors import Arm, Row, play, row_of
 from benchmarks.stress.disturbed import SCENE_OPERATORS, DisturbedEnv
 from lerobot_env_uniforce_wiping.episodes import run_script
 from lerobot_env_uniforce_wiping.hidden import PullSettings, UnevenSettings
@@ -65,10 +65,7 @@ def cells() -> list[tuple[str, float]]:
 def _script(name: str, operator: str, factor: float, seed: int, fitted: Fitted, folder: Path) -> Row:
     worker_process()
     env = DisturbedEnv(SCENE_OPERATORS[operator].disturb(factor), level=LEVEL, drawn=())
-    found = run_script(env, GATES[name].make(fitted, folder), seed)
-    share = float(found.metrics.get("in_band_share", 0.0))
-    cell = _cell(name, operator, factor)
-    return Row(cell, seed, bool(found.clean), found.outcome, share, bool(found.slippage), bool(found.excess_force))
+    return row_of(_cell(name, operator, factor), seed, run_script(env, GATES[name].make(fitted, folder), seed))
 
 
 def _cell(name: str, operator: str, factor: float) -> str:

@@ -60,6 +60,11 @@ def play(arm: Arm, level: str, words: str, operator: str, dose: float, cell: str
         result = act(arm, level, words, disturbance, seed, first)
     except SensorError:  # the reference is refused: nothing is done, as on a robot
         return Row(cell, seed, False, "aborted", 0.0, False, False)
+    return row_of(cell, seed, result)
+
+
+def row_of(cell: str, seed: int, result: EpisodeResult) -> Row:
+    """Return what is kept of an episode."""
     share = float(result.metrics.get("in_band_share", 0.0))
     return Row(cell, seed, bool(result.clean), result.outcome, share, bool(result.slippage), bool(result.excess_force))
 

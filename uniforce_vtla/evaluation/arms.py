@@ -84,6 +84,11 @@ class ArmReport:
         """Number of rollouts."""
         return len(self.rows)
 
+    @property
+    def in_band_share(self) -> float:
+        """Mean over the rollouts."""
+        return sum(row.in_band_share for row in self.rows) / self.n
+
     def count(self, name: str) -> int:
         """Number of rollouts with outcome or event ``name``."""
         if name in OUTCOME_NAMES:
@@ -98,7 +103,7 @@ class ArmReport:
         seeds = [row.seed for row in self.rows]
         return counts | {
             "clean_wilson_95": [interval.low, interval.high],
-            "in_band_share": sum(row.in_band_share for row in self.rows) / self.n,
+            "in_band_share": self.in_band_share,
             "seeds": [seeds[0], seeds[-1]],
             "by_seed": "".join(row.code for row in self.rows),
         }
@@ -110,8 +115,7 @@ def table(reports: Sequence[ArmReport]) -> str:
     lines = [head, "|" + "---|" * 9]
     counted = ("failed_grasp", "residual", "aborted", "slippage", "excess_force")
     for report in reports:
-        share = sum(row.in_band_share for row in report.rows) / report.n
-        counts = [f"{share:.2f}", *(report.count(name) for name in counted)]
+        counts = [f"{report.in_band_share:.2f}", *(report.count(name) for name in counted)]
         clean, success = (wilson(report.count(c), report.n) for c in ("clean", "success"))
         lines.append("| " + " | ".join([report.arm, str(clean), str(success), *map(str, counts)]) + " |")
     return "\n".join(lines)

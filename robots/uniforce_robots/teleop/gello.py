@@ -5,14 +5,16 @@ It is a chain of Dynamixel motors on a serial port, asked for its positions over
 answer was missing or broken.
 """
 
+from __future__ import annotations
+
 import contextlib
 import struct
 import termios
 import time
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
-from dynamixel_sdk import GroupSyncRead, PortHandler
 from lerobot.teleoperators import TeleoperatorConfig
 
 from uniforce_robots.fr3 import HAND_TO_FLANGE, JOINTS, posture
@@ -22,6 +24,9 @@ from uniforce_robots.sensors.reader import ReaderLimits, SampleReader, SampleSou
 from uniforce_robots.teleop.base import UniforceTeleoperator
 from uniforce_robots.teleop.integrator import SteeringConfig, TargetLimits
 from uniforce_vtla.errors import ContractError, TeleoperatorError, expected
+
+if TYPE_CHECKING:
+    from dynamixel_sdk import GroupSyncRead, PortHandler
 
 PRESENT_POSITION, POSITION_BYTES = 132, 4  # control table of the X series
 COUNTS_PER_TURN = 4096

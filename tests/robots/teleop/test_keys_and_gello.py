@@ -1,5 +1,6 @@
 """Keys of a terminal, hand guiding's width, and GELLO on a pseudo-terminal that speaks Dynamixel 2.0."""
 
+import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -202,3 +203,10 @@ def test_offsets_come_out_of_an_inexactly_held_posture(quarters: np.ndarray, sig
     mounted = quarters * np.pi / 2
     motors = mounted + signs * (HOME_q_rad + slack)
     assert np.allclose(offsets(motors, signs, HOME_q_rad), mounted)
+
+
+def test_without_its_sdk_everything_else_is_there() -> None:
+    absent = (
+        "import sys; sys.modules['dynamixel_sdk'] = None; import uniforce_robots.teleop, lerobot_policy_pi05_uniforce"
+    )
+    subprocess.run([sys.executable, "-c", absent], check=True)
