@@ -165,8 +165,9 @@ def test_a_sensor_that_is_not_healthy_stops_the_rollout_at_the_third_look(make_p
             policy.predict_action_chunk(batch)
 
 
-def test_an_open_hand_in_free_air_takes_a_new_reference_once(make_policy, make_batch, caplog):
-    policy = make_policy()
+@pytest.mark.parametrize("kind", ["latent", "newtons"])
+def test_an_open_hand_in_free_air_takes_a_new_reference_once_an_episode(make_policy, make_batch, caplog, kind):
+    policy = make_policy(touch__input=kind, **({"touch__tokenizer_path": None} if kind == "newtons" else {}))
     batch = make_batch(policy, size=1)
     current = policy.touch.pair(batch, "right")[1]
     watched(policy).touch.monitors["right"]._usual.mean = policy.touch.encoder("touch0", "right", current, current)[
@@ -178,6 +179,8 @@ def test_an_open_hand_in_free_air_takes_a_new_reference_once(make_policy, make_b
     assert torch.equal(odd[0], odd[FREE_LOOKS - 2]) and not torch.equal(odd[0], odd[FREE_LOOKS - 1])
     assert sum("new reference" in record.message for record in caplog.records) == 1
     policy.reset()  # the next episode begins with the reference it is given
+    assert torch.equal(policy.touch.gather(batch, current.device, training=False)[0][0], odd[0])
+    policy.reset()
     policy.config.action.target_range = [[0.0] * 5, [0.0] * 4 + [open_m + 0.03]]  # the hand may hold something
     with pytest.raises(SensorError, match="in free air"):
         for _ in range(FREE_LOOKS):

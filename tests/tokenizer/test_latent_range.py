@@ -82,6 +82,15 @@ def test_an_odd_picture_in_free_air_is_noticed_at_the_third_look_of_each_episode
             monitor.see(odd)
 
 
+def test_with_a_new_reference_a_few_flickering_markers_pass_and_many_do_not(usual: LatentRange) -> None:
+    monitor = HealthMonitor(usual, "left", LOOKS)
+    for times, alarm in ((1.5, False), (2.5, True)):
+        for renewed in (False, True):
+            monitor.reset(renewed)
+            free = [monitor.judge(times * usual.free_limit)[0] for _ in range(FREE_LOOKS)][-1]
+            assert (free > 1) == (alarm or not renewed)
+
+
 def test_of_several_environments_the_worst_counts(usual: LatentRange) -> None:
     monitor = HealthMonitor(usual, "left", LOOKS)
     looks = torch.cat([drawn(3, 5), drawn(1, 3) + 20])

@@ -73,6 +73,11 @@ class NewtonInput(TouchInput):
             raise CheckpointError(expected(f"force head of {config.touch.head}", trained_with, head.hash, do))
         config.touch.head_hash, self._head = head.hash, head.model
 
+    def reset(self) -> None:
+        """Forget what was watched, and the reference that the latents renewed."""
+        super().reset()
+        self._latents.reset()
+
     def read(self, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor:
         """Return (B, 1, 3) N of a slot; RolloutError where its sensor is lost."""
         with torch.no_grad():

@@ -169,7 +169,8 @@ class TouchInput:
         calibrations: dict[Finger, LatentMap] | None = None,
         monitors: dict[Finger, HealthMonitor] | None = None,
     ) -> None:
-        self.config, self.shape, self.monitors = config, shape, monitors or {}
+        self.config, self.shape = config, shape
+        self.monitors = {} if monitors is None else monitors
         self.calibrations = calibrations or {}  # of what is encoded now; cached latents are used as they are
         self.encoder: Any = encoder  # TactileEncoder; None where the input is a control's
         self._renewed: dict[Finger, Tensor] = {}  # references taken in this episode instead of those given
@@ -243,7 +244,7 @@ class TouchInput:
             raise why
         logger.warning("%s finger: a new reference is taken. %s", finger, why)
         self._renewed[finger] = current
-        self.monitors[finger].reset()
+        self.monitors[finger].reset(renewed=True)
         return self.encoder(slot, finger, current, current)
 
     def _hand_is_open(self, batch: dict[str, Tensor]) -> bool:
