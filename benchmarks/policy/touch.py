@@ -37,7 +37,7 @@ def variants() -> dict[str, TouchSettings]:
 
 
 def bench_touch(case: BenchCase, device: str, rounds: int, steps: int, train: bool = True) -> dict[str, Any]:
-    """Return medians [ms] and ratios to "none" of a whole call, a refresh and (``train``) a training step."""
+    """Return medians [ms] and ratios to "none" of a whole call and (``train``) a training step."""
     calls: dict[str, Call] = {}
     trains: dict[str, Call] = {}
     for name, settings in variants().items():
@@ -45,8 +45,6 @@ def bench_touch(case: BenchCase, device: str, rounds: int, steps: int, train: bo
         given, noise = with_touch(network, *observe(case, network, device))
         calls[name] = partial(network.sample_actions, *given, noise=noise, num_steps=steps)
         trains[name] = _training(network, given, noise)
-        if name == "suffix":
-            calls["refresh"] = _refresh(network, given, noise, steps)
     report: dict[str, Any] = {"config": case.name, "tokens": len(SLOTS) * 16, "rounds": rounds}
     with torch.no_grad():
         report |= _in_turns(calls, device, rounds, "call")
@@ -63,18 +61,6 @@ def with_touch(network: PI05UniforcePytorch, given: Given, noise: torch.Tensor) 
         images = [*images, torch.randn(1, config.tokens_per_slot, config.latent_size, device=noise.device)]
         masks = [*masks, torch.ones(1, dtype=torch.bool, device=noise.device)]
     return (images, masks, tokens[:, :used], text_mask[:, :used]), noise
-
-
-def _refresh(network: PI05UniforcePytorch, given: Given, noise: torch.Tensor, steps: int) -> Call:
-    """Return a call that runs the flow on new touch; the whole call before it in a round left the prefix."""
-    images, masks = given[0][-len(SLOTS) :], given[1][-len(SLOTS) :]
-
-    def refresh() -> torch.Tensor:
-        touch = network.touch_run(images, masks)
-        assert touch is not None and network.fast is not None, "built with touch in the suffix"
-        return network.fast.refresh(touch, noise, steps)
-
-    return refresh
 
 
 def _training(network: PI05UniforcePytorch, given: Given, noise: torch.Tensor) -> Call:

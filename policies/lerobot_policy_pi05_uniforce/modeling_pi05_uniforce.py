@@ -265,26 +265,6 @@ class PI05UniforcePolicy(stock.PI05Policy):
         kwargs.setdefault("noise", start)
         return self._targets(super().predict_action_chunk(batch, **kwargs), batch)
 
-    @torch.no_grad()
-    def refresh_action_chunk(self, batch: dict[str, Tensor]) -> Tensor:
-        """Return (B, chunk, A) for the touch of this batch on the cameras and text of the last prediction.
-
-        Only the flow runs again; of the (preprocessed) batch touch and the measured state are read.
-
-        Raises ContractError: touch that isn't in the suffix, the stock sampler, or nothing predicted before.
-        """
-        self.eval()
-        device = self.delta_scale.device
-        touch = self.model.touch_run(*self.touch.gather(batch, device, training=False))
-        self._notice_adapters()
-        if touch is None or self.model.fast is None or self.model.adapted:
-            came = f"{self.config.touch.input}, {self.config.sampler.kind}, LoRA {self.model.adapted}"
-            do = "Only touch can be refreshed, by the fast sampler; uniforce share merges LoRA."
-            raise ContractError(expected("refresh", "touch and the fast sampler", came, do))
-        noise = self._start_noise(len(touch.tokens), device)
-        chunk = self.model.fast.refresh(touch, noise, self.config.num_inference_steps)
-        return self._targets(chunk[..., : self._action_size], batch)
-
     def _notice_adapters(self) -> None:
         """Let LeRobot's loop sample while PEFT's adapters are in: the fast one reads plain weights."""
         adapted = hasattr(self, "peft_config")

@@ -181,12 +181,7 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
     def suffix_touch(self, extra: list[Tensor], masks: list[Tensor]) -> SuffixTouch | None:
         """Return all slots' tokens for the suffix; None at the other site or without touch."""
         states = 1 if self.state_token is not None and extra else 0
-        suffix = self.config.touch.site == "suffix"
-        return self.touch_run(extra[states:], masks[states:]) if suffix else None
-
-    def touch_run(self, touches: list[Tensor], masks: list[Tensor]) -> SuffixTouch | None:
-        """Return the slots' (B, K, ·) inputs as one run of tokens; None without touch."""
-        embedded = self._touches(touches, masks)
+        embedded = self._touches(extra[states:], masks[states:]) if self.config.touch.site == "suffix" else []
         if not embedded:
             return None
         pads = [mask[:, None].expand(-1, tokens.shape[1]) for tokens, mask in embedded]

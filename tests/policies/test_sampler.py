@@ -81,36 +81,6 @@ def test_real_time_chunking_guides_both_alike(gate, make_policy, make_batch):
     assert (lerobots_own(policy, given, noise, **left) - fast).abs().max() < TOLERANCE
 
 
-@pytest.mark.parametrize(("gate", "graphs"), [(None, False), (OPEN, False), (OPEN, True)])
-def test_touch_is_refreshed_without_the_cameras(gate, graphs, make_policy, make_batch):
-    """What a whole new call would give, had the cameras shown the same."""
-    policy = gated_policy(make_policy, "suffix", gate)
-    if graphs:
-        policy.model.fast.graphed = GraphedSampler(policy.model.fast, capture=False)
-    batch = make_batch(policy)
-    first = policy.predict_action_chunk(batch)
-    assert torch.allclose(policy.refresh_action_chunk(batch), first, atol=1e-5)
-    harder = {key: 3 * value if "wrench" in key else value for key, value in batch.items()}
-    joint = policy.model.paligemma_with_expert
-    joint.embed_image = joint.embed_language_tokens = None  # cameras and text may not run
-    again = policy.refresh_action_chunk(harder)
-    del joint.embed_image, joint.embed_language_tokens
-    assert (again - first).abs().max() > 1e-5
-    assert torch.allclose(again, policy.predict_action_chunk(harder), atol=1e-5)
-
-
-def test_a_refresh_needs_touch_in_the_suffix(make_policy, make_batch):
-    policy = make_policy(touch__input="wrench")
-    batch = make_batch(policy)
-    with pytest.raises(ContractError, match="sample before"):
-        policy.refresh_action_chunk(batch)
-    policy.predict_action_chunk(batch)
-    with pytest.raises(ContractError, match=r"touch\.site=suffix"):
-        policy.refresh_action_chunk(batch)
-    with pytest.raises(ContractError, match="Only touch"):
-        make_policy(touch__input="none").refresh_action_chunk(batch)
-
-
 @SITES
 @GATED
 def test_in_bfloat16_it_is_as_near_to_float32_as_lerobots_loop(site, gate, make_policy, make_batch):
@@ -233,6 +203,12 @@ def test_pairs_are_not_kept_for_ever(policy, make_batch):
     assert len(policy.model.fast.graphed._pairs) == KEPT
 
 
+def recorded_pair(policy):
+    """The only pair of graphs after one call."""
+    (pair,) = policy.model.fast.graphed._pairs.values()
+    return pair
+
+
 class Recorded(TorchDispatchMode):
     def __init__(self):
         super().__init__()
@@ -247,7 +223,7 @@ def test_nothing_recorded_waits_for_the_device(policy, make_batch):
     """A value read by the host, or a shape that depends on values, can't be captured."""
     given = inputs(policy, make_batch(policy))
     both(policy, given)
-    pair = policy.model.fast.graphed._latest
+    pair = recorded_pair(policy)
     with torch.no_grad(), Recorded() as recorded:
         pair.prefill(*pair.prefill._inputs)
         pair.flow(*pair.flow._inputs)
@@ -259,7 +235,7 @@ def test_nothing_recorded_waits_for_the_device(policy, make_batch):
 def test_inputs_of_other_shapes_are_refused(policy, make_batch):
     both(policy, inputs(policy, make_batch(policy)))
     with pytest.raises(ContractError, match="inputs of a graph"):
-        policy.model.fast.graphed._latest.flow(torch.zeros(1, 2, 3))
+        recorded_pair(policy).flow(torch.zeros(1, 2, 3))
 
 
 def test_prompts_go_to_the_next_bucket() -> None:

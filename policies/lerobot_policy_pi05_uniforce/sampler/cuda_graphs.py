@@ -1,12 +1,13 @@
-"""Replay the fast sampler's kernels from CUDA graphs: one for the prefill, one for the flow. NEVER RUN ON A GPU.
+"""Replay the fast sampler's kernels from CUDA graphs: one for the prefill, one for the flow.
 
 An eager call launches thousands of small kernels, and launching takes longer than running them. A graph fixes shapes
 and addresses, so inputs are copied into buffers of its own, text is padded to one of a few lengths (one pair of graphs
 each), masks are always there, and what is returned is a copy. The flow's graph reads the keys and values where the
-first leaves them; a refresh of touch replays the flow alone.
+first leaves them.
 
 Whatever is captured is an ordinary function of tensors. ``capture=False`` runs the same functions on the same fixed
-buffers without a graph, on any device: that is what the tests do, and all that was ever run.
+buffers without a graph, on any device: that is what the tests do. Graphs were recorded once, by a bench on an H200
+(docs/results/policy_latency.json).
 """
 
 from collections.abc import Callable
@@ -51,8 +52,7 @@ class Replayed:
         """
         wanted, came = ([tuple(value.shape) for value in values] for values in (self._inputs, inputs))
         if wanted != came:
-            do = "Call sample first; refreshing needs touch.site=suffix and the same slots."
-            raise ContractError(expected("inputs of a graph", wanted, came, do))
+            raise ContractError(expected("inputs of a graph", wanted, came, "Record another graph for other shapes."))
         for own, new in zip(self._inputs, inputs, strict=True):
             own.copy_(new)
         if self._graph is not None:
@@ -87,7 +87,6 @@ class GraphedSampler:
     def __init__(self, sampler: Sampler, capture: bool = True) -> None:
         self._sampler, self._capture = sampler, capture
         self._pairs: dict[tuple, Pair] = {}
-        self._latest: Pair | None = None
         self._version = -1
 
     def sample(self, inputs: Inputs, noise: Tensor, tables: list[StepTable]) -> Tensor:
@@ -99,12 +98,6 @@ class GraphedSampler:
         pair.prefill(*observed)
         return pair.flow(*suffix)[0].clone()
 
-    def refresh(self, touch: SuffixTouch, noise: Tensor) -> Tensor | None:
-        """Return a chunk for new touch on the prefix of the latest sample; None before the first."""
-        if self._latest is None or self._version != self._sampler.prepared.version:
-            return None
-        return self._latest.flow(noise, touch.tokens, touch.mask)[0].clone()
-
     def _pair(self, observed: list[Tensor], suffix: list[Tensor], tables: list[StepTable]) -> Pair:
         if self._version != self._sampler.prepared.version:  # other weights: tables were made anew
             self._pairs, self._version = {}, self._sampler.prepared.version
@@ -113,8 +106,7 @@ class GraphedSampler:
             while len(self._pairs) >= KEPT:
                 self._pairs.pop(next(iter(self._pairs)))
             self._pairs[key] = self._record_pair(observed, suffix, tables)
-        self._latest = self._pairs[key]
-        return self._latest
+        return self._pairs[key]
 
     def _record_pair(self, observed: list[Tensor], suffix: list[Tensor], tables: list[StepTable]) -> Pair:
         encoder, images = self._sampler.encoder, len(observed) // 2 - 1

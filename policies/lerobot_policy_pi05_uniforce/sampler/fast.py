@@ -21,8 +21,6 @@ from lerobot_policy_pi05_uniforce.sampler.layers import (
     rotated,
 )
 from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, Prefix, PrefixEncoder, drop_dead
-from lerobot_policy_pi05_uniforce.touch.tokens import SuffixTouch
-from uniforce_vtla.errors import ContractError, expected
 
 
 class FastSampler:
@@ -30,7 +28,6 @@ class FastSampler:
 
     def __init__(self, network: stock.PI05Pytorch) -> None:
         self.network = network
-        self.latest: Prefix | None = None  # of the last sample, for ``refresh``
         self.prepared = Prepared(network)
         self.encoder = PrefixEncoder(network, self.prepared)
         self.graphed: GraphedSampler | None = None  # made where there is a cuda device
@@ -42,23 +39,7 @@ class FastSampler:
         graphed = self._graphs(noise)
         if graphed is not None:
             return graphed.sample(inputs, noise, tables)
-        self.latest = self.encoder.encode(inputs, noise.shape[1])
-        return self.flow(self.latest, noise, tables)
-
-    @torch.no_grad()
-    def refresh(self, touch: SuffixTouch, noise: Tensor, num_steps: int) -> Tensor:
-        """Return a chunk for new touch on the cameras and text of the last ``sample``.
-
-        Raises ContractError: nothing was sampled before, or the touch isn't in the suffix.
-        """
-        tables = self.prepared.tables(num_steps)
-        chunk = None if self.graphed is None else self.graphed.refresh(touch, noise)
-        if chunk is not None:
-            return chunk
-        if self.latest is None:
-            raise ContractError(expected("refresh", "a sample before it", "none", "Call sample first."))
-        self.latest = self.encoder.refreshed(self.latest, touch, noise.shape[1])
-        return self.flow(self.latest, noise, tables)
+        return self.flow(self.encoder.encode(inputs, noise.shape[1]), noise, tables)
 
     def _graphs(self, noise: Tensor) -> GraphedSampler | None:
         wanted = noise.device.type == "cuda" and self.network.config.sampler.kind == "fast"

@@ -11,7 +11,6 @@ from torch.nn import functional as F  # noqa: N812
 from lerobot_policy_pi05_uniforce.sampler import layers as ops
 from lerobot_policy_pi05_uniforce.sampler.layers import Prepared
 from lerobot_policy_pi05_uniforce.touch.tokens import GatedColumns, SuffixTouch
-from uniforce_vtla.errors import ContractError, expected
 
 
 class Inputs(NamedTuple):
@@ -51,7 +50,7 @@ class Prefix:
 
 
 class PrefixEncoder:
-    """Makes and refreshes prefixes for one network."""
+    """Makes prefixes for one network."""
 
     def __init__(self, network: stock.PI05Pytorch, prepared: Prepared) -> None:
         self._network = network
@@ -90,17 +89,6 @@ class PrefixEncoder:
             normed = ops.rms(x, eps).mul_(gains[depth][1]).to(x.dtype)
             x = ops.linear_plus(ops.gated_hidden(layer.mlp, normed), layer.mlp.down_proj.weight, None, x)
         return Prefill(cache, pads, gated)
-
-    def refreshed(self, prefix: Prefix, touch: SuffixTouch, chunk: int) -> Prefix:
-        """Return the same cameras and text with new touch: nothing of the VLM runs again.
-
-        Raises ContractError: a network whose touch is not in the suffix.
-        """
-        if prefix.touch is None or prefix.touch.tokens.shape != touch.tokens.shape:
-            came = None if prefix.touch is None else tuple(prefix.touch.tokens.shape)
-            do = "Refreshing needs touch.site=suffix and the slots the prefix was made with."
-            raise ContractError(expected("touch of the prefix", tuple(touch.tokens.shape), came, do))
-        return self.with_suffix(prefix.prefill, touch, chunk)
 
     def with_suffix(self, prefill: Prefill, touch: SuffixTouch | None, chunk: int, always_mask: bool = False) -> Prefix:
         """Return whom the suffix attends to and where it stands; ``always_mask`` as in :meth:`prefill`."""
