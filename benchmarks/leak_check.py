@@ -1,8 +1,8 @@
 """Could a policy without touch know the press after all?  Fixed regressors try; they should fail, and touch succeed.
 
-Forbidding force in the observation isn't enough: a camera might see the felt bend, the state might sag by a known
-stiffness. Trees read three frames of state, a small CNN three frames of both cameras; the check counts only if the same
-trees read the press well from touch.
+Forbidding force in the observation isn't enough: a camera might see the felt bend, the arm might lag behind its
+targets by a known stiffness. Trees read a second of poses and targets, a small CNN three frames of both cameras
+beside them; the check counts only if the same trees read the press well from touch.
 """
 
 import sys
@@ -30,7 +30,8 @@ from uniforce_vtla.options import Count, OutFile, Pixels, Range, Seed
 from uniforce_vtla.results_file import provenance, write_json
 
 LEAK_LIMIT, TOUCH_FLOOR = 0.3, 0.75  # R²
-FRAMES = 3  # of history in a sample
+PAST = 10  # poses and targets of a sample
+FRAMES = 3  # and pictures, the latest ones
 HISTORY_STEP = 3  # control steps between them: 0.1 s
 EVERY = 5  # looks between two samples
 # wanted press, drawn per scene: an expert that always presses alike leaks nothing
@@ -60,8 +61,8 @@ class LeakConfig:
 class Samples:
     """Moments of wiping: (N, …) inputs, what was pressed, and which scene each is from."""
 
-    state: np.ndarray  # (N, 15): measured x, y, z, yaw, width, three frames
-    command: np.ndarray  # (N, 15): the targets issued, three frames; a policy knows its own
+    pose: np.ndarray  # (N, 50): measured x, y, z, yaw, width over a second, the latest last
+    command: np.ndarray  # (N, 50): the targets issued meanwhile; a policy knows its own
     touch: np.ndarray  # (N, 12): hand descriptors of both fingers now
     cameras: np.ndarray  # (N, 18, S, S) uint8: two cameras, three frames
     press_N: np.ndarray  # (N,)
@@ -69,8 +70,8 @@ class Samples:
 
     @property
     def moves(self) -> np.ndarray:
-        """Return (N, 10): how the targets changed between the three frames; the targets themselves predict a force."""
-        frames = self.command.reshape(len(self.command), FRAMES, -1)
+        """Return (N, 45): how the targets changed from frame to frame."""
+        frames = self.command.reshape(len(self.command), PAST, -1)
         return np.diff(frames, axis=1).reshape(len(frames), -1)
 
 
@@ -80,8 +81,7 @@ def collect(config: LeakConfig) -> Samples:
     rows: list[tuple[Any, ...]] = []
     for scene in tqdm(range(config.scenes), desc="scenes", unit="scene"):
         rows += [(*row, scene) for row in _episode(env, config, config.first_seed + scene)]
-    state, command, touch, cameras, press, scenes = (np.stack(column) for column in zip(*rows, strict=True))
-    return Samples(state, command, touch, cameras, press, scenes)
+    return Samples(*(np.stack(column) for column in zip(*rows, strict=True)))
 
 
 def _episode(env: WipeEnv, config: LeakConfig, seed: int) -> Iterator[tuple[Any, ...]]:
@@ -93,11 +93,12 @@ def _episode(env: WipeEnv, config: LeakConfig, seed: int) -> Iterator[tuple[Any,
         looks = expert.phase == "wipe" and env.sim.press_N > TOUCHING_N and step % HISTORY_STEP == 0
         pixels = env.observe()["pixels"] if looks else {}
         past.append((env.state, target, _pictures(pixels, config.image_side) if looks else None))
-        frames = past[-1 - (FRAMES - 1) * HISTORY_STEP :: HISTORY_STEP]
-        if looks and step % (EVERY * HISTORY_STEP) == 0 and all(frame[2] is not None for frame in frames):
-            state, command, pictures = (np.concatenate(part) for part in zip(*frames, strict=True))
+        frames = past[-1 - (PAST - 1) * HISTORY_STEP :: HISTORY_STEP]
+        pictures = [frame[2] for frame in frames[-FRAMES:] if frame[2] is not None]
+        if looks and step % (EVERY * HISTORY_STEP) == 0 and len(frames) == PAST and len(pictures) == FRAMES:
+            pose, command = (np.concatenate([frame[part] for frame in frames]) for part in (0, 1))
             touch = np.concatenate([described_now(pixels, finger) for finger in FINGERS])
-            yield state, command, touch, pictures, env.sim.press_N
+            yield pose, command, touch, np.concatenate(pictures), env.sim.press_N
 
 
 def _pictures(pixels: dict[str, np.ndarray], side: int) -> np.ndarray:
@@ -107,46 +108,47 @@ def _pictures(pixels: dict[str, np.ndarray], side: int) -> np.ndarray:
 
 def measure(samples: Samples, cnn_steps: int) -> dict[str, float]:
     train = samples.scene < round(2 / 3 * (samples.scene.max() + 1))
+    known = np.hstack([samples.pose, samples.command])
     flat = {
-        "state": samples.state,
-        # the inputs of a policy without touch
-        "state and own moves": np.hstack([samples.state, samples.moves]),
-        "state and own targets": np.hstack([samples.state, samples.command]),
+        "pose": samples.pose,
+        "pose and own moves": np.hstack([samples.pose, samples.moves]),
+        "pose and own targets": known,
         "touch": samples.touch,
-        "touch and state": np.hstack([samples.touch, samples.state]),
+        "touch and pose": np.hstack([samples.touch, samples.pose]),
     }
     found = {}
     for name, inputs in flat.items():
         trees = HistGradientBoostingRegressor(max_iter=200, learning_rate=0.06, random_state=0)
         trees.fit(inputs[train], samples.press_N[train])
         found[name] = float(r2_score(samples.press_N[~train], trees.predict(inputs[~train])))
-    predicted = _cnn(samples, train, cnn_steps)
-    found["cameras and state"] = float(r2_score(samples.press_N[~train], predicted))
+    for name, beside in (("cameras and pose", samples.pose), ("cameras, pose and own targets", known)):
+        predicted = _cnn(samples, beside, train, cnn_steps)
+        found[name] = float(r2_score(samples.press_N[~train], predicted))
     return found
 
 
-def _cnn(samples: Samples, train: np.ndarray, steps: int) -> np.ndarray:
-    """Train a small CNN on cameras and state, and return what it predicts for the unseen scenes."""
+def _cnn(samples: Samples, beside: np.ndarray, train: np.ndarray, steps: int) -> np.ndarray:
+    """Train a small CNN on cameras and (N, F) numbers, and return what it predicts for the unseen scenes."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        model = PressCNN(samples.cameras.shape[1], samples.state.shape[1])
+        model = PressCNN(samples.cameras.shape[1], beside.shape[1])
     mean, sd = samples.press_N[train].mean(), samples.press_N[train].std()
-    center, spread = samples.state[train].mean(axis=0), samples.state[train].std(axis=0) + 1e-6
-    state = torch.from_numpy((samples.state - center) / spread).float()
+    center, spread = beside[train].mean(axis=0), beside[train].std(axis=0) + 1e-6
+    numbers = torch.from_numpy((beside - center) / spread).float()
     press = torch.from_numpy((samples.press_N - mean) / sd).float()
     optimizer = torch.optim.AdamW(model.parameters(), lr=1e-3, weight_decay=0.05)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
     rng, known = np.random.default_rng(0), np.flatnonzero(train)
     for _ in tqdm(range(steps), desc="CNN"):
         rows = rng.choice(known, 64)
-        loss = (model(samples.cameras[rows], state[rows]) - press[rows]).square().mean()
+        loss = (model(samples.cameras[rows], numbers[rows]) - press[rows]).square().mean()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
         schedule.step()
     with torch.no_grad():
         predicted = [
-            model(samples.cameras[rows], state[rows])
+            model(samples.cameras[rows], numbers[rows])
             for rows in np.array_split(np.flatnonzero(~train), 20)
             if len(rows)
         ]
@@ -154,20 +156,20 @@ def _cnn(samples: Samples, train: np.ndarray, steps: int) -> np.ndarray:
 
 
 class PressCNN(nn.Module):
-    """Three strided convolutions over stacked frames, joined by the state."""
+    """Three strided convolutions over stacked frames, joined by numbers."""
 
-    def __init__(self, channels: int, state: int) -> None:
+    def __init__(self, channels: int, numbers: int) -> None:
         super().__init__()
         layers: list[nn.Module] = []
         for before, after in ((channels, 24), (24, 32), (32, 48)):
             layers += [nn.Conv2d(before, after, 5, stride=2, padding=2), nn.GELU()]
         self.look = nn.Sequential(*layers, nn.AdaptiveAvgPool2d(4), nn.Flatten())
-        self.answer = nn.Sequential(nn.Linear(48 * 16 + state, 96), nn.GELU(), nn.Linear(96, 1))
+        self.answer = nn.Sequential(nn.Linear(48 * 16 + numbers, 96), nn.GELU(), nn.Linear(96, 1))
 
-    def forward(self, cameras: np.ndarray, state: torch.Tensor) -> torch.Tensor:
-        """Return (B,) press in units of its spread from (B, C, S, S) uint8 pictures and (B, F) state."""
+    def forward(self, cameras: np.ndarray, numbers: torch.Tensor) -> torch.Tensor:
+        """Return (B,) press in units of its spread from (B, C, S, S) uint8 pictures and (B, F) numbers."""
         seen = self.look(torch.from_numpy(cameras).float() / 255 - 0.5)
-        return self.answer(torch.cat([seen, state], dim=1))[:, 0]
+        return self.answer(torch.cat([seen, numbers], dim=1))[:, 0]
 
 
 def verdict(found: dict[str, float]) -> str:

@@ -41,7 +41,7 @@ class StressCommand:
     blind: Text = ""  # rollouts: likewise, of a policy without touch; it acts where a scene's fault is
     calibrations: FolderPath = ""  # rollouts: of exchanged sensors, uskin-2 …; "" = they wear none
     rollouts: Count = 40  # scenes, the same for every cell
-    benign: Count = 4  # of them with a dose that changes nothing
+    benign: Count = 4  # of them with a dose that changes nothing, and without touch
     first_seed: Seed = 0  # 0 = screen: development scenes; rollouts: the benchmark's own block
     only: Text = ""  # rollouts: just these operators, comma between them; "" = all
     workers: Workers = 2
@@ -88,7 +88,7 @@ def arms(config: StressCommand) -> list[tuple[Arm, dict[str, list[float]]]]:
     """Return who acts, and which doses of which operators it meets. An operator stands first with its expert."""
     screened = read_object(Path(config.work) / "screen.json", ContractError)["screened"]
     policies, blind = tuple(split(config.policy)), tuple(split(config.blind))
-    scene = {name: list(operator.doses) for name, operator in SCENE_OPERATORS.items()}
+    scene = {name: list(operator.doses[1:-1]) for name, operator in SCENE_OPERATORS.items()}
     found = []
     for number, sensor in enumerate(split(config.sensors)):
         folder = Path(config.calibrations, sensor.replace(":", "-"))
@@ -102,7 +102,7 @@ def arms(config: StressCommand) -> list[tuple[Arm, dict[str, list[float]]]]:
         found.append((Arm(f"expert reads {sensor}", sensor, "reads"), of_sensor))
     found.append((Arm("expert", acts="expert"), scene))
     if blind:
-        found.append((Arm("policy without touch", acts="policy", policies=blind), scene))
+        found.append((Arm("policy without touch", acts="policy", policies=blind, few=True), scene))
     wanted = split(config.only)
     return [(arm, {n: d for n, d in doses.items() if not wanted or n in wanted}) for arm, doses in found]
 

@@ -31,6 +31,7 @@ class Arm:
     policies: tuple[str, ...] = ()  # checkpoint folders that take turns
     calibration: str = ""  # folder; of a policy's sensor
     monitor: Literal["stop", "off"] = "stop"  # of a policy's sensor
+    few: bool = False  # acts in the first scenes alone
 
 
 @dataclass(frozen=True)

@@ -128,7 +128,7 @@ def _said(number: float) -> Disturbance:
 def _operator(
     unit: str, doses: tuple[float, ...], benign: float, disturb: Callable[[float], Disturbance]
 ) -> SceneOperator:
-    return SceneOperator("", doses, benign, disturb, unit)
+    return SceneOperator("", doses, benign, disturb=disturb, in_words=unit)
 
 
 SCENE_OPERATORS = {

@@ -51,7 +51,7 @@ class Cell:
 
 
 def near_cliffs(screened: Mapping[str, Any], most: int = 3) -> dict[str, list[float]]:
-    """Return operator → the doses to roll out: those whose misread press is closest to what the level forgives.
+    """Return operator → the doses to roll out: whose misread press is near what the level forgives, and the bar's own.
 
     Args:
         screened: one sensor's rows of the screen.
@@ -63,7 +63,8 @@ def near_cliffs(screened: Mapping[str, Any], most: int = 3) -> dict[str, list[fl
             continue
         errors = {cell["dose"]: abs(cell["press_error_N"]) for cell in cells[1:]}
         near = [dose for dose, error in errors.items() if NEAR_N[0] <= error <= NEAR_N[1]] or list(errors)[-1:]
-        found[name] = near[:most]
+        wanted = {*near[:most], OPERATORS[name].named}
+        found[name] = [dose for dose in errors if dose in wanted]
     return found
 
 
@@ -82,7 +83,7 @@ def roll(
 ) -> dict[str, dict[int, Row]]:
     """Return cell → scene → row; what stands in ``path`` is kept, each new episode is added to it.
 
-    Benign doses act in the first ``benign`` scenes.
+    Benign doses, and arms that act in ``few``, act in the first ``benign`` scenes.
     """
     ledger = Ledger(path.parent)
     done = {(row["cell"], row["seed"]) for row in ledger.read(path.stem)}
@@ -90,7 +91,7 @@ def roll(
         delayed(play)(cell.arm, level, cell.words, cell.operator, cell.dose, cell.name, seed, seeds.start)
         for seed in seeds
         for cell in cells
-        if (cell.name, seed) not in done and (not cell.benign or seed - seeds.start < benign)
+        if (cell.name, seed) not in done and (seed - seeds.start < benign or not (cell.benign or cell.arm.few))
     ]
     for row in tqdm(Parallel(workers, return_as="generator")(jobs), total=len(jobs), desc="episodes", disable=None):
         ledger.add(path.stem, asdict(row))

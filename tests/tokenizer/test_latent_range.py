@@ -84,7 +84,7 @@ def test_an_odd_picture_in_free_air_is_noticed_at_the_third_look_of_each_episode
 
 def test_with_a_new_reference_a_few_flickering_markers_pass_and_many_do_not(usual: LatentRange) -> None:
     monitor = HealthMonitor(usual, "left", LOOKS)
-    for times, alarm in ((1.5, False), (2.5, True)):
+    for times, alarm in ((1.5, False), (3.0, True)):
         for renewed in (False, True):
             monitor.reset(renewed)
             free = [monitor.judge(times * usual.free_limit)[0] for _ in range(FREE_LOOKS)][-1]
