@@ -13,7 +13,7 @@ from benchmarks.stress.actors import Arm
 from benchmarks.stress.disturbed import SCENE_OPERATORS
 from benchmarks.stress.operators import OPERATORS, worn_with
 from benchmarks.stress.page import draw, one_table
-from benchmarks.stress.rollouts import cells_of, near_cliffs, roll, summarise
+from benchmarks.stress.rollouts import cells_of, near_cliffs, repeatability, roll, summarise
 from benchmarks.stress.screen import against, screen_cell
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
 from uniforce_cli.boundary import Level, command, worker_process
@@ -113,7 +113,10 @@ def roll_out(config: StressCommand) -> dict[str, Any]:
     every = [cell for of_arm in cells.values() for cell in of_arm]
     seeds, ledger = range(first, first + config.rollouts), Path(config.work) / "episodes.jsonl"
     rows = roll(every, config.level, seeds, config.workers, ledger, config.benign)
-    return {name: summarise(of_arm, rows) for name, of_arm in cells.items()}
+    return {
+        "repeatability": repeatability(every, rows),
+        "arms": {name: summarise(of_arm, rows) for name, of_arm in cells.items()},
+    }
 
 
 @command(StressCommand)
@@ -123,11 +126,11 @@ def main(config: StressCommand) -> None:
         content["screened"] = rows = screen(config)
         _print_screen(rows)
     elif config.part == "rollouts":
-        content["arms"] = found = roll_out(config)
-        _print_arms(found)
+        content |= roll_out(config)
+        _print_arms(content["arms"])
     else:
         parts = [read_object(Path(config.work) / f"{name}.json", ContractError) for name in ("rollouts", "screen")]
-        content |= one_table(parts[0]["arms"], parts[1]["screened"])
+        content |= one_table(parts[0]["arms"], parts[1]["screened"]) | {"repeatability": parts[0]["repeatability"]}
         draw(content, config.result.with_suffix(".png"))
     print(f"written to {write_json(config.result, content | provenance())}")
 

@@ -16,7 +16,7 @@ from benchmarks.ledger import Ledger
 from benchmarks.stress.actors import Arm, Row, play
 from benchmarks.stress.disturbed import SCENE_OPERATORS
 from benchmarks.stress.operators import OPERATORS, Operator, worn_with
-from uniforce_vtla.evaluation.statistics import non_inferior
+from uniforce_vtla.evaluation.statistics import Proportion, non_inferior, wilson
 
 MARGIN = 0.10  # of clean success: what may be lost before a dose counts as breaking
 NEAR_N = (0.2, 4.0)  # a misread press between these is near a cliff; the level fails readings by 15 %, .9 N
@@ -141,6 +141,24 @@ def counts(rows: Mapping[int, Row]) -> dict[str, float]:
         "excess_force": sum(row.excess_force for row in found),
         "in_band_share": round(sum(row.in_band_share for row in found) / max(len(found), 1), 3),
     }
+
+
+def repeatability(cells: Sequence[Cell], rows: Mapping[str, Mapping[int, Row]]) -> dict[str, int]:
+    """Return how many cells there are, and in how many every other scene agrees with the rest.
+
+    They agree where each clean share lies in the other's Wilson interval.
+    """
+    agree = []
+    for cell in (cell for cell in cells if not (cell.benign or cell.arm.few)):
+        clean = [[row.clean for seed, row in rows[cell.name].items() if seed % 2 == half] for half in (0, 1)]
+        if all(clean):
+            one, other = (wilson(sum(half), len(half)) for half in clean)
+            agree.append(_holds(one, other) and _holds(other, one))
+    return {"cells": len(agree), "agree": sum(agree)}
+
+
+def _holds(one: Proportion, other: Proportion) -> bool:
+    return one.low <= other.k / other.n <= one.high
 
 
 def mean_corruption_error(arm: Mapping[str, Any], without_touch: Mapping[str, Any]) -> float | None:

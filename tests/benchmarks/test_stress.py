@@ -13,7 +13,7 @@ from benchmarks.stress.monitor import summary, watched
 from benchmarks.stress.operators import OPERATORS, worn_with
 from benchmarks.stress.page import draw, one_table, retention
 from benchmarks.stress.readings import ReadsWorn, read_scenes
-from benchmarks.stress.rollouts import cells_of, mean_corruption_error, near_cliffs, roll, summarise
+from benchmarks.stress.rollouts import cells_of, mean_corruption_error, near_cliffs, repeatability, roll, summarise
 from benchmarks.stress.screen import against, screen_cell
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.episodes import walk
@@ -109,6 +109,13 @@ def test_benign_doses_act_in_a_few_scenes_and_end_as_without_the_fault(tmp_path,
     assert (lag["benign"], lag["benign_n"], lag["benign_alike"]) == (2, 3, True)
     rows["me, T1 lag 0"][0] = row("", 0, False)
     assert not summarise(cells, rows)["T1 lag"]["benign_alike"]
+
+
+def test_two_halves_of_the_scenes_agree_or_not() -> None:
+    cells = cells_of(Arm("me", "uskin:2"), {"T1 lag": [33, 533]})
+    rows = {cell.name: {seed: row(cell.name, seed, True) for seed in range(20)} for cell in cells}
+    rows["me, T1 lag 533"] |= {seed: row("", seed, False) for seed in range(0, 20, 2)}
+    assert repeatability(cells, rows) == {"cells": 3, "agree": 2}  # the benign dose is none of them
 
 
 def test_episodes_are_kept(tmp_path) -> None:
