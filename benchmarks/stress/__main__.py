@@ -39,6 +39,7 @@ class StressCommand:
     scenes: Count = 2  # screen: per cell
     policy: Policies = "shipped"  # rollouts: checkpoint folders that take turns
     blind: Text = ""  # rollouts: likewise, of a policy without touch; it acts where a scene's fault is
+    stock: Text = ""  # rollouts: likewise, of any LeRobot policy of cameras and state
     calibrations: FolderPath = ""  # rollouts: of exchanged sensors, uskin-2 …; "" = they wear none
     rollouts: Count = 40  # scenes, the same for every cell
     benign: Count = 4  # of them with a dose that changes nothing, and without touch
@@ -103,6 +104,8 @@ def arms(config: StressCommand) -> list[tuple[Arm, dict[str, list[float]]]]:
     found.append((Arm("expert", acts="expert"), scene))
     if blind:
         found.append((Arm("policy without touch", acts="policy", policies=blind, few=True), scene))
+    if config.stock:
+        found.append((Arm("stock policy", acts="stock", policies=tuple(split(config.stock)), few=True), scene))
     wanted = split(config.only)
     return [(arm, {n: d for n, d in doses.items() if not wanted or n in wanted}) for arm, doses in found]
 

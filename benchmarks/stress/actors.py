@@ -8,6 +8,7 @@ import torch
 
 from benchmarks.stress.disturbed import SCENE_OPERATORS, Disturbance, DisturbedEnv
 from benchmarks.stress.readings import ReadsWorn
+from benchmarks.stress.stock import StockController
 from lerobot_env_uniforce_wiping import WipeExpert
 from lerobot_env_uniforce_wiping.episodes import run_script
 from lerobot_policy_pi05_uniforce.controller import PolicyController
@@ -27,7 +28,8 @@ class Arm:
 
     name: str
     sensor: str = "tactip:1"  # in words
-    acts: Literal["policy", "expert", "reads"] = "policy"  # expert: by the true wrench; reads: by the worn sensor
+    # stock: any LeRobot policy of cameras and state; expert: by the true wrench; reads: by the worn sensor
+    acts: Literal["policy", "stock", "expert", "reads"] = "policy"
     policies: tuple[str, ...] = ()  # checkpoint folders that take turns
     calibration: str = ""  # folder; of a policy's sensor
     monitor: Literal["stop", "off"] = "stop"  # of a policy's sensor
@@ -56,7 +58,7 @@ def play(arm: Arm, level: str, words: str, operator: str, dose: float, cell: str
     torch.manual_seed(seed)
     of_scene = SCENE_OPERATORS.get(operator)
     disturbance = of_scene.disturb(dose) if of_scene else Disturbance()
-    act = {"policy": _policy, "expert": _expert, "reads": _reads}[arm.acts]
+    act = {"policy": _policy, "stock": _stock, "expert": _expert, "reads": _reads}[arm.acts]
     try:
         result = act(arm, level, words, disturbance, seed, first)
     except SensorError:  # the reference is refused: nothing is done, as on a robot
@@ -81,6 +83,14 @@ def _policy(arm: Arm, level: str, words: str, disturbance: Disturbance, seed: in
 @lru_cache(maxsize=64)
 def _controller(policy: str, rig: Rig) -> PolicyController:
     return policy_on_rig(policy, rig)[1]
+
+
+def _stock(arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int) -> EpisodeResult:
+    env = DisturbedEnv(disturbance, level, right_sensor=words, drawn=())
+    return roll_out(env, _stock_controller(whose_turn(seed - first, arm.policies)), seed).result
+
+
+_stock_controller = lru_cache(maxsize=8)(StockController)
 
 
 def _expert(arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int) -> EpisodeResult:

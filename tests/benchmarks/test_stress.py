@@ -5,6 +5,10 @@ from dataclasses import asdict
 
 import numpy as np
 import pytest
+from lerobot.configs import FeatureType, PolicyFeature
+from lerobot.policies.act import ACTConfig
+from lerobot.policies.act.modeling_act import ACTPolicy
+from lerobot.policies.factory import make_pre_post_processors
 
 from benchmarks.stress import rollouts
 from benchmarks.stress.actors import Arm, Row, play
@@ -15,10 +19,12 @@ from benchmarks.stress.page import draw, one_table, retention
 from benchmarks.stress.readings import ReadsWorn, read_scenes
 from benchmarks.stress.rollouts import cells_of, mean_corruption_error, near_cliffs, repeatability, roll, summarise
 from benchmarks.stress.screen import against, screen_cell
+from benchmarks.stress.stock import StockController
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.episodes import walk
 from uniforce_vtla.contact.worn_in_words import wear
 from uniforce_vtla.evaluation.episode import WIPING_PHASE
+from uniforce_vtla.keys import CAMERAS
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 from uniforce_vtla.tokenizer.latent_range import LatentRange
 
@@ -109,6 +115,23 @@ def test_benign_doses_act_in_a_few_scenes_and_end_as_without_the_fault(tmp_path,
     assert (lag["benign"], lag["benign_n"], lag["benign_alike"]) == (2, 3, True)
     rows["me, T1 lag 0"][0] = row("", 0, False)
     assert not summarise(cells, rows)["T1 lag"]["benign_alike"]
+
+
+def test_a_policy_of_lerobots_own_acts_in_the_scene(tmp_path) -> None:
+    pictures = {f"observation.images.{name}": PolicyFeature(FeatureType.VISUAL, (3, 32, 32)) for name in CAMERAS}
+    config = ACTConfig(
+        input_features=pictures | {"observation.state": PolicyFeature(FeatureType.STATE, (5,))},
+        output_features={"action": PolicyFeature(FeatureType.ACTION, (5,))},
+        pretrained_backbone_weights=None, dim_model=16, n_heads=2, dim_feedforward=16, n_encoder_layers=1,
+        use_vae=False, chunk_size=4, n_action_steps=2, device="cpu",
+    )  # fmt: skip
+    for part in (ACTPolicy(config), *make_pre_post_processors(config)):
+        part.save_pretrained(tmp_path)
+    env, controller = DisturbedEnv(Disturbance(), "touch", drawn=()), StockController(str(tmp_path))
+    observation, _ = env.reset(seed=39_700)
+    controller.reset(env)
+    action = controller.chunk(observation, env.task)
+    assert action.shape == (1, 5) and np.isfinite(action).all()
 
 
 def test_two_halves_of_the_scenes_agree_or_not() -> None:
