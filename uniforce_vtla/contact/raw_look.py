@@ -44,9 +44,10 @@ def gelsight_frames(
     """
     frames = []
     for image, depth in zip(marker_images, indentation_mm, strict=True):
-        ink = cv2.GaussianBlur(image.astype(np.float32) / 255, (0, 0), _EDGE_BLUR_PX)
-        lit = _gel_light() + _slope_shade(depth, cell_mm, px_per_mm)
-        frames.append(_exposed(lit * (1 - _GEL_MARKER_DARKNESS * ink)[..., None], rng, noise))
+        left = 1 - _GEL_MARKER_DARKNESS * _blurred(image)
+        shades = _slope_shades(depth, cell_mm, px_per_mm)
+        planes = [(light + shade) * left for light, shade in zip(_gel_light(), shades, strict=True)]
+        frames.append(_exposed(planes, rng, noise))
     return np.stack(frames)
 
 
@@ -60,31 +61,40 @@ def tactip_frames(marker_images: np.ndarray, rng: np.random.Generator, noise: Pi
     """
     frames = []
     for image in marker_images:
-        pin = cv2.GaussianBlur(image.astype(np.float32) / 255, (0, 0), _EDGE_BLUR_PX)[..., None]
-        frame = _dome_light() * (1 - pin)
-        frame += _pin_light() * pin
-        frames.append(_exposed(frame, rng, noise))
+        pin = _blurred(image)
+        gap = 1 - pin
+        planes = [dark * gap + light * pin for dark, light in zip(_dome_light(), _pin_light(), strict=True)]
+        frames.append(_exposed(planes, rng, noise))
     return np.stack(frames)
 
 
-def _exposed(frame: np.ndarray, rng: np.random.Generator, noise: PixelNoise) -> np.ndarray:
-    """Return the frame (H, W, 3) as uint8 with noise; works in place."""
+def _blurred(image: np.ndarray) -> np.ndarray:
+    """Return an (H, W) uint8 image in [0, 1], with a camera's edges."""
+    return cv2.GaussianBlur(image.astype(np.float32) / 255, (0, 0), _EDGE_BLUR_PX)
+
+
+def _exposed(planes: list[np.ndarray], rng: np.random.Generator, noise: PixelNoise) -> np.ndarray:
+    """Return the frame (H, W, 3) uint8 of three planes (H, W) with noise; works in place, plane by plane for speed."""
+    H, W = planes[0].shape
     if noise == "drawn":
-        frame += rng.standard_normal(frame.shape, dtype=np.float32) * np.float32(_PIXEL_NOISE)
+        grain = (rng.standard_normal((H, W, 3), dtype=np.float32) * np.float32(_PIXEL_NOISE)).transpose(2, 0, 1)
     else:
         y, x = rng.integers(_SHEET_ROOM_PX, size=2)
-        frame += _noise_sheet()[y : y + frame.shape[0], x : x + frame.shape[1]]
-    return np.clip(frame, 0, 255, out=frame).astype(np.uint8)
+        grain = _noise_sheet()[:, y : y + H, x : x + W]
+    for plane, own in zip(planes, grain, strict=True):
+        plane += own
+        np.clip(plane, 0, 255, out=plane)
+    return cv2.merge([plane.astype(np.uint8) for plane in planes])
 
 
-def _slope_shade(depth_mm: np.ndarray, cell_mm: float, px_per_mm: float) -> np.ndarray:
-    """Return (H, W, 3) colour that the indentation's slopes catch from lights at 90°, 210° and 330°."""
+def _slope_shades(depth_mm: np.ndarray, cell_mm: float, px_per_mm: float) -> list[np.ndarray]:
+    """Return the three colours, (H, W) each, that the indentation's slopes catch from lights at 90°, 210° and 330°."""
     smooth = cv2.GaussianBlur(depth_mm.astype(np.float32), (0, 0), 1.0 / cell_mm)
     dy, dx = np.gradient(smooth, cell_mm)
     places = _cells_of_pixels(len(depth_mm), px_per_mm * cell_mm)
-    slope = [cv2.remap(d, *places, cv2.INTER_LINEAR) for d in (dx, dy)]
+    slope = cv2.split(cv2.remap(cv2.merge([dx, dy]), *places, cv2.INTER_LINEAR))
     angles = np.deg2rad([90, 210, 330])
-    return np.stack([_GEL_SHADE * (slope[0] * np.cos(a) + slope[1] * np.sin(a)) for a in angles], axis=-1)
+    return [_GEL_SHADE * (slope[0] * np.cos(a) + slope[1] * np.sin(a)) for a in angles]
 
 
 @cache
@@ -97,11 +107,16 @@ def _cells_of_pixels(cells: int, px_per_cell: float) -> tuple[np.ndarray, np.nda
     return column, row
 
 
+def _planes(frame: np.ndarray) -> np.ndarray:
+    """Return (3, H, W) of (H, W, 3): arithmetic on whole planes is several times as fast."""
+    return np.ascontiguousarray(frame.transpose(2, 0, 1))
+
+
 @cache
 def _noise_sheet() -> np.ndarray:
     rows, columns = MARKER_IMAGE_SHAPE
     shape = rows + _SHEET_ROOM_PX, columns + _SHEET_ROOM_PX, 3
-    return np.random.default_rng(0).standard_normal(shape, dtype=np.float32) * np.float32(_PIXEL_NOISE)
+    return _planes(np.random.default_rng(0).standard_normal(shape, dtype=np.float32) * np.float32(_PIXEL_NOISE))
 
 
 @cache
@@ -112,13 +127,13 @@ def _radius_px() -> np.ndarray:
 
 @cache
 def _gel_light() -> np.ndarray:
-    """Return (H, W, 3) uneven coloured light: each channel strongest on its own side, darker in the corners."""
+    """Return (3, H, W) uneven coloured light: each channel strongest on its own side, darker in the corners."""
     rows, columns = np.indices(MARKER_IMAGE_SHAPE)
     x, y = (columns - CENTRE_PX[0]) / CENTRE_PX[0], (rows - CENTRE_PX[1]) / CENTRE_PX[1]
     angles = np.deg2rad([90, 210, 330])
     light = np.stack([150 + 35 * (x * np.cos(a) + y * np.sin(a)) for a in angles], axis=-1)
     vignette = 1 - 0.4 * (_radius_px() / 400) ** 2
-    return (light * vignette[..., None]).astype(np.float32)
+    return _planes((light * vignette[..., None]).astype(np.float32))
 
 
 @cache
@@ -129,13 +144,13 @@ def _lamp_falloff() -> np.ndarray:
 
 @cache
 def _pin_light() -> np.ndarray:
-    """Return (H, W, 3) colour of a pin at each place."""
-    return _PIN_RGB * _lamp_falloff()
+    """Return (3, H, W) colour of a pin at each place."""
+    return _planes(_PIN_RGB * _lamp_falloff())
 
 
 @cache
 def _dome_light() -> np.ndarray:
-    """Return (H, W, 3) dark dome, soft reflections of six lamps, bright rim, black beyond."""
+    """Return (3, H, W) dark dome, soft reflections of six lamps, bright rim, black beyond."""
     radius = _radius_px()
     grey = 14 + 10 * (radius / 240) ** 2
     rows, columns = np.indices(MARKER_IMAGE_SHAPE)
@@ -144,4 +159,4 @@ def _dome_light() -> np.ndarray:
         grey = grey + 40 * np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / (2 * 12.0**2))
     ring = (radius > _RIM_PX[0]) & (radius < _RIM_PX[1])
     grey = np.where(ring, 190, np.where(radius >= _RIM_PX[1], 6, grey)).astype(np.float32)
-    return cv2.GaussianBlur(np.repeat(grey[..., None], 3, axis=2), (0, 0), 2.0)
+    return _planes(cv2.GaussianBlur(np.repeat(grey[..., None], 3, axis=2), (0, 0), 2.0))

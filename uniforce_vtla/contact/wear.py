@@ -57,7 +57,8 @@ class Light:
 
     def on(self, frames: np.ndarray) -> np.ndarray:
         """Return (B, 480, 640, 3) uint8 frames under this light."""
-        return np.clip(frames * _field(self), 0, 255).astype(np.uint8)
+        lit = frames * _field(self)
+        return np.clip(lit, 0, 255, out=lit).astype(np.uint8)
 
 
 @lru_cache(maxsize=4)

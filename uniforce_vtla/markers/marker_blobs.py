@@ -136,7 +136,7 @@ def marker_mask(blobs: Blobs) -> np.ndarray:
     Growth stays inside the foot and within ``GROW_PX``, less where markers stand close. So blurred markers gain their
     skirts and sharp ones keep their size.
     """
-    mask = np.concatenate([[0], np.where(blobs.keep, 255, 0)]).astype(np.uint8)[blobs.labels]
+    mask = np.take(np.concatenate([[0], np.where(blobs.keep, 255, 0)]).astype(np.uint8), blobs.labels)
     grow = min(GROW_PX, int(spacing(blobs.markers) / GROW_SPACING_PX))
     if grow == 0:
         return mask

@@ -54,7 +54,7 @@ def to_nominal_scale(images: np.ndarray, spec: SensorSpec) -> np.ndarray:
 
 def sharp(smooth: np.ndarray) -> np.ndarray:
     """Return uint8 images in {0, 255} of interpolated ones: an edge stays an edge."""
-    return np.where(smooth >= 128, 255, 0).astype(np.uint8)
+    return (smooth >= 128) * np.uint8(255)
 
 
 def points_to_nominal_scale(points_px: np.ndarray, spec: SensorSpec, size_px: tuple[int, int]) -> np.ndarray:
