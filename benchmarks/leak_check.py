@@ -174,11 +174,12 @@ class PressCNN(nn.Module):
 
 def verdict(found: dict[str, float]) -> str:
     """Say in a sentence whether the scene leaks, or whether the check proves nothing."""
-    if found["touch and state"] < TOUCH_FLOOR:
-        return f"proves nothing: even touch reads the press at R² {found['touch and state']:.2f} only"
-    blind = max(found["state"], found["state and own moves"], found["cameras and state"])
-    word = "no leak" if blind < LEAK_LIMIT else "LEAK"
-    return f"{word}: R² {blind:.2f} without touch, {found['touch and state']:.2f} with it"
+    touch = found["touch and pose"]
+    if touch < TOUCH_FLOOR:
+        return f"proves nothing: even touch reads the press at R² {touch:.2f} only"
+    blind = max((name for name in found if "touch" not in name), key=lambda name: found[name])
+    word = "no leak" if found[blind] < LEAK_LIMIT else "LEAK"
+    return f"{word}: R² {found[blind]:.2f} without touch ({blind}), {touch:.2f} with it"
 
 
 @command(LeakConfig)
