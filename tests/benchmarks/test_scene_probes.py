@@ -9,7 +9,7 @@ from uniforce_vtla.tokenizer.plain_touch import DESCRIPTOR_SIZE
 
 
 def made_up(leaky: bool) -> Samples:
-    """Forty scenes whose touch tells the press; the pose does only where the scene leaks."""
+    """Forty scenes whose touch predicts the press; the pose does only where the scene leaks."""
     rng = np.random.default_rng(0)
     n = 600
     press = rng.uniform(3, 12, n)

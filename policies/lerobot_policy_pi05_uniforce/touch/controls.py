@@ -74,8 +74,7 @@ class NewtonInput(TouchInput):
         config.touch.head_hash, self._head = head.hash, head.model
 
     def reset(self) -> None:
-        """Forget what was watched, and the reference that the latents renewed."""
-        super().reset()
+        """Let the latents' reader forget; its encoder and monitors are this one's too."""
         self._latents.reset()
 
     def read(self, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor:
