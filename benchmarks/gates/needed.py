@@ -16,8 +16,9 @@ from benchmarks.gates.__main__ import GATES
 from benchmarks.gates.fitting import Fitted, fit
 from benchmarks.ledger import Ledger
 from benchmarks.scene_blocks import BLOCKS
-from benchmarks.stress.actors import Arm, Row, play, row_of
+from benchmarks.stress.actors import Arm, play, row_of
 from benchmarks.stress.disturbed import SCENE_OPERATORS, DisturbedEnv
+from benchmarks.stress.row import Row
 from lerobot_env_uniforce_wiping.episodes import run_script
 from lerobot_env_uniforce_wiping.hidden import PullSettings, UnevenSettings
 from lerobot_env_uniforce_wiping.levels import LEVELS, level_hash
@@ -65,7 +66,7 @@ def cells() -> list[tuple[str, float]]:
 def _script(name: str, operator: str, factor: float, seed: int, fitted: Fitted, folder: Path) -> Row:
     worker_process()
     env = DisturbedEnv(SCENE_OPERATORS[operator].disturb(factor), level=LEVEL, drawn=())
-    return row_of(_cell(name, operator, factor), seed, run_script(env, GATES[name].make(fitted, folder), seed))
+    return row_of(_cell(name, operator, factor), env, run_script(env, GATES[name].make(fitted, folder), seed))
 
 
 def _cell(name: str, operator: str, factor: float) -> str:

@@ -10,16 +10,28 @@ from tqdm import tqdm
 
 from benchmarks.scene_blocks import BLOCKS
 from benchmarks.stress.actors import Arm
-from benchmarks.stress.disturbed import SCENE_OPERATORS
+from benchmarks.stress.disturbed import EXCHANGED
 from benchmarks.stress.operators import OPERATORS, worn_with
 from benchmarks.stress.page import draw, one_table
-from benchmarks.stress.rollouts import cells_of, near_cliffs, repeatability, roll, summarise
+from benchmarks.stress.rollouts import cells_of, near_cliffs, of_the_scene, repeatability, roll, summarise
 from benchmarks.stress.screen import against, screen_cell
+from benchmarks.stress.warning import warned
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
 from uniforce_cli.boundary import Level, command, worker_process
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.json_file import read_object
-from uniforce_vtla.options import Count, FolderPath, OutFile, OutFolder, Policies, Seed, Text, Workers, split
+from uniforce_vtla.options import (
+    Count,
+    CountOrZero,
+    FolderPath,
+    OutFile,
+    OutFolder,
+    Policies,
+    Seed,
+    Text,
+    Workers,
+    split,
+)
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 
@@ -42,6 +54,7 @@ class StressCommand:
     stock: Text = ""  # rollouts: likewise, of any LeRobot policy of cameras and state
     calibrations: FolderPath = ""  # rollouts: of exchanged sensors, uskin-2 …; "" = they wear none
     rollouts: Count = 40  # scenes, the same for every cell
+    near: CountOrZero = 3  # doses per operator near a cliff, beside the named one; 0 = the named ones alone
     benign: Count = 4  # of them with a dose that changes nothing, and without touch
     first_seed: Seed = 0  # 0 = screen: development scenes; rollouts: the benchmark's own block
     only: Text = ""  # rollouts: just these operators, comma between them; "" = all
@@ -56,6 +69,8 @@ class StressCommand:
 
 # what a new reference in free air can mend: also rolled out without the monitor that takes it
 MENDED = ("C2 shift", "C3 turn", "M2 flicker", "R1 stale reference")
+# whose dose a calibration can undo, and the dose of the bar for that
+CALIBRATED = {"G1 stiffer": 1.6, "G1 softer": 0.4, "G2 keener": 1.6, "G2 duller": 0.4}
 SCREENED_FROM = 39_700  # development scenes
 
 
@@ -88,26 +103,33 @@ def screen(config: StressCommand) -> dict[str, Any]:
 def arms(config: StressCommand) -> list[tuple[Arm, dict[str, list[float]]]]:
     """Return who acts, and which doses of which operators it meets. An operator stands first with its expert."""
     screened = read_object(Path(config.work) / "screen.json", ContractError)["screened"]
-    policies, blind = tuple(split(config.policy)), tuple(split(config.blind))
-    scene = {name: list(operator.doses[1:-1]) for name, operator in SCENE_OPERATORS.items()}
-    found = []
-    for number, sensor in enumerate(split(config.sensors)):
-        folder = Path(config.calibrations, sensor.replace(":", "-"))
-        worn = str(folder) if config.calibrations and folder.is_dir() else ""
-        doses = near_cliffs(screened[sensor]) | (scene if number == 0 else {})
-        of_sensor = {name: near for name, near in doses.items() if name in OPERATORS}
-        found.append((Arm(f"policy on {sensor}", sensor, "policy", policies, worn), doses))
-        if number == 0:
-            unwatched = {name: near for name, near in doses.items() if name in MENDED}
-            found.append((Arm("policy without monitor", sensor, "policy", policies, worn, "off"), unwatched))
-        found.append((Arm(f"expert reads {sensor}", sensor, "reads"), of_sensor))
+    policies, blind, stock = (tuple(split(given)) for given in (config.policy, config.blind, config.stock))
+    scene, (own, *others) = of_the_scene(config.near), split(config.sensors)
+    doses = {sensor: near_cliffs(screened[sensor], config.near) for sensor in (own, *others)}
+    found = [(Arm(f"policy on {own}", own, "policy", policies), doses[own] | scene)]
+    unwatched = {name: near for name, near in doses[own].items() if name in MENDED}
+    found.append((Arm("policy without monitor", own, "policy", policies, monitor="off"), unwatched))
+    if refitted := {name: [dose] for name, dose in CALIBRATED.items() if _calibration(config, own, name, dose)}:
+        fitted = Arm(f"policy on {own}, calibrated", own, "policy", policies, _calibration(config, own), refitted=True)
+        found.append((fitted, refitted))
+    for sensor in others:
+        arm = Arm(f"policy on {sensor}", sensor, "policy", policies, _calibration(config, sensor))
+        found.append((arm, doses[sensor] | {name: near for name, near in scene.items() if name != EXCHANGED}))
+    found += [(Arm(f"expert reads {sensor}", sensor, "reads"), near) for sensor, near in doses.items()]
     found.append((Arm("expert", acts="expert"), scene))
     if blind:
         found.append((Arm("policy without touch", acts="policy", policies=blind, few=True), scene))
-    if config.stock:
-        found.append((Arm("stock policy", acts="stock", policies=tuple(split(config.stock)), few=True), scene))
+    if stock:
+        found.append((Arm("stock policy", acts="stock", policies=stock, few=True), scene))
     wanted = split(config.only)
     return [(arm, {n: d for n, d in doses.items() if not wanted or n in wanted}) for arm, doses in found]
+
+
+def _calibration(config: StressCommand, sensor: str, operator: str = "", dose: float = 0.0) -> str:
+    """Return the folder of a sensor's calibration, as it is or with a fault; "" where there is none."""
+    words = sensor + (OPERATORS[operator].words(dose) if operator else "")
+    folder = Path(config.calibrations, words.replace(":", "-"))
+    return str(folder) if config.calibrations and folder.is_dir() else ""
 
 
 def roll_out(config: StressCommand) -> dict[str, Any]:
@@ -116,8 +138,12 @@ def roll_out(config: StressCommand) -> dict[str, Any]:
     every = [cell for of_arm in cells.values() for cell in of_arm]
     seeds, ledger = range(first, first + config.rollouts), Path(config.work) / "episodes.jsonl"
     rows = roll(every, config.level, seeds, config.workers, ledger, config.benign)
+    (own, *_), unwatched = cells.values(), cells["policy without monitor"]
+    twins = [(a.name, b) for b in unwatched if b.operator and not b.benign for a in own if a.fault == b.fault]
     return {
+        "seeds": [seeds[0], seeds[-1]],
         "repeatability": repeatability(every, rows),
+        "monitor": {b.fault: warned(rows[a], rows[b.name]) for a, b in twins},
         "arms": {name: summarise(of_arm, rows) for name, of_arm in cells.items()},
     }
 
@@ -133,7 +159,8 @@ def main(config: StressCommand) -> None:
         _print_arms(content["arms"])
     else:
         parts = [read_object(Path(config.work) / f"{name}.json", ContractError) for name in ("rollouts", "screen")]
-        content |= one_table(parts[0]["arms"], parts[1]["screened"]) | {"repeatability": parts[0]["repeatability"]}
+        content |= {name: parts[0][name] for name in ("seeds", "repeatability", "monitor")}
+        content |= one_table(parts[0]["arms"], parts[1]["screened"])
         draw(content, config.result.with_suffix(".png"))
     print(f"written to {write_json(config.result, content | provenance())}")
 

@@ -8,8 +8,10 @@ import torch
 
 from benchmarks.stress.disturbed import SCENE_OPERATORS, Disturbance, DisturbedEnv
 from benchmarks.stress.readings import ReadsWorn
+from benchmarks.stress.row import Row
 from benchmarks.stress.stock import StockController
-from lerobot_env_uniforce_wiping import WipeExpert
+from benchmarks.stress.warning import first_event_s
+from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.episodes import run_script
 from lerobot_policy_pi05_uniforce.controller import PolicyController
 from uniforce_cli.boundary import worker_process
@@ -32,21 +34,9 @@ class Arm:
     acts: Literal["policy", "stock", "expert", "reads"] = "policy"
     policies: tuple[str, ...] = ()  # checkpoint folders that take turns
     calibration: str = ""  # folder; of a policy's sensor
+    refitted: bool = False  # the sensor was calibrated with its fault: folder CALIBRATION+FAULT=DOSE
     monitor: Literal["stop", "off"] = "stop"  # of a policy's sensor
     few: bool = False  # acts in the first scenes alone
-
-
-@dataclass(frozen=True)
-class Row:
-    """One episode of a cell."""
-
-    cell: str
-    seed: int
-    clean: bool
-    outcome: str
-    in_band_share: float
-    slippage: bool
-    excess_force: bool
 
 
 def play(arm: Arm, level: str, words: str, operator: str, dose: float, cell: str, seed: int, first: int) -> Row:
@@ -60,24 +50,30 @@ def play(arm: Arm, level: str, words: str, operator: str, dose: float, cell: str
     disturbance = of_scene.disturb(dose) if of_scene else Disturbance()
     act = {"policy": _policy, "stock": _stock, "expert": _expert, "reads": _reads}[arm.acts]
     try:
-        result = act(arm, level, words, disturbance, seed, first)
+        env, result = act(arm, level, words, disturbance, seed, first)
     except SensorError:  # the reference is refused: nothing is done, as on a robot
         return Row(cell, seed, False, "aborted", 0.0, False, False)
-    return row_of(cell, seed, result)
+    return row_of(cell, env, result)
 
 
-def row_of(cell: str, seed: int, result: EpisodeResult) -> Row:
+def row_of(cell: str, env: WipeEnv, result: EpisodeResult) -> Row:
     """Return what is kept of an episode."""
-    share = float(result.metrics.get("in_band_share", 0.0))
-    return Row(cell, seed, bool(result.clean), result.outcome, share, bool(result.slippage), bool(result.excess_force))
+    share, ended_s = (float(result.metrics.get(name, 0.0)) for name in ("in_band_share", "duration_s"))
+    events = bool(result.slippage), bool(result.excess_force)
+    event_s = first_event_s(env.trace, env.limits)
+    return Row(cell, env.scene.seed, bool(result.clean), result.outcome, share, *events, round(ended_s, 3), event_s)
 
 
-def _policy(arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int) -> EpisodeResult:
-    rig = Rig(level, right_sensor=words, right_calibration=arm.calibration, monitor=arm.monitor)
+Played = tuple[WipeEnv, EpisodeResult]
+
+
+def _policy(arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int) -> Played:
+    calibration = arm.calibration + words.removeprefix(arm.sensor) * arm.refitted
+    rig = Rig(level, right_sensor=words, right_calibration=calibration, monitor=arm.monitor)
     controller = _controller(whose_turn(seed - first, arm.policies), rig)
     worn = (rig.mounted["left"], rig.mounted["right"])
     env = DisturbedEnv(disturbance, level, *worn, drawn=controller.reads, expose_wrench=controller.needs_true_wrench)
-    return roll_out(env, controller, seed).result
+    return env, roll_out(env, controller, seed).result
 
 
 @lru_cache(maxsize=64)
@@ -85,21 +81,22 @@ def _controller(policy: str, rig: Rig) -> PolicyController:
     return policy_on_rig(policy, rig)[1]
 
 
-def _stock(arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int) -> EpisodeResult:
+def _stock(arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int) -> Played:
     env = DisturbedEnv(disturbance, level, right_sensor=words, drawn=())
-    return roll_out(env, _stock_controller(whose_turn(seed - first, arm.policies)), seed).result
+    return env, roll_out(env, _stock_controller(whose_turn(seed - first, arm.policies)), seed).result
 
 
 _stock_controller = lru_cache(maxsize=8)(StockController)
 
 
-def _expert(arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int) -> EpisodeResult:
-    return run_script(DisturbedEnv(disturbance, level, right_sensor=words, drawn=()), WipeExpert(), seed)
+def _expert(arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int) -> Played:
+    env = DisturbedEnv(disturbance, level, right_sensor=words, drawn=())
+    return env, run_script(env, WipeExpert(), seed)
 
 
-def _reads(arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int) -> EpisodeResult:
+def _reads(arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int) -> Played:
     env = DisturbedEnv(disturbance, level, right_sensor=words, drawn=("right",))
-    return run_script(env, ReadsWorn("right", *_reader()), seed)
+    return env, run_script(env, ReadsWorn("right", *_reader()), seed)
 
 
 @cache

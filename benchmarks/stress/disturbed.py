@@ -25,6 +25,9 @@ WORDINGS = (  # none of them was demonstrated; from close to far
 )
 
 
+EXCHANGED = "X1 unit exchanged in mid-wipe"  # of TacTips
+
+
 @dataclass(frozen=True)
 class Disturbance:
     """What differs from the usual episode."""
@@ -128,7 +131,7 @@ def _said(number: float) -> Disturbance:
 def _operator(
     unit: str, doses: tuple[float, ...], benign: float, disturb: Callable[[float], Disturbance]
 ) -> SceneOperator:
-    return SceneOperator("", doses, benign, disturb=disturb, in_words=unit)
+    return SceneOperator("", doses, benign, doses[2], disturb, unit)
 
 
 SCENE_OPERATORS = {
@@ -142,8 +145,6 @@ SCENE_OPERATORS = {
     "B3 pads slip": _operator("×", (0.9, 0.8, 0.7, 0.6, 0.5), 1, _scaled("pad_friction")),
     "E1 heavier eraser": _operator("×", (1.5, 2, 3, 4, 6), 1, _scaled("eraser_mass_kg")),
     "E2 wider eraser": _operator("mm", (4, 6, 8, 10, 12), 0, _wider),
-    "X1 unit exchanged in mid-wipe": _operator(
-        "unit", (2, 3, 4, 5, 6), 1, lambda unit: Disturbance(exchanged=f"tactip:{unit:g}")
-    ),
+    EXCHANGED: _operator("unit", (2, 3, 4, 5, 6), 1, lambda unit: Disturbance(exchanged=f"tactip:{unit:g}")),
     "W1 other words": _operator("number of the text", (1, 2, 3, 4, 5), 0, _said),
 }

@@ -16,7 +16,7 @@ class Operator:
     fault: str
     doses: tuple[float, ...]
     benign: float  # the same code path, and nothing changes
-    named: float | None = None  # dose that the bar names: rolled out wherever the cliff is
+    named: float | None = None  # dose of the bar, a scene's fault its middle one: always rolled out
 
     @property
     def unit(self) -> str:

@@ -13,9 +13,10 @@ from joblib import Parallel, delayed
 from tqdm import tqdm
 
 from benchmarks.ledger import Ledger
-from benchmarks.stress.actors import Arm, Row, play
+from benchmarks.stress.actors import Arm, play
 from benchmarks.stress.disturbed import SCENE_OPERATORS
 from benchmarks.stress.operators import OPERATORS, Operator, worn_with
+from benchmarks.stress.row import Row
 from uniforce_vtla.evaluation.statistics import Proportion, non_inferior, wilson
 
 MARGIN = 0.10  # of clean success: what may be lost before a dose counts as breaking
@@ -45,17 +46,22 @@ class Cell:
         return bool(self.operator) and self.dose == ALL_OPERATORS[self.operator].benign
 
     @property
+    def fault(self) -> str:
+        """Operator and dose."""
+        return f"{self.operator} {self.dose:g}"
+
+    @property
     def name(self) -> str:
         """Arm, operator and dose."""
-        return f"{self.arm.name}, {self.operator} {self.dose:g}" if self.operator else self.arm.name
+        return f"{self.arm.name}, {self.fault}" if self.operator else self.arm.name
 
 
 def near_cliffs(screened: Mapping[str, Any], most: int = 3) -> dict[str, list[float]]:
-    """Return operator → the doses to roll out: whose misread press is near what the level forgives, and the bar's own.
+    """Return operator → the doses to roll out: whose misread press is near what the level forgives, and the named one.
 
     Args:
         screened: one sensor's rows of the screen.
-        most: doses per operator.
+        most: doses per operator beside the named one.
     """
     found = {}
     for name, cells in screened.items():
@@ -65,7 +71,13 @@ def near_cliffs(screened: Mapping[str, Any], most: int = 3) -> dict[str, list[fl
         near = [dose for dose, error in errors.items() if NEAR_N[0] <= error <= NEAR_N[1]] or list(errors)[-1:]
         wanted = {*near[:most], OPERATORS[name].named}
         found[name] = [dose for dose in errors if dose in wanted]
-    return found
+    return {name: doses for name, doses in found.items() if doses}
+
+
+def of_the_scene(most: int = 3) -> dict[str, list[float]]:
+    """Return operator → its middle doses, which no screen can choose: as many as ``most``, at least the named one."""
+    side = (max(most, 1) - 1) // 2
+    return {name: list(operator.doses[2 - side : 3 + side]) for name, operator in SCENE_OPERATORS.items()}
 
 
 def cells_of(arm: Arm, doses: Mapping[str, Sequence[float]]) -> list[Cell]:

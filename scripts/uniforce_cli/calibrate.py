@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     # reference (480, 640), marker images (B, 480, 640), finger → (B, P, L)
     Encode = Callable[[np.ndarray, np.ndarray, Finger], Latent]
 
-Unit = Annotated[str, Pattern("a sensor and which unit of it", r"\w+(:(drawing|\d{1,6}))?", "uskin:7")]
+Unit = Annotated[
+    str, Pattern("a sensor and which unit of it", r"\w+(:(drawing|\d{1,6}))?(\+[a-z]+=[\d.]+)*", "uskin:7")
+]
 TOOL_TORSION_ARM_mm = 9.0  # a held tool twists flat pads so far
 BATCH = 32
 TURN_DEG = 10.0  # pairs tell the angle between two fingers to a few degrees
@@ -43,7 +45,8 @@ class CalibrateCommand:
     Use it: uniforce score … right_sensor=uskin right_calibration=outputs/calibration
     """
 
-    new: Unit = "gelsight_stiff"  # the sensor to fit; in simulation unit 1 of it, or uskin:7 | uskin:drawing
+    # the sensor to fit; in simulation unit 1 of it, or uskin:7 | uskin:drawing | with a fault tactip:1+gain=1.6
+    new: Unit = "gelsight_stiff"
     anchor: Unit = "tactip"  # the sensor that is known; likewise
     pairs: FolderPath = ""  # recorded pairs, as `uniforce pairs` writes them; empty = grasps are simulated
     tools: Text = "tool,flat"  # recorded objects that count as tools; all others are small

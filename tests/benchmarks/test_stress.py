@@ -1,7 +1,7 @@
 """Stress: operators of the screen, and what is read of a faulty sensor."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -11,19 +11,31 @@ from lerobot.policies.act.modeling_act import ACTPolicy
 from lerobot.policies.factory import make_pre_post_processors
 
 from benchmarks.stress import rollouts
-from benchmarks.stress.actors import Arm, Row, play
-from benchmarks.stress.disturbed import SCENE_OPERATORS, Disturbance, DisturbedEnv
+from benchmarks.stress.__main__ import CALIBRATED, StressCommand
+from benchmarks.stress.__main__ import arms as arms_of
+from benchmarks.stress.actors import Arm, play
+from benchmarks.stress.disturbed import EXCHANGED, SCENE_OPERATORS, Disturbance, DisturbedEnv
 from benchmarks.stress.monitor import summary, watched
 from benchmarks.stress.operators import OPERATORS, worn_with
 from benchmarks.stress.page import draw, one_table, retention
 from benchmarks.stress.readings import ReadsWorn, read_scenes
-from benchmarks.stress.rollouts import cells_of, mean_corruption_error, near_cliffs, repeatability, roll, summarise
+from benchmarks.stress.rollouts import (
+    cells_of,
+    mean_corruption_error,
+    near_cliffs,
+    of_the_scene,
+    repeatability,
+    roll,
+    summarise,
+)
+from benchmarks.stress.row import Row
 from benchmarks.stress.screen import against, screen_cell
 from benchmarks.stress.stock import StockController
+from benchmarks.stress.warning import first_event_s, warned
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.episodes import walk
 from uniforce_vtla.contact.worn_in_words import wear
-from uniforce_vtla.evaluation.episode import WIPING_PHASE
+from uniforce_vtla.evaluation.episode import STEP_FIELDS, WIPING_PHASE, EpisodeTrace, ScoreLimits
 from uniforce_vtla.keys import CAMERAS
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 from uniforce_vtla.tokenizer.latent_range import LatentRange
@@ -84,6 +96,50 @@ def test_doses_near_a_cliff_are_rolled_out_and_the_worst_where_there_is_none() -
     steep, flat, refused = screened(0, 0.1, 0.5, -2, 5, 9), screened(0, *[0.1] * 5), screened(0, *[np.inf] * 5)
     found = near_cliffs({"none": {}, "T1 lag": steep, "T2 stall": flat, "H1 creep": refused})
     assert found == {"T1 lag": [67, 133], "T2 stall": [533], "H1 creep": [533]}
+    assert near_cliffs({"none": {}, "T1 lag": steep, "H1 creep": refused}, most=0) == {"T1 lag": [133]}
+
+
+def test_the_middle_doses_of_a_scenes_fault_are_rolled_out() -> None:
+    assert of_the_scene()["P2 pushed arm"] == [4, 8, 12] and of_the_scene(most=0)["P2 pushed arm"] == [8]
+
+
+def test_a_calibration_with_the_fault_is_worn_where_there_is_one(tmp_path) -> None:
+    faulty = {name: {"dose": dose, "press_error_N": 9.0} for name, dose in CALIBRATED.items()}
+    screened = {
+        sensor: {"none": {}} | {n: [{}, cell] for n, cell in faulty.items()} for sensor in ("tactip:1", "uskin:2")
+    }
+    (tmp_path / "screen.json").write_text(json.dumps({"screened": screened}))
+    (tmp_path / "tactip-1+gain=1.6").mkdir()
+    found = {
+        arm.name: (arm, doses) for arm, doses in arms_of(StressCommand(work=str(tmp_path), calibrations=str(tmp_path)))
+    }
+    arm, doses = found["policy on tactip:1, calibrated"]
+    assert arm.refitted and doses == {"G2 keener": [1.6]}
+    assert EXCHANGED in found["policy on tactip:1"][1] and EXCHANGED not in found["policy on uskin:2"][1]
+
+
+def episode(press_N: np.ndarray) -> EpisodeTrace:
+    n = len(press_N)
+    steps = {name: np.zeros(n) for name in STEP_FIELDS} | {"time_s": np.arange(1, n + 1) / 30, "press_N": press_N}
+    held = {"grip_left_N": np.full(n, 5.0), "grip_right_N": np.full(n, 5.0), "phase": np.ones(n)}
+    return EpisodeTrace(**steps | held, rated_depth_mm=(9.0, 9.0))
+
+
+def test_a_warning_comes_half_a_second_before_what_the_unwatched_twin_does() -> None:
+    press_N = np.full(90, 6.0)
+    press_N[60] = 20.0
+    assert first_event_s(episode(press_N), ScoreLimits()) == pytest.approx(61 / 30, abs=1e-3)
+    assert first_event_s(episode(press_N[:60]), ScoreLimits()) is None
+
+    def ended(seed: int, outcome: str, ended_s: float, event_s: float | None) -> Row:
+        return replace(row("a", seed, False), outcome=outcome, ended_s=ended_s, event_s=event_s)
+
+    twins = {seed: ended(seed, "success", 9.0, 4.0) for seed in range(4)} | {4: ended(4, "success", 9.0, None)}
+    watched = {
+        0: ended(0, "aborted", 3.0, None), 1: ended(1, "aborted", 3.9, None), 2: ended(2, "success", 9.0, None),
+        3: ended(3, "success", 9.0, 4.0), 4: ended(4, "aborted", 1.0, None),
+    }  # fmt: skip
+    assert warned(watched, twins) == {"failures": 4, "warned": 1, "averted": 1}
 
 
 def row(cell: str, seed: int, clean: bool) -> Row:
