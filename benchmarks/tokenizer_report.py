@@ -11,7 +11,6 @@ from typing import Annotated, Any, Literal
 from tqdm import tqdm
 
 from benchmarks.baselines.finetuned import finetuned_row
-from benchmarks.baselines.genforce_style import genforce_style_row
 from benchmarks.baselines.resnet import resnet_row
 from benchmarks.baselines.speed import speed_report
 from benchmarks.probes.labelled_set import LabelledSet, set_facts
@@ -140,13 +139,10 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
 
 def trained(table: Table, tokenizer: Tokenizer, seeds: int) -> dict[str, Callable[[], Cells]]:
     """Return the makers of rows that train networks: name → maker."""
-    makers: dict[str, Callable[[], Cells]] = {
+    return {
         "UniForce (FT)": lambda: finetuned_row(table, tokenizer, seeds),
         "ResNet": lambda: resnet_row(table, seeds),
     }
-    if set(table.frozen) <= set(table.training):  # a translator needs pictures of its target
-        makers["GenForce-style (ours)"] = lambda: genforce_style_row(table, 1)
-    return makers
 
 
 def own_sensor_mae(row: Cells, sensors: Iterable[str]) -> float:

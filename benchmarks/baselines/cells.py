@@ -42,22 +42,15 @@ def _floats(images: np.ndarray) -> torch.Tensor:
 
 
 Fit = Callable[[LabelledSet, int], Predictor]  # source set, seed → predictor
-Scores = dict[str, list[dict[str, list[float]]]]  # transfer → one score per seed
 
 
 def fitted_row(table: Table, fit: Fit, seeds: int) -> Cells:
     """Return a row: ``fit`` on every source, scored on every target's pictures, mean over ``seeds``."""
-    scores: Scores = {}
+    scores: dict[str, list[dict[str, list[float]]]] = {}  # transfer → one score per seed
     for source, labelled in table.training.items():
         for seed in range(seeds):
             predict = fit(labelled, seed)
-            for target in table.frozen:
-                add_score(scores, table, (source, target), predict)
+            for target, shown in table.frozen.items():  # its labels meet the prediction here and nowhere else
+                found = score(shown.force_N, predict(pictures(shown)))
+                scores.setdefault(transfer_name(source, target), []).append(found)
     return mean_cells(scores)
-
-
-def add_score(scores: Scores, table: Table, transfer: tuple[str, str], predict: Predictor) -> None:
-    """Append one seed's score of ``transfer``; the target's labels meet the prediction here and nowhere else."""
-    target = transfer[1]
-    said = predict(pictures(table.frozen[target]))
-    scores.setdefault(transfer_name(*transfer), []).append(score(table.frozen[target].force_N, said))

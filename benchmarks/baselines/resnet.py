@@ -6,7 +6,7 @@ import torch
 from torch import nn
 from torch.nn import functional as F  # noqa: N812
 
-from benchmarks.baselines.cells import Pictures, Predictor, fitted_row, labels, pictures
+from benchmarks.baselines.cells import Predictor, fitted_row, labels, pictures
 from benchmarks.baselines.end_to_end import EndToEnd, EndToEndConfig, predictor, train_end_to_end
 from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.zero_shot import POOL, Cells, Table
@@ -80,11 +80,8 @@ def resnet_row(table: Table, seeds: int, config: ResNetConfig = RESNET) -> Cells
 
 
 def fit_resnet(source: LabelledSet, config: ResNetConfig, seed: int) -> Predictor:
-    return fit_pictures(pictures(source), labels(source), config, seed)
-
-
-def fit_pictures(shown: Pictures, force_N: torch.Tensor, config: ResNetConfig, seed: int) -> Predictor:
-    """Return a predictor trained on pictures, whose side is divisible by the stride, and forces (n, T, 3) N."""
+    """Return a predictor trained on pictures, whose side is divisible by the stride, and on their forces."""
+    shown, force_N = pictures(source), labels(source)
     model = build_resnet(config, shown.reference.shape[-1], force_N, seed)
     train_end_to_end(model, shown, force_N, config.training, seed)
     return predictor(model, config.training.device)

@@ -11,29 +11,23 @@ from transformers import ViTConfig
 from benchmarks.baselines.cells import labels, pictures
 from benchmarks.baselines.end_to_end import EndToEndConfig, train_end_to_end
 from benchmarks.baselines.finetuned import TokenizerEncoder, finetuned_row, fit_finetuned
-from benchmarks.baselines.genforce_style import TranslationConfig, genforce_style_row, train_translator, translate
 from benchmarks.baselines.resnet import ResNetConfig, build_resnet, fit_resnet, resnet_row
 from benchmarks.baselines.speed import T3Encoder, our_size, size_facts, speed_report
 from benchmarks.probes.zero_shot import Cells, Table, encode_set, score
 from benchmarks.timing import in_turns
-from uniforce_vtla.errors import ContractError
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
 
 SHORT = EndToEndConfig(steps=3, frames_per_step=16)
 RESNET = ResNetConfig(width=8, blocks=(1, 1, 1), training=replace(SHORT, steps=80))
-QUICK = replace(RESNET, training=SHORT)
-TRANSLATION = TranslationConfig(cell=4, widths=(16, 24), steps=3, batch=8, force=QUICK)
 
 
 def short_row(name: str, table: Table, tiny: TokenizerConfig) -> Cells:
     if name == "resnet":
         return resnet_row(table, 1, replace(RESNET, training=SHORT))
-    if name == "genforce_style":
-        return genforce_style_row(table, 1, TRANSLATION)
     return finetuned_row(table, Tokenizer.random(tiny), 1, SHORT)
 
 
-@pytest.mark.parametrize("name", ["resnet", "genforce_style", "finetuned"])
+@pytest.mark.parametrize("name", ["resnet", "finetuned"])
 def test_labels_of_targets_are_never_read(name, table, tiny, predictions) -> None:
     wrong = {s: replace(a, force_N=np.full_like(a.force_N, 99)) for s, a in table.frozen.items()}
     honest_row = short_row(name, table, tiny)
@@ -45,19 +39,6 @@ def test_labels_of_targets_are_never_read(name, table, tiny, predictions) -> Non
         np.testing.assert_array_equal(a, b)
     assert honest_row != corrupt_row  # the scores did see the change
     assert {"G->T", "T->G"} <= set(honest_row)
-
-
-def test_translation_ignores_labels_of_the_targets_training_set(table, predictions) -> None:
-    genforce_style_row(table, 1, TRANSLATION)
-    honest = predictions()
-    target = replace(table.training["tactip"], force_N=np.full((24, 4, 3), np.nan, np.float32))
-    one_way = replace(table, training={"gelsight": table.training["gelsight"]}, frozen=table.frozen)
-    assert one_way.transfers() == [("gelsight", "tactip")]
-    blind = Table({"gelsight": table.training["gelsight"], "tactip": target}, table.frozen, table.head)
-    # the way back trains on tactip's labels and must refuse
-    with pytest.raises(ContractError, match="finite"):
-        genforce_style_row(blind, 1, TRANSLATION)
-    np.testing.assert_array_equal(predictions()[0], honest[0])
 
 
 def test_resnet_learns_its_own_sensor(table: Table) -> None:
@@ -74,17 +55,6 @@ def test_end_to_end_loss_falls_and_repeats(table: Table) -> None:
         runs.append(train_end_to_end(model, shown, force, replace(SHORT, steps=30), seed=3))
     assert runs[0] == runs[1]
     assert np.mean(runs[0][-5:]) < 0.8 * np.mean(runs[0][:5])
-
-
-def test_translator_beats_copying_the_targets_reference(table: Table) -> None:
-    source, target = (pictures(table.training[s]) for s in ("gelsight", "tactip"))
-    config = replace(TRANSLATION, steps=80, batch=16)
-    model, losses = train_translator(source, target, config, seed=0)
-    assert losses[0] == pytest.approx(1.0, abs=1e-5)  # starts as a copy of the target's reference
-    assert np.mean(losses[-10:]) < 0.8
-    redrawn = translate(model, source, target.reference, "cpu").frames.astype(float)
-    copied = np.abs(target.reference[:, None].astype(float) - target.frames).mean()
-    assert np.abs(redrawn - target.frames).mean() < 0.8 * copied
 
 
 def test_fine_tuning_starts_from_the_tokenizer_and_leaves_it_alone(table: Table, tiny: TokenizerConfig) -> None:
