@@ -12,12 +12,13 @@ from benchmarks.scene_blocks import BLOCKS
 from benchmarks.stress.actors import Arm
 from benchmarks.stress.disturbed import EXCHANGED
 from benchmarks.stress.operators import OPERATORS, worn_with
-from benchmarks.stress.page import draw, one_table
+from benchmarks.stress.page import draw, monitor_row, one_table
 from benchmarks.stress.rollouts import cells_of, near_cliffs, of_the_scene, repeatability, roll, summarise
 from benchmarks.stress.screen import against, screen_cell
 from benchmarks.stress.warning import warned
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
 from uniforce_cli.boundary import Level, command, worker_process
+from uniforce_vtla.contact.worn_in_words import wear
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.options import (
@@ -59,6 +60,7 @@ class StressCommand:
     first_seed: Seed = 0  # 0 = screen: development scenes; rollouts: the benchmark's own block
     only: Text = ""  # rollouts: just these operators, comma between them; "" = all
     workers: Workers = 2
+    facts: FolderPath = "docs/results"  # page: monitor.json and wiping.json, what the monitor notices and V wipes clean
     work: OutFolder = "outputs/stress"  # results of the parts; episodes so far: run it again to go on
     out: OutFile = ""  # "" = WORK/PART.json
 
@@ -71,6 +73,7 @@ class StressCommand:
 MENDED = ("C2 shift", "C3 turn", "M2 flicker", "R1 stale reference")
 # whose dose a calibration can undo, and the dose of the bar for that
 CALIBRATED = {"G1 stiffer": 1.6, "G1 softer": 0.4, "G2 keener": 1.6, "G2 duller": 0.4}
+PARTS, FACTS = ("rollouts", "screen"), ("monitor", "wiping")
 SCREENED_FROM = 39_700  # development scenes
 
 
@@ -143,7 +146,7 @@ def roll_out(config: StressCommand) -> dict[str, Any]:
     return {
         "seeds": [seeds[0], seeds[-1]],
         "repeatability": repeatability(every, rows),
-        "monitor": {b.fault: warned(rows[a], rows[b.name]) for a, b in twins},
+        "warned": {b.fault: warned(rows[a], rows[b.name]) for a, b in twins},
         "arms": {name: summarise(of_arm, rows) for name, of_arm in cells.items()},
     }
 
@@ -158,9 +161,12 @@ def main(config: StressCommand) -> None:
         content |= roll_out(config)
         _print_arms(content["arms"])
     else:
-        parts = [read_object(Path(config.work) / f"{name}.json", ContractError) for name in ("rollouts", "screen")]
-        content |= {name: parts[0][name] for name in ("seeds", "repeatability", "monitor")}
-        content |= one_table(parts[0]["arms"], parts[1]["screened"])
+        rolled, screened = (read_object(Path(config.work) / f"{name}.json", ContractError) for name in PARTS)
+        noticed, wiping = (read_object(Path(config.facts) / f"{name}.json", ContractError) for name in FACTS)
+        content |= {name: rolled[name] for name in ("seeds", "repeatability")}
+        content |= one_table(rolled["arms"], screened["screened"], wiping["arms"]["V"])
+        kind = wear(split(config.sensors)[0])(0).kind
+        content["monitor"] = monitor_row(rolled["arms"], noticed["kinds"][kind], rolled["warned"])
         draw(content, config.result.with_suffix(".png"))
     print(f"written to {write_json(config.result, content | provenance())}")
 

@@ -12,10 +12,17 @@ from benchmarks.stress.rollouts import mean_corruption_error
 from uniforce_vtla.figure_file import save_figure
 
 Arms = Mapping[str, Mapping[str, Any]]  # arm → operator → row of ``summarise``
+COSTLY = 0.2  # of clean wipes: a fault that costs as much has to be noticed
 
 
-def one_table(arms: Arms, screened: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the form of stress.json: what was rolled out, operator by operator, and what was only screened."""
+def one_table(arms: Arms, screened: Mapping[str, Any], without_touch: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the form of stress.json: what was rolled out, operator by operator, and what was only screened.
+
+    Args:
+        arms: what ``summarise`` gives, the policy's own sensor first.
+        screened: what the screen gives.
+        without_touch: ``clean`` and ``n`` of a policy without touch and without a fault, where none was rolled out.
+    """
     policies = [name for name in arms if name.startswith("policy on ")]
     own = policies[0]
     blind, unwatched = arms.get("policy without touch", {}), arms.get("policy without monitor", {})
@@ -36,9 +43,34 @@ def one_table(arms: Arms, screened: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "clean_without_fault": {name: {key: found[""][key] for key in ("clean", "n")} for name, found in arms.items()},
         "operators": operators,
-        "mce": mean_corruption_error(arms[own], blind) if blind else None,
+        "mce": mean_corruption_error(arms[own], blind or {"": without_touch}),
         "screened": screened,
     }
+
+
+def monitor_row(arms: Arms, noticed: Mapping[str, Any], warned: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what the monitor is worth where it matters: AUROC of what costs 20 points or more, and of the rest.
+
+    Args:
+        arms: as for ``one_table``; a fault's price is that without the monitor where that was rolled out.
+        noticed: one kind's part of monitor.json.
+        warned: fault → what became of the scenes in which the unwatched twin failed.
+    """
+    own = next(iter(arms.values()))
+    found: dict[str, Any] = {"auroc": {}, "auroc_mild": {}}
+    for name, seen in noticed["operators"].items():
+        unwatched = arms.get("policy without monitor", {})
+        arm = unwatched if name in unwatched else own
+        lost = dict(zip(arm[name]["doses"], lost_share(arm[name], arm[""]), strict=True)) if name in arm else {}
+        for cell in (cell for cell in seen["cells"] if cell["dose"] in lost):
+            found["auroc" if lost[cell["dose"]] >= COSTLY else "auroc_mild"][f"{name} {cell['dose']:g}"] = cell["auroc"]
+    clean = noticed["clean"]
+    return found | {"false_alarms_per_hour": clean["false_alarms"] / clean["hours"], **clean, "warned": warned}
+
+
+def lost_share(row: Mapping[str, Any], usual: Mapping[str, Any]) -> np.ndarray:
+    """Return how much of its clean share an arm loses under each dose."""
+    return usual["clean"] / usual["n"] - np.array(row["clean"]) / np.maximum(row["n"], 1)
 
 
 def retention(row: Mapping[str, Any], usual: Mapping[str, Any]) -> np.ndarray:

@@ -17,7 +17,7 @@ from benchmarks.stress.actors import Arm, play
 from benchmarks.stress.disturbed import EXCHANGED, SCENE_OPERATORS, Disturbance, DisturbedEnv
 from benchmarks.stress.monitor import summary, watched
 from benchmarks.stress.operators import OPERATORS, worn_with
-from benchmarks.stress.page import draw, one_table, retention
+from benchmarks.stress.page import draw, monitor_row, one_table, retention
 from benchmarks.stress.readings import ReadsWorn, read_scenes
 from benchmarks.stress.rollouts import (
     cells_of,
@@ -223,7 +223,7 @@ def arms() -> dict:
 
 
 def test_the_table_puts_the_right_expert_beside_each_operator(tmp_path) -> None:
-    table = one_table(arms(), {})
+    table = one_table(arms(), {}, {"n": 40, "clean": 1})
     operators = table["operators"]
     assert operators["T1 lag"]["expert"] == [40, 40] and operators["P2 pushed arm"]["expert"] == [39, 38]
     assert "policy without touch" not in operators["T1 lag"]
@@ -231,8 +231,21 @@ def test_the_table_puts_the_right_expert_beside_each_operator(tmp_path) -> None:
     # 10 of 80 failed where the policy without touch fails 20 of 40; 50 of 80 where it fails 72 of 80
     assert table["mce"] == pytest.approx((0.125 / 0.5 + 0.625 / 0.9) / 2, abs=1e-3)
     assert mean_corruption_error({"": {}}, {}) is None
+    rolled = {name: found for name, found in arms().items() if name != "policy without touch"}
+    assert one_table(rolled, {}, {"n": 40, "clean": 20})["mce"] == pytest.approx((0.125 + 0.625) / 0.5 / 2, abs=1e-3)
     assert retention(operators["T1 lag"], {"clean": 20, "n": 40}).tolist() == [1.0, 1.0]
     assert draw(table, tmp_path / "page.png").stat().st_size > 5000
+
+
+def test_the_monitor_is_judged_by_what_costs_twenty_points() -> None:
+    cells = [{"dose": 33, "auroc": 0.5}, {"dose": 67, "auroc": 0.9}, {"dose": 133, "auroc": 1.0}]
+    clean = {"wipes": 40, "hours": 0.5, "false_alarms": 1}
+    noticed = {"operators": {"T1 lag": {"cells": cells}, "H1 creep": {"cells": cells}}, "clean": clean}
+    watched = {name: found for name, found in arms().items() if name != "policy without monitor"}
+    found = monitor_row(watched, noticed, {"T1 lag 67": {"failures": 3}})
+    assert found["auroc"] == {"T1 lag 67": 0.9} and found["auroc_mild"] == {"T1 lag 33": 0.5}
+    assert found["false_alarms_per_hour"] == 2 and found["warned"]["T1 lag 67"]["failures"] == 3
+    assert set(monitor_row(arms(), noticed, {})["auroc"]) == {"T1 lag 33", "T1 lag 67"}  # unwatched it costs more
 
 
 def test_every_disturbance_changes_its_episode_and_its_benign_dose_does_not() -> None:
