@@ -90,6 +90,7 @@ def pooled_latents(tokenizer: Tokenizer) -> Encode:
 def simulated_grasps(config: CalibrateCommand, encode: Encode) -> Grasps:
     """Grasp in simulation, the new sensor left and the anchor right: half small objects, half tools, at rest."""
     import numpy as np
+    import torch
 
     from uniforce_vtla.contact.indenters import PRETRAIN
     from uniforce_vtla.contact.sampling import FLAT, ForceRange, sample_loads, sample_objects
@@ -105,17 +106,26 @@ def simulated_grasps(config: CalibrateCommand, encode: Encode) -> Grasps:
     contact = ContactState(objects.gap_mm, force, torsion)
     left = seen(WornView(new, config.seed), contact, "left", encode)
     right = seen(WornView(anchor, config.seed + 1), mirrored(contact), "right", encode)
-    return Grasps(left, right, tuple("tool" if name == FLAT else "small" for name in objects.names))
+    both = sorted(left.keys() & right.keys())
+    if len(both) < n:
+        logger.warning("%d of %d grasps are left out: a finger's frame was refused", n - len(both), n)
+    classes = tuple("tool" if objects.names[row] == FLAT else "small" for row in both)
+    of_new, of_anchor = (torch.stack([of[row] for row in both]) for of in (left, right))
+    return Grasps(of_new, of_anchor, classes)  # type: ignore[arg-type]  # stack keeps the origin
 
 
-def seen(view: WornView, contact: ContactState, finger: Finger, encode: Encode) -> Latent:
-    """Return what ``encode`` makes of contacts as a worn unit shows them, (n, P, L)."""
-    import torch
+def seen(view: WornView, contact: ContactState, finger: Finger, encode: Encode) -> dict[int, Latent]:
+    """Return row → what ``encode`` makes of a contact as a worn unit shows it, (P, L); refused frames are left out."""
+    import numpy as np
 
     from uniforce_vtla.contact.simulator import rows_of, slices
 
-    parts = (rows_of(contact, part) for part in slices(len(contact.gap_mm), BATCH))
-    return torch.cat([encode(view.reference, view.images(part), finger) for part in parts])  # type: ignore[return-value]
+    found: dict[int, Latent] = {}
+    for part in slices(len(contact.gap_mm), BATCH):
+        if images := view.accepted(rows_of(contact, part)):
+            latents = encode(view.reference, np.stack(list(images.values())), finger)
+            found |= {part.start + row: latent for row, latent in zip(images, latents, strict=True)}
+    return found
 
 
 def recorded_grasps(config: CalibrateCommand, tokenizer: Tokenizer) -> Grasps:

@@ -25,6 +25,13 @@ def test_a_unit_learns_to_read_as_another_one_does(tmp_path: Path, capsys: pytes
         assert judged.r2[2] > 0.95 and judged.r2[2] > judged.r2_before[2]
 
 
+@pytest.mark.slow
+def test_a_grasp_that_the_canonicaliser_refuses_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A pad of four tenths its stiffness moves markers further than any that pretraining saw, in the firmest grasps."""
+    assert main(["new=tactip:1+stiffness=0.4", "anchor=tactip:1", "grasps=120", f"out={tmp_path / 'map'}"]) == 0
+    assert "of 120 grasps are left out" in caplog.text
+
+
 @pytest.mark.parametrize("words", ["tactip:any", "tactip:left", "nose:3"])
 def test_only_a_sensor_that_stays_the_same_is_calibrated(words: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([f"new={words}"]) == 2

@@ -1,6 +1,7 @@
 """What a simulated finger wears: one unit of a sensor as a lab would find it, or the bare drawing."""
 
 import zlib
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,6 +14,7 @@ from uniforce_vtla.contact.units import Look, UnitVariation
 from uniforce_vtla.contact.virtual import VirtualSensor, get_material
 from uniforce_vtla.contact.wear import Creep, Light
 from uniforce_vtla.contracts import ContactState
+from uniforce_vtla.errors import SensorError
 from uniforce_vtla.markers.canonicalizer import Canonicalizer
 
 CREEP_SHARE = (0.05, 0.20)  # part of a motion that comes late; rubbers .1–.3
@@ -96,6 +98,16 @@ class WornView:
             return self.simulator.marker_images(contact)
         frames = self._lit(self.simulator.raw_frames(contact))
         return np.stack([self._canonicalizer.marker_image(frame) for frame in frames])
+
+    def accepted(self, contact: ContactState) -> dict[int, np.ndarray]:
+        """Return row → its marker image, as ``images``; frames that the canonicalizer refuses are left out."""
+        if self.worn.direct:
+            return dict(enumerate(self.images(contact)))
+        found = {}
+        for row, frame in enumerate(self._lit(self.simulator.raw_frames(contact))):
+            with suppress(SensorError):
+                found[row] = self._canonicalizer.marker_image(frame)
+        return found
 
     def _lit(self, raw: np.ndarray) -> np.ndarray:
         return raw if self._light is None else self._light.on(raw)
