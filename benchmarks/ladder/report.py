@@ -16,6 +16,7 @@ from uniforce_vtla.results_file import provenance, write_json
 CLAIMABLE = 200  # an arm of fewer rollouts stands aside: no claim rests on it
 SECTIONS = {"ladder": "ladder", "left_out": "ladder", "controls": "ladder_controls", "arms": "arms"}
 SAME = ("level", "level_hash")
+ROWS, LISTS = ("arms", "side_arms", "ladder", "ladder_controls"), ("within", "tests", "scored_by")
 
 
 @dataclass
@@ -28,6 +29,7 @@ class ReportCommand:
     parts: Text = "outputs/ladder.json"  # result files, comma between them
     # gates.json of the arms' scenes (benchmarks.gates first_seed=…): its best script without touch stands beside them
     blind: FilePath = ""
+    onto: FilePath = ""  # an earlier wiping.json that these parts are added to
     out: OutFile = "outputs/wiping.json"
 
 
@@ -42,7 +44,7 @@ def joined(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
     found["scored_by"] = [{key: part[key] for key in ("command", "date", "machine")} for part in parts]
     rows = [row for part in parts for row in part["rows"].values()]
     found["training_seeds"] = max(len(row["clean_by_training_seed"]) for row in rows)
-    found |= {"arms": {}, "side_arms": {}, "ladder": {}, "ladder_controls": {}, "within": [], "tests": []}
+    found |= {section: {} for section in ROWS} | {"within": [], "tests": []}
     for part in parts:
         section = SECTIONS[part["part"]]
         for name, row in part["rows"].items():
@@ -52,6 +54,15 @@ def joined(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
         found["within"] += part["within"]
         found["tests"] += part["better"]
     return found
+
+
+def added(found: dict[str, Any], earlier: dict[str, Any]) -> dict[str, Any]:
+    """Return an earlier report with these rows, claims and tests beside its own; ContractError: of another level."""
+    if came := {key: earlier[key] for key in SAME if earlier[key] != found[key]}:
+        wanted = {key: found[key] for key in came}
+        raise ContractError(expected("level of the earlier report", wanted, came, "Score the parts on its level."))
+    rows = {section: earlier[section] | found[section] for section in ROWS}
+    return earlier | rows | {name: earlier[name] + found[name] for name in LISTS}
 
 
 def add_best_blind(found: dict[str, Any], gates: dict[str, Any]) -> None:
@@ -75,8 +86,10 @@ def main(config: ReportCommand) -> None:
     content = joined([read_object(Path(part), ContractError) for part in split(config.parts)])
     if config.blind:
         add_best_blind(content, read_object(Path(config.blind), ContractError))
+    if config.onto:
+        content = added(content, read_object(Path(config.onto), ContractError))
     path = write_json(Path(config.out), content | provenance())
-    rows = sum(len(content[section]) for section in ("arms", "side_arms", "ladder", "ladder_controls"))
+    rows = sum(len(content[section]) for section in ROWS)
     print(f"{rows} rows written to {path}")
 
 

@@ -107,6 +107,11 @@ def test_parts_become_one_table_and_small_arms_stand_aside(tmp_path: Path) -> No
     file.write_text(json.dumps(ladder))
     assert report_of.main([f"parts={file}", f"out={tmp_path / 'wiping.json'}"]) == 0
     assert json.loads((tmp_path / "wiping.json").read_text())["ladder"]["S2_uskin"]["n"] == 204
+    more = report_of.added(report_of.joined([part_of("controls", **{"whole latents S0": 102})]), found)
+    assert list(more["ladder_controls"]) == ["whole latents S0"] and more["arms"] == found["arms"]
+    assert more["within"] == ["ladder", "arms", "controls"] and len(more["scored_by"]) == 3
+    with pytest.raises(ContractError, match="level of the earlier report"):
+        report_of.added(found, found | {"level_hash": "b"})
 
 
 def test_the_best_script_without_touch_stands_beside_the_arms() -> None:
