@@ -1,5 +1,6 @@
 import json
 import logging
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -10,15 +11,16 @@ from policy_samples import OPEN, SITES, alive, inputs, ours, start_noise
 from lerobot_env_uniforce_wiping import WipeEnv
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy, training
 from lerobot_policy_pi05_uniforce.checkpoint import check_settings
-from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
+from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint, stored_config
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
 from lerobot_policy_pi05_uniforce.touch import controls
+from lerobot_policy_pi05_uniforce.touch.encode import build_monitors
 from lerobot_policy_pi05_uniforce.touch.tokens import SHUT, ForceTokens
 from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError, SensorError
 from uniforce_vtla.keys import descriptor_key, latent_key, marker_pair_key, tactile_key
 from uniforce_vtla.tokenizer.calibration import Agreement, Calibration, LatentMap
 from uniforce_vtla.tokenizer.force_head import ForceHead
-from uniforce_vtla.tokenizer.latent_range import FREE_LOOKS, HealthMonitor, LatentRange
+from uniforce_vtla.tokenizer.latent_range import FREE_LOOKS, FreeAirError, HealthMonitor, LatentRange
 from uniforce_vtla.tokenizer.plain_touch import descriptors, marker_pairs
 
 PROJECTIONS = ("action_in_proj", "action_out_proj", "time_mlp_in", "time_mlp_out")
@@ -407,6 +409,20 @@ def test_a_descriptor_is_aligned_as_latents_are(make_policy, make_batch, tmp_pat
     assert torch.allclose(after, before + 0.5, atol=1e-6)
     with pytest.raises(ContractError, match="latents to map"):
         make_policy(**{"touch__input": "wrench", f"{finger}_calibration": str(tmp_path)})
+
+
+@pytest.mark.parametrize(("anchor", "judged"), [("tactip:1", "after"), ("gelsight:1", "before")])
+def test_a_calibrated_unit_is_watched_as_the_unit_that_it_was_calibrated_to(tmp_path, anchor, judged):
+    config = stored_config(shipped_checkpoint())
+    found = LatentMap(config.tokens_per_slot, config.latent_size)
+    found.shift.fill_(50.0)  # the map turns healthy latents into odd ones
+    Calibration(found, config.tokenizer_hash, "", "tactip:7", anchor, 1.0, 0.0, {}).save(tmp_path)
+    config.right_sensor, config.right_calibration = "tactip", str(tmp_path)
+    monitor = build_monitors(config)["right"]
+    healthy = monitor._usual.mean.view(1, config.tokens_per_slot, config.latent_size)
+    with pytest.raises(FreeAirError) if judged == "after" else nullcontext():
+        for _ in range(FREE_LOOKS):
+            monitor.see(healthy)
 
 
 def watch_start(words, monitor="stop"):

@@ -99,10 +99,11 @@ class HealthMonitor:
         usual: range of the kind it wears.
         finger: name in messages.
         looks: that make half a second.
+        worn: map of its calibration onto a unit of that kind; what it gives is judged with it.
     """
 
-    def __init__(self, usual: LatentRange, finger: str, looks: int) -> None:
-        self._usual, self._finger = usual, finger
+    def __init__(self, usual: LatentRange, finger: str, looks: int, worn: nn.Module | None = None) -> None:
+        self._usual, self._finger, self._worn = usual, finger, worn
         self._recent: deque[float] = deque(maxlen=looks)
         self.active = True  # False while a policy trains: samples are in no order
         self.reset()
@@ -121,7 +122,8 @@ class HealthMonitor:
         """
         if not self.active:
             return
-        free, run = self.judge(float(self._usual.distance(latents).max()))
+        worn = latents if self._worn is None else self._worn(latents)
+        free, run = self.judge(float(self._usual.distance(worn).max()))
         if free > 1:
             do = "Let go of everything and take the reference again; look whether the camera or gel has moved."
             raise FreeAirError(self._message("in free air", self._free_limit, free, do))

@@ -152,10 +152,18 @@ def build_monitors(config: PI05UniforceConfig) -> dict[Finger, HealthMonitor]:
     for slot, finger in config.finger_by_slot().items():
         kind = getattr(config, f"{finger}_sensor") or config.touch.trained_sensors.get(slot, "")
         if checkpoint_folder(size, f"latent_range_{kind}").is_dir():
-            found[finger] = HealthMonitor(LatentRange.from_pretrained(kind, size), finger, looks)
+            usual = LatentRange.from_pretrained(kind, size)
+            found[finger] = HealthMonitor(usual, finger, looks, _map_within_kind(config, finger, kind))
         else:
             logger.info("%s finger (%s): no range of latents is shipped, it isn't watched", finger, kind or "unknown")
     return found
+
+
+def _map_within_kind(config: PI05UniforceConfig, finger: Finger, kind: str) -> LatentMap | None:
+    """Return the map that a finger's sensor wears onto another unit of its kind: it has to look like that unit."""
+    folder = getattr(config, f"{finger}_calibration")
+    worn = Calibration.load(folder, config.tokenizer_hash) if folder else None
+    return worn.map.to(config.device) if worn and worn.anchor.partition(":")[0] == kind else None
 
 
 class TouchInput:
