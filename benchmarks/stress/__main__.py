@@ -8,12 +8,14 @@ from typing import Any, Literal
 from joblib import Parallel, delayed
 from tqdm import tqdm
 
+from benchmarks.ledger import Ledger
 from benchmarks.scene_blocks import BLOCKS
 from benchmarks.stress.actors import Arm
 from benchmarks.stress.disturbed import EXCHANGED
 from benchmarks.stress.operators import OPERATORS, worn_with
 from benchmarks.stress.page import draw, monitor_row, one_table
-from benchmarks.stress.rollouts import cells_of, near_cliffs, of_the_scene, repeatability, roll, summarise
+from benchmarks.stress.rollouts import by_cell, cells_of, near_cliffs, of_the_scene, repeatability, roll, summarise
+from benchmarks.stress.row import Row
 from benchmarks.stress.screen import against, screen_cell
 from benchmarks.stress.warning import warned
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
@@ -59,6 +61,7 @@ class StressCommand:
     benign: Count = 4  # of them with a dose that changes nothing, and without touch
     first_seed: Seed = 0  # 0 = screen: development scenes; rollouts: the benchmark's own block
     only: Text = ""  # rollouts: just these operators, comma between them; "" = all
+    acting: Text = ""  # rollouts: just arms whose names begin with one of these; rows of the others are kept
     workers: Workers = 2
     facts: FolderPath = "docs/results"  # page: monitor.json and wiping.json, what the monitor notices and V wipes clean
     work: OutFolder = "outputs/stress"  # results of the parts; episodes so far: run it again to go on
@@ -140,7 +143,10 @@ def roll_out(config: StressCommand) -> dict[str, Any]:
     cells = {arm.name: cells_of(arm, doses) for arm, doses in arms(config)}
     every = [cell for of_arm in cells.values() for cell in of_arm]
     seeds, ledger = range(first, first + config.rollouts), Path(config.work) / "episodes.jsonl"
-    rows = roll(every, config.level, seeds, config.workers, ledger, config.benign)
+    chosen = tuple(split(config.acting)) or ("",)
+    acting = [cell for cell in every if cell.arm.name.startswith(chosen)]
+    roll(acting, config.level, seeds, config.workers, ledger, config.benign)
+    rows = by_cell([Row(**row) for row in Ledger(ledger.parent).read(ledger.stem)], every, seeds)
     (own, *_), unwatched = cells.values(), cells["policy without monitor"]
     twins = [(a.name, b) for b in unwatched if b.operator and not b.benign for a in own if a.fault == b.fault]
     return {

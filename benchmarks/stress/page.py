@@ -31,6 +31,7 @@ def one_table(arms: Arms, screened: Mapping[str, Any], without_touch: Mapping[st
         reader = "expert" if name in SCENE_OPERATORS else own.replace("policy on", "expert reads")
         row = dict(arms[own][name]) | {
             "expert": arms[reader][name]["clean"],
+            "expert_n": arms[reader][name]["n"],
             "expert_benign": arms[reader][name]["benign"],
         }
         for other in policies[1:]:
@@ -38,7 +39,7 @@ def one_table(arms: Arms, screened: Mapping[str, Any], without_touch: Mapping[st
                 row[other] = arms[other][name]
         for label, others in (("policy without touch", blind), ("policy without monitor", unwatched)):
             if name in others:
-                row[label] = others[name]["clean"]
+                row[label] = {key: others[name][key] for key in ("clean", "n")}
         operators[name] = row
     return {
         "clean_without_fault": {name: {key: found[""][key] for key in ("clean", "n")} for name, found in arms.items()},
@@ -92,7 +93,8 @@ def draw(table: Mapping[str, Any], path: Path) -> Path:
     image = axes.imshow(kept, vmin=0, vmax=1, cmap="RdYlGn", aspect="auto")
     for index, row in enumerate(operators.values()):
         for column, dose in enumerate(row["doses"]):
-            said = f"{dose:g} {row['unit']}\n{row['clean'][column]}/{row['n'][column]}, expert {row['expert'][column]}"
+            counts = [f"{row[k][column]}/{row[n][column]}" for k, n in (("clean", "n"), ("expert", "expert_n"))]
+            said = f"{dose:g} {row['unit']}\n{counts[0]}, expert {counts[1]}"
             axes.text(column, index, said, ha="center", va="center", fontsize=7)
     axes.set_yticks(range(len(operators)), list(operators), fontsize=8)
     axes.set_xticks([])

@@ -93,7 +93,7 @@ def cells_of(arm: Arm, doses: Mapping[str, Sequence[float]]) -> list[Cell]:
 def roll(
     cells: Sequence[Cell], level: str, seeds: range, workers: int, path: Path, benign: int = 4
 ) -> dict[str, dict[int, Row]]:
-    """Return cell → scene → row; what stands in ``path`` is kept, each new episode is added to it.
+    """Return cell → scene → row, of these cells; what stands in ``path`` is kept, each new episode is added to it.
 
     Benign doses, and arms that act in ``few``, act in the first ``benign`` scenes.
     """

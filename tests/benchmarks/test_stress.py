@@ -227,7 +227,7 @@ def test_the_table_puts_the_right_expert_beside_each_operator(tmp_path) -> None:
     operators = table["operators"]
     assert operators["T1 lag"]["expert"] == [40, 40] and operators["P2 pushed arm"]["expert"] == [39, 38]
     assert "policy without touch" not in operators["T1 lag"]
-    assert operators["T1 lag"]["policy without monitor"] == [9, 8]
+    assert operators["T1 lag"]["policy without monitor"] == {"clean": [9, 8], "n": [40, 40]}
     # 10 of 80 failed where the policy without touch fails 20 of 40; 50 of 80 where it fails 72 of 80
     assert table["mce"] == pytest.approx((0.125 / 0.5 + 0.625 / 0.9) / 2, abs=1e-3)
     assert mean_corruption_error({"": {}}, {}) is None
