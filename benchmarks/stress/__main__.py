@@ -192,7 +192,8 @@ def _print_arms(found: dict[str, Any]) -> None:
         for operator, row in operators.items():
             if operator:
                 clean = "  ".join(f"{dose:g}: {k}" for dose, k in zip(row["doses"], row["clean"], strict=True))
-                print(f"  {operator:30} benign {row['benign']}  {clean}  breaks at {row['breaking_dose']}")
+                breaks = f"breaks at {row['breaking_dose']}" if row["judged"] else "too few scenes to judge"
+                print(f"  {operator:30} benign {row['benign']}  {clean}  {breaks}")
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ from benchmarks.stress.row import Row
 from uniforce_vtla.evaluation.statistics import Proportion, non_inferior, wilson
 
 MARGIN = 0.10  # of clean success: what may be lost before a dose counts as breaking
+FEWEST = 25  # scenes: of fewer even a dose that costs nothing would have a bound beyond the margin
 NEAR_N = (0.2, 4.0)  # a misread press between these is near a cliff; the level fails readings by 15 %, .9 N
 ALL_OPERATORS: dict[str, Operator] = {**OPERATORS, **SCENE_OPERATORS}
 
@@ -121,14 +122,18 @@ def by_cell(rows: Iterable[Row], cells: Sequence[Cell], seeds: range) -> dict[st
 
 
 def summarise(cells: Sequence[Cell], rows: Mapping[str, Mapping[int, Row]]) -> dict[str, Any]:
-    """Return, per operator of one arm, counts and the breaking dose: the first that loses more than the margin."""
+    """Return, per operator of one arm, counts and the breaking dose: the first that loses more than the margin.
+
+    ``judged`` is False where scenes are too few to tell; there is no breaking dose then.
+    """
     usual = rows[cells[0].name]
     found: dict[str, Any] = {"": counts(usual)}
     for name in dict.fromkeys(cell.operator for cell in cells[1:]):
         benign, *faulty = (cell for cell in cells if cell.operator == name)
         counted = [counts(rows[cell.name]) for cell in faulty]
         lower = [_lower_bound(rows[cell.name], usual) for cell in faulty]
-        breaking = [cell.dose for cell, bound in zip(faulty, lower, strict=True) if bound < -MARGIN]
+        judged = all(one["n"] >= FEWEST for one in counted)
+        breaking = [cell.dose for cell, bound in zip(faulty, lower, strict=True) if judged and bound < -MARGIN]
         found[name] = {
             "unit": ALL_OPERATORS[name].unit,
             "doses": [cell.dose for cell in faulty],
@@ -137,6 +142,7 @@ def summarise(cells: Sequence[Cell], rows: Mapping[str, Mapping[int, Row]]) -> d
             "benign": counts(rows[benign.name])["clean"],
             "benign_n": len(rows[benign.name]),
             "benign_alike": all(_alike(row, usual.get(seed)) for seed, row in rows[benign.name].items()),
+            "judged": judged,
             "breaking_dose": breaking[0] if breaking else None,
         }
     return found

@@ -160,6 +160,9 @@ def test_the_first_dose_that_loses_more_than_the_margin_breaks() -> None:
     assert (found[""]["n"], found[""]["clean"]) == (40, 40)
     lag = found["T1 lag"]
     assert (lag["clean"], lag["benign"], lag["breaking_dose"]) == ([40, 30], 40, 533)
+    few = {name: {seed: one for seed, one in found.items() if seed < 20} for name, found in rows.items()}
+    assert summarise(cells, few)["T1 lag"]["breaking_dose"] is None  # too few scenes to tell
+    assert not summarise(cells, few)["T1 lag"]["judged"] and lag["judged"]
 
 
 def test_benign_doses_act_in_a_few_scenes_and_end_as_without_the_fault(tmp_path, monkeypatch) -> None:
