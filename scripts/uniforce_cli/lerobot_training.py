@@ -232,5 +232,7 @@ def train(argv: Sequence[str]) -> None:
         accelerator = TrainingAccelerator(config.policy) if ours else None
         with training_views(verify), replaced(lerobot_train, "save_checkpoint", _save_hashed):
             lerobot_train.train(accelerator=accelerator)
+        if ours:
+            print(f"next: uniforce score policy={config.output_dir}/checkpoints/last/pretrained_model rollouts=100")
     finally:
         sys.argv = before

@@ -181,7 +181,8 @@ def summarise_episode(
         found, truth = forces.judge(friction or UNKNOWN_FRICTION)
     except DatasetError as error:  # it can still be looked at; the sheet says why it isn't judged
         note = str(error)
-    named = find_key_frames(forces.force_N, forces.tool_m[:, 2])
+    known_N = forces.force_N if forces.true_force_N is None else forces.true_force_N  # simulated: events by the truth
+    named = find_key_frames(known_N, forces.tool_m[:, 2])
     film = ((np.arange(FILM) + 0.5) / FILM * episode.length).astype(int).tolist()  # middle of each picture
     shown = set(named.values())
     seen = {n: _chosen(frames(source, episode, key), {*shown, *film}) for n, key in cameras(source).items()}

@@ -68,9 +68,12 @@ def score_arms(configs: Sequence[ScoreConfig], workers: int) -> list[ArmReport]:
     jobs = [delayed(score_job)(index, configs[index], seed) for seed, index in sorted(missing)]
     label = configs[0].arm if len(configs) == 1 else f"{len(configs)} arms"
     pool = Parallel(max(1, min(workers, len(jobs))), return_as="generator_unordered", batch_size=1)
-    for index, row in tqdm(pool(jobs), total=len(jobs), desc=label, unit="episode", disable=None):
+    bar, clean = tqdm(pool(jobs), total=len(jobs), desc=label, unit="episode"), 0
+    for index, row in bar:
         append_line(configs[index].folder / ROWS, asdict(row))
         done[index][row.seed] = row
+        clean += row.clean
+        bar.set_postfix_str(f"{clean} clean", refresh=False)
     return [ArmReport(c.arm, [rows[seed] for seed in c.seeds]) for c, rows in zip(configs, done, strict=True)]
 
 

@@ -111,7 +111,7 @@ def donated_touch(
     env, expert = WipeEnv(level, mounted["left"], mounted["right"], fingers), WipeExpert()
     names = [tactile_name(finger, reference) for finger in fingers for reference in (False, True)]
     bank: dict[int, list[Donated]] = {}
-    for seed in tqdm(range(DONOR_SEED, DONOR_SEED + donors), desc="donated touch", disable=None):
+    for seed in tqdm(range(DONOR_SEED, DONOR_SEED + donors), desc="donated touch"):
         for step, _ in enumerate(walk(env, expert, seed), start=1):
             if step % EVERY == 0 or env.phase not in bank:
                 pixels = env.observe()["pixels"]

@@ -5,7 +5,7 @@ import numpy as np
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE, Finger, MarkerPair, check_finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.camera_markers import Segmentation, fit_canonical, segment
-from uniforce_vtla.markers.marker_reference import MarkerMatch, MarkerReference
+from uniforce_vtla.markers.marker_reference import WARN_SHARE, MarkerMatch, MarkerReference
 from uniforce_vtla.markers.point_render import check_points, is_pressed, place_points
 from uniforce_vtla.markers.reference import ReferenceMemory, refuse, refuse_pressed_reference
 from uniforce_vtla.markers.registration import find_view, points_to_nominal_scale, seen_from, to_nominal_scale
@@ -35,14 +35,21 @@ class Canonicalizer:
         sensor: a registered name.
         taxel_scales: None: those of the sensor's form.
         register: False leaves a camera's pattern as it was mounted, as frozen sets made before registration did.
+        warn_share: of a camera's markers lost, which is warned of once.
 
     Attributes:
         match: how the latest camera frame read against a reference matches it; None before.
         saturation: what taxel rendering had to clip so far; stays 0 for cameras.
     """
 
-    def __init__(self, sensor: str, taxel_scales: TaxelScales | None = None, register: bool = True) -> None:
-        self.spec, self._register = get_sensor(sensor), register
+    def __init__(
+        self,
+        sensor: str,
+        taxel_scales: TaxelScales | None = None,
+        register: bool = True,
+        warn_share: float = WARN_SHARE,
+    ) -> None:
+        self.spec, self._register, self._warn_share = get_sensor(sensor), register, warn_share
         self.sensor = sensor
         self.match: MarkerMatch | None = None
         self.saturation = Saturation()
@@ -113,7 +120,8 @@ class Canonicalizer:
 
     def _remember(self, raw: np.ndarray) -> tuple[MarkerReference, np.ndarray | None]:
         count = len(self.spec.layout_mm)
-        found = MarkerReference(raw, self._is_dome, (count // LIKELY_COUNT, count * LIKELY_COUNT))
+        counts = count // LIKELY_COUNT, count * LIKELY_COUNT
+        found = MarkerReference(raw, self._is_dome, counts, self._warn_share)
         return found, find_view(found.centres_px, self.spec) if self._register else None
 
     def _camera_image(

@@ -42,12 +42,13 @@ class MarkerReference:
         frame: (H, W, 3) uint8 RGB, in free air.
         dome: see ``segment``.
         counts: fewest and most markers the sensor may have.
+        warn_share: of the markers lost, which is warned of once.
 
     Raises ContractError: wrong shape or dtype; SensorError: a dark frame, no markers, or a number of them that isn't
     this sensor's.
     """
 
-    def __init__(self, frame: np.ndarray, dome: bool, counts: tuple[int, int]) -> None:
+    def __init__(self, frame: np.ndarray, dome: bool, counts: tuple[int, int], warn_share: float = WARN_SHARE) -> None:
         found = segment(fit_canonical(frame), dome)
         between = between_markers(found.blobs.markers, np.ones(found.blobs.keep.sum(), bool))
         self._reflections = found.blobs.markers[between]
@@ -57,7 +58,7 @@ class MarkerReference:
             wanted = f"{counts[0]} to {counts[1]} markers"
             do = "Is it this sensor's own picture, and in focus?"
             raise SensorError(expected("reference frame", wanted, len(points), do))
-        self._dome, self._warned = dome, False
+        self._dome, self._warn_share, self._warned = dome, warn_share, False
         self._tree, self._spacing = cKDTree(points), spacing(points)
         self.plan = self._found.plan
         self.centres_px = self._found.centres_px  # (M, 2), of ``image``
@@ -66,7 +67,7 @@ class MarkerReference:
     def read(self, frame: np.ndarray) -> tuple[np.ndarray, MarkerMatch]:
         """Return the (480, 640) uint8 image in {0, 255} of a frame's markers, and how they match.
 
-        Other channels are tried where 20 % of the markers are lost. Warns once at 5 %.
+        Other channels are tried where 20 % of the markers are lost. Warns once at ``warn_share``.
 
         Raises ContractError: wrong shape or dtype; SensorError: a dark frame, no markers, 25 % of the reference's lost,
         or more extras than those.
@@ -77,7 +78,7 @@ class MarkerReference:
             came = f"{match.matched} of them and {match.dropped} others"
             do = "Check light and focus, clean the gel, or take the reference again."
             raise SensorError(expected("camera frame", wanted, came, do))
-        if match.lost >= WARN_SHARE * self._tree.n and not self._warned:
+        if match.lost >= self._warn_share * self._tree.n and not self._warned:
             self._warned = True
             do = "Force is misread where markers are missing: check light and focus."
             warnings.warn(expected("camera frame", wanted, f"{match.matched} of them", do), stacklevel=3)

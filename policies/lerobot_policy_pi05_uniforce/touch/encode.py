@@ -151,11 +151,13 @@ def build_monitors(config: PI05UniforceConfig) -> dict[Finger, HealthMonitor]:
     looks = max(FREE_LOOKS, round(HALF_SECOND / config.n_action_steps))
     for slot, finger in config.finger_by_slot().items():
         kind = getattr(config, f"{finger}_sensor") or config.touch.trained_sensors.get(slot, "")
+        if not kind:
+            continue  # a policy that is built to be trained: nothing is worn yet
         if checkpoint_folder(size, f"latent_range_{kind}").is_dir():
             usual = LatentRange.from_pretrained(kind, size)
             found[finger] = HealthMonitor(usual, finger, looks, _map_within_kind(config, finger, kind))
         else:
-            logger.info("%s finger (%s): no range of latents is shipped, it isn't watched", finger, kind or "unknown")
+            logger.info("%s finger (%s): no range of latents is shipped, it isn't watched", finger, kind)
     return found
 
 
