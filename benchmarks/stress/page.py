@@ -88,7 +88,7 @@ def draw(table: Mapping[str, Any], path: Path) -> Path:
     kept = np.full((len(operators), columns), np.nan)
     for index, row in enumerate(operators.values()):
         kept[index, : len(row["doses"])] = retention(row, usual[own])
-    figure = Figure(figsize=(2.2 + 1.6 * columns, 1.2 + 0.42 * len(operators)), layout="constrained")
+    figure = Figure(figsize=(max(7.5, 2.2 + 1.6 * columns), 1.2 + 0.42 * len(operators)), layout="constrained")
     axes = figure.subplots()
     image = axes.imshow(kept, vmin=0, vmax=1, cmap="RdYlGn", aspect="auto")
     for index, row in enumerate(operators.values()):
