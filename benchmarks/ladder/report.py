@@ -37,9 +37,7 @@ def joined(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Return ``wiping.json``: rows under their section, claims and tests; ContractError: parts of different levels."""
     first = parts[0]
     for part in parts[1:]:
-        if came := {key: part[key] for key in SAME if part[key] != first[key]}:
-            wanted = {key: first[key] for key in came}
-            raise ContractError(expected("level of the parts", wanted, came, "Score them on one level."))
+        _check_level("the parts", first, part)
     found: dict[str, Any] = {key: first[key] for key in SAME}
     found["scored_by"] = [{key: part[key] for key in ("command", "date", "machine")} for part in parts]
     rows = [row for part in parts for row in part["rows"].values()]
@@ -56,11 +54,15 @@ def joined(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
     return found
 
 
+def _check_level(whose: str, first: dict[str, Any], other: dict[str, Any]) -> None:
+    if came := {key: other[key] for key in SAME if other[key] != first[key]}:
+        wanted = {key: first[key] for key in came}
+        raise ContractError(expected(f"level of {whose}", wanted, came, "Score them on one level."))
+
+
 def added(found: dict[str, Any], earlier: dict[str, Any]) -> dict[str, Any]:
     """Return an earlier report with these rows, claims and tests beside its own; ContractError: of another level."""
-    if came := {key: earlier[key] for key in SAME if earlier[key] != found[key]}:
-        wanted = {key: found[key] for key in came}
-        raise ContractError(expected("level of the earlier report", wanted, came, "Score the parts on its level."))
+    _check_level("the earlier report", found, earlier)
     rows = {section: earlier[section] | found[section] for section in ROWS}
     return earlier | rows | {name: earlier[name] + found[name] for name in LISTS}
 

@@ -8,14 +8,12 @@ from typing import Any, Literal
 from joblib import Parallel, delayed
 from tqdm import tqdm
 
-from benchmarks.ledger import Ledger
 from benchmarks.scene_blocks import BLOCKS
 from benchmarks.stress.actors import Arm
 from benchmarks.stress.disturbed import EXCHANGED
 from benchmarks.stress.operators import OPERATORS, worn_with
 from benchmarks.stress.page import draw, monitor_row, one_table
-from benchmarks.stress.rollouts import by_cell, cells_of, near_cliffs, of_the_scene, repeatability, roll, summarise
-from benchmarks.stress.row import Row
+from benchmarks.stress.rollouts import cells_of, near_cliffs, of_the_scene, repeatability, roll, summarise
 from benchmarks.stress.screen import against, screen_cell
 from benchmarks.stress.warning import warned
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
@@ -143,10 +141,8 @@ def roll_out(config: StressCommand) -> dict[str, Any]:
     cells = {arm.name: cells_of(arm, doses) for arm, doses in arms(config)}
     every = [cell for of_arm in cells.values() for cell in of_arm]
     seeds, ledger = range(first, first + config.rollouts), Path(config.work) / "episodes.jsonl"
-    chosen = tuple(split(config.acting)) or ("",)
-    acting = [cell for cell in every if cell.arm.name.startswith(chosen)]
-    roll(acting, config.level, seeds, config.workers, ledger, config.benign)
-    rows = by_cell([Row(**row) for row in Ledger(ledger.parent).read(ledger.stem)], every, seeds)
+    acting = tuple(split(config.acting)) or ("",)
+    rows = roll(every, config.level, seeds, config.workers, ledger, config.benign, acting)
     (own, *_), unwatched = cells.values(), cells["policy without monitor"]
     twins = [(a.name, b) for b in unwatched if b.operator and not b.benign for a in own if a.fault == b.fault]
     return {

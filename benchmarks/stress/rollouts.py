@@ -92,11 +92,18 @@ def cells_of(arm: Arm, doses: Mapping[str, Sequence[float]]) -> list[Cell]:
 
 
 def roll(
-    cells: Sequence[Cell], level: str, seeds: range, workers: int, path: Path, benign: int = 4
+    cells: Sequence[Cell],
+    level: str,
+    seeds: range,
+    workers: int,
+    path: Path,
+    benign: int = 4,
+    acting: tuple[str, ...] = ("",),
 ) -> dict[str, dict[int, Row]]:
-    """Return cell → scene → row, of these cells; what stands in ``path`` is kept, each new episode is added to it.
+    """Return cell → scene → row; what stands in ``path`` is kept, each new episode is added to it.
 
-    Benign doses, and arms that act in ``few``, act in the first ``benign`` scenes.
+    Benign doses, and arms that act in ``few``, act in the first ``benign`` scenes. Arms whose names don't begin with
+    one of ``acting`` play no new episode.
     """
     ledger = Ledger(path.parent)
     done = {(row["cell"], row["seed"]) for row in ledger.read(path.stem)}
@@ -104,6 +111,7 @@ def roll(
         delayed(play)(cell.arm, level, cell.words, cell.operator, cell.dose, cell.name, seed, seeds.start)
         for seed in seeds
         for cell in cells
+        if cell.arm.name.startswith(acting)
         if (cell.name, seed) not in done and (seed - seeds.start < benign or not (cell.benign or cell.arm.few))
     ]
     for row in tqdm(Parallel(workers, return_as="generator")(jobs), total=len(jobs), desc="episodes", disable=None):

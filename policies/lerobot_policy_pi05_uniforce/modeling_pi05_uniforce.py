@@ -88,8 +88,9 @@ class PI05UniforcePolicy(stock.PI05Policy):
         if config.touch.input not in (*ENCODED, "none"):
             return ControlInput(config)
         rows = (config.tokens_per_slot, config.latent_size) if encoder else (0, 0)
-        monitors = build_monitors(config) if encoder else {}
-        latents = TouchInput(config, encoder, rows, load_calibrations(config, rows), monitors)
+        calibrations = load_calibrations(config, rows)
+        monitors = build_monitors(config, calibrations) if encoder else {}
+        latents = TouchInput(config, encoder, rows, calibrations, monitors)
         return NewtonInput(latents) if config.touch.input == "newtons" else latents
 
     def _take_dataset_facts(self, stats: dict[str, Any] | None, meta: Any) -> None:

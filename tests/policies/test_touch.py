@@ -14,7 +14,7 @@ from lerobot_policy_pi05_uniforce.checkpoint import check_settings
 from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint, stored_config
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
 from lerobot_policy_pi05_uniforce.touch import controls
-from lerobot_policy_pi05_uniforce.touch.encode import build_monitors
+from lerobot_policy_pi05_uniforce.touch.encode import build_monitors, load_calibrations
 from lerobot_policy_pi05_uniforce.touch.tokens import SHUT, ForceTokens
 from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError, SensorError
 from uniforce_vtla.keys import descriptor_key, latent_key, marker_pair_key, tactile_key
@@ -418,7 +418,8 @@ def test_a_calibrated_unit_is_watched_as_the_unit_that_it_was_calibrated_to(tmp_
     found.shift.fill_(50.0)  # the map turns healthy latents into odd ones
     Calibration(found, config.tokenizer_hash, "", "tactip:7", anchor, 1.0, 0.0, {}).save(tmp_path)
     config.right_sensor, config.right_calibration = "tactip", str(tmp_path)
-    monitor = build_monitors(config)["right"]
+    worn = load_calibrations(config, (config.tokens_per_slot, config.latent_size))
+    monitor = build_monitors(config, worn)["right"]
     healthy = monitor._usual.mean.view(1, config.tokens_per_slot, config.latent_size)
     with pytest.raises(FreeAirError) if judged == "after" else nullcontext():
         for _ in range(FREE_LOOKS):

@@ -18,7 +18,7 @@ from uniforce_vtla.errors import SensorError
 from uniforce_vtla.markers.canonicalizer import Canonicalizer
 
 CREEP_SHARE = (0.05, 0.20)  # part of a motion that comes late; rubbers .1–.3
-WARN_SHARE = 0.12  # of the markers lost: a healthy unit that is pressed loses up to 8 %
+WARN_SHARE = 0.12  # of the markers lost: a healthy unit in the firmest grasps loses up to a tenth
 MARKER_LOSS = 0.02  # chance per marker and frame that the camera misses it; ViTac 2024 draws .01
 LAG_STEPS = 1  # 33 ms from exposure to image
 STALE_SIDE_mm = 15.0
@@ -77,10 +77,8 @@ class WornView:
             marker_loss=worn.marker_loss > 0, loss_probability=worn.marker_loss, pixel_noise=pixel_noise
         )
         self.worn, self.simulator = worn, TactileSimulator(worn.sensor, worn.unit, options, seed)
-        self._canonicalizer, self._light = (
-            Canonicalizer(worn.kind, register=register, warn_share=WARN_SHARE),
-            worn.light,
-        )
+        self._canonicalizer = Canonicalizer(worn.kind, register=register, warn_share=WARN_SHARE)
+        self._light = worn.light
         if worn.direct:
             stale = worn.stale_N > 0
             shown = self.simulator.marker_images(_left_on(worn.stale_N))[0] if stale else self.simulator.reference()

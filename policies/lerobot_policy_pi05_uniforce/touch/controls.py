@@ -52,9 +52,9 @@ class ControlInput(TouchInput):
         pair = ((i.detach().cpu() * 255).round().to(torch.uint8).numpy() for i in self.pair(batch, finger))
         rows = [compute(b, c[None], finger) for b, c in zip(*pair, strict=True)]
         found = torch.from_numpy(np.concatenate(rows))
-        if finger not in self.calibrations:
+        if finger not in self.maps:
             return found
-        return self.calibrations[finger](found.reshape(-1, *self.shape).to(self.config.device))
+        return self.maps[finger](found.reshape(-1, *self.shape).to(self.config.device))
 
 
 class NewtonInput(TouchInput):

@@ -18,7 +18,7 @@ from uniforce_vtla.keys import AXES, SLOTS, latent_key, tactile_key
 from uniforce_vtla.markers.reference import ReferenceMemory
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig, pool_latent
 from uniforce_vtla.tokenizer.api import STORED_KEY, canonicalizer_facts
-from uniforce_vtla.tokenizer.calibration import Calibration, LatentMap
+from uniforce_vtla.tokenizer.calibration import Calibration
 from uniforce_vtla.tokenizer.entry import prepare_tensor
 from uniforce_vtla.tokenizer.latent_range import FREE_LOOKS, FreeAirError, HealthMonitor, LatentRange
 from uniforce_vtla.tokenizer.model import ForceAutoencoder, ReferenceCache, build_model
@@ -119,14 +119,14 @@ def check_hash(encoder: TactileEncoder, config: PI05UniforceConfig) -> None:
 
 def load_calibrations(
     config: PI05UniforceConfig, shape: tuple[int, int], made_for: str = ""
-) -> dict[Finger, LatentMap]:
-    """Return finger → map onto the input (rows, numbers) the policy knows, for the fingers whose sensor wears one.
+) -> dict[Finger, Calibration]:
+    """Return finger → calibration onto the input (rows, numbers) the policy knows, where its sensor wears one.
 
     ``made_for`` is a tokenizer's hash, "" the policy's own; or "descriptor".
 
     Raises CheckpointError: made for another tokenizer, or of other sizes than this policy's input.
     """
-    found: dict[Finger, LatentMap] = {}
+    found: dict[Finger, Calibration] = {}
     for finger in FINGERS:
         if folder := getattr(config, f"{finger}_calibration"):
             worn = Calibration.load(folder, made_for or config.tokenizer_hash)
@@ -135,14 +135,16 @@ def load_calibrations(
                 do = "Calibrate with this version."
                 raise CheckpointError(expected(f"latents of {folder}", shape, came, do))
             logger.info("%s finger wears the calibration of %s against %s", finger, worn.new, worn.anchor)
-            found[finger] = worn.map.to(config.device)
+            worn.map.to(config.device)
+            found[finger] = worn
     return found
 
 
-def build_monitors(config: PI05UniforceConfig) -> dict[Finger, HealthMonitor]:
+def build_monitors(config: PI05UniforceConfig, calibrations: dict[Finger, Calibration]) -> dict[Finger, HealthMonitor]:
     """Return finger → monitor of the sensor it wears, where the policy feels with it and a range is shipped.
 
-    A finger whose kind isn't known, or has no range, isn't watched; the log says so.
+    A sensor that is calibrated to a unit of its own kind has to look like that unit: it is judged after the map. A
+    finger whose kind isn't known, or has no range, isn't watched; the log says so.
     """
     size = packaged_hashes().get(config.tokenizer_hash) if config.tokenizer_hash else None
     found: dict[Finger, HealthMonitor] = {}
@@ -154,18 +156,12 @@ def build_monitors(config: PI05UniforceConfig) -> dict[Finger, HealthMonitor]:
         if not kind:
             continue  # a policy that is built to be trained: nothing is worn yet
         if checkpoint_folder(size, f"latent_range_{kind}").is_dir():
-            usual = LatentRange.from_pretrained(kind, size)
-            found[finger] = HealthMonitor(usual, finger, looks, _map_within_kind(config, finger, kind))
+            worn = calibrations.get(finger)
+            within_kind = worn.map if worn and worn.anchor.partition(":")[0] == kind else None
+            found[finger] = HealthMonitor(LatentRange.from_pretrained(kind, size), finger, looks, within_kind)
         else:
             logger.info("%s finger (%s): no range of latents is shipped, it isn't watched", finger, kind)
     return found
-
-
-def _map_within_kind(config: PI05UniforceConfig, finger: Finger, kind: str) -> LatentMap | None:
-    """Return the map that a finger's sensor wears onto another unit of its kind: it has to look like that unit."""
-    folder = getattr(config, f"{finger}_calibration")
-    worn = Calibration.load(folder, config.tokenizer_hash) if folder else None
-    return worn.map.to(config.device) if worn and worn.anchor.partition(":")[0] == kind else None
 
 
 class TouchInput:
@@ -176,12 +172,14 @@ class TouchInput:
         config: PI05UniforceConfig,
         encoder: Any,
         shape: tuple[int, int],
-        calibrations: dict[Finger, LatentMap] | None = None,
+        calibrations: dict[Finger, Calibration] | None = None,
         monitors: dict[Finger, HealthMonitor] | None = None,
     ) -> None:
         self.config, self.shape = config, shape
         self.monitors = {} if monitors is None else monitors
-        self.calibrations = calibrations or {}  # of what is encoded now; cached latents are used as they are
+        self.maps = {
+            finger: worn.map for finger, worn in (calibrations or {}).items()
+        }  # of what is encoded now; cached latents are used as they are
         self.encoder: Any = encoder  # TactileEncoder; None where the input is a control's
         self._renewed: dict[Finger, Tensor] = {}  # references taken in this episode instead of those given
         self.masked = False  # every slot masked: the control that takes touch away from a trained policy
@@ -245,7 +243,7 @@ class TouchInput:
                 self.monitors[finger].see(latent)
             except FreeAirError as error:
                 latent = self._renew(batch, slot, current, error)
-        return self.calibrations[finger](latent) if finger in self.calibrations else latent
+        return self.maps[finger](latent) if finger in self.maps else latent
 
     def _renew(self, batch: dict[str, Tensor], slot: str, current: Tensor, why: FreeAirError) -> Tensor:
         """Take what an open hand shows now as the reference of this episode, once; return the latents with it."""
