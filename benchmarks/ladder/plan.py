@@ -68,14 +68,21 @@ LADDER = (
     Entry("S4 gelsight calibrated", "vt", ODD_GELSIGHT, calibrated=True),
     Entry("S4 uskin calibrated", "vt", ODD_USKIN, calibrated=True),
 )
-# tokenizers of one reduced budget: all kinds, no uSkin, no flat gel at all; policies learn anew from latents of each
+# tokenizers of one reduced budget (preset=nano): all kinds, no uSkin, no flat gel at all; policies feel with whole latents
+# of each and learn anew: only a packaged tokenizer has a head that reads newtons
 LEFT_OUT = (
     Entry("S0 reduced", "vt_all", tokenizer="all", block="kinds left out"),
     *(
-        Entry(f"S3 {kind}{' calibrated' * calibrated}", f"vt_no_{kind}", _units(kind), calibrated=calibrated,
-              tokenizer=f"no_{kind}", block="kinds left out")
+        entry
         for kind in ("gelsight", "uskin")
-        for calibrated in (False, True)
+        for entry in (
+            Entry(f"S2 {kind} calibrated, reduced", "vt_all", _units(kind), calibrated=True, tokenizer="all",
+                  block="kinds left out"),
+            Entry(f"S0 without {kind}", f"vt_no_{kind}", tokenizer=f"no_{kind}", block="kinds left out"),
+            Entry(f"S3 {kind}", f"vt_no_{kind}", _units(kind), tokenizer=f"no_{kind}", block="kinds left out"),
+            Entry(f"S3 {kind} calibrated", f"vt_no_{kind}", _units(kind), calibrated=True, tokenizer=f"no_{kind}",
+                  block="kinds left out"),
+        )
     ),
 )  # fmt: skip
 # the same swap for other things to feel with, each with the same alignment
