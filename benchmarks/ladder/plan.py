@@ -68,8 +68,8 @@ LADDER = (
     Entry("S4 gelsight calibrated", "vt", ODD_GELSIGHT, calibrated=True),
     Entry("S4 uskin calibrated", "vt", ODD_USKIN, calibrated=True),
 )
-# tokenizers of one reduced budget (preset=nano): all kinds, no uSkin, no flat gel at all; policies feel with whole latents
-# of each and learn anew: only a packaged tokenizer has a head that reads newtons
+# tokenizers of one reduced budget (preset=nano): all kinds, no uSkin, no flat gel at all; policies learn anew from
+# whole latents of each: only a packaged tokenizer has a head that reads newtons
 LEFT_OUT = (
     Entry("S0 reduced", "vt_all", tokenizer="all", block="kinds left out"),
     *(
