@@ -76,7 +76,7 @@ LEFT_OUT = (
         entry
         for kind in ("gelsight", "uskin")
         for entry in (
-            Entry(f"S2 {kind} calibrated, reduced", "vt_all", _units(kind), calibrated=True, tokenizer="all",
+            Entry(f"S2 {kind} calibrated reduced", "vt_all", _units(kind), calibrated=True, tokenizer="all",
                   block="kinds left out"),
             Entry(f"S0 without {kind}", f"vt_no_{kind}", tokenizer=f"no_{kind}", block="kinds left out"),
             Entry(f"S3 {kind}", f"vt_no_{kind}", _units(kind), tokenizer=f"no_{kind}", block="kinds left out"),
