@@ -16,7 +16,7 @@ from uniforce_vtla.results_file import provenance, write_json
 CLAIMABLE = 200  # an arm of fewer rollouts stands aside: no claim rests on it
 SECTIONS = {"ladder": "ladder", "left_out": "ladder", "controls": "ladder_controls", "arms": "arms"}
 SAME = ("level", "level_hash")
-ROWS, LISTS = ("arms", "side_arms", "ladder", "ladder_controls"), ("within", "tests", "scored_by")
+ROWS, LISTS = ("arms", "side_arms", "ladder", "ladder_controls"), ("within", "scored_by")
 
 
 @dataclass
@@ -61,10 +61,15 @@ def _check_level(whose: str, first: dict[str, Any], other: dict[str, Any]) -> No
 
 
 def added(found: dict[str, Any], earlier: dict[str, Any]) -> dict[str, Any]:
-    """Return an earlier report with these rows, claims and tests beside its own; ContractError: of another level."""
+    """Return an earlier report with these rows, claims and tests beside its own; ContractError: of another level.
+
+    What is scored or tested again replaces what stood there.
+    """
     _check_level("the earlier report", found, earlier)
     rows = {section: earlier[section] | found[section] for section in ROWS}
-    return earlier | rows | {name: earlier[name] + found[name] for name in LISTS}
+    again = [test["arms"] for test in found["tests"]]
+    tests = [test for test in earlier["tests"] if test["arms"] not in again] + found["tests"]
+    return earlier | rows | {name: earlier[name] + found[name] for name in LISTS} | {"tests": tests}
 
 
 def add_best_blind(found: dict[str, Any], gates: dict[str, Any]) -> None:

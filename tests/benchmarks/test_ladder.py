@@ -88,6 +88,9 @@ def test_the_expert_alone_is_scored_and_the_rest_is_named(tmp_path: Path, capsys
     assert main(["part=ladder", f"checkpoints={tmp_path}", f"work={tmp_path / 'work'}"]) == 2
 
 
+ROW = {"a": {"n": 1, "clean": 1, "clean_by_training_seed": ["1/1"]}}
+
+
 def part_of(part: str, level_hash: str = "a", **counts: int) -> dict:
     rows = {name: {"n": n, "clean": n, "clean_by_training_seed": ["1/1"] * 3} for name, n in counts.items()}
     scored = {"command": part, "date": "today", "machine": "here"}
@@ -112,6 +115,12 @@ def test_parts_become_one_table_and_small_arms_stand_aside(tmp_path: Path) -> No
     assert more["within"] == ["ladder", "arms", "controls"] and len(more["scored_by"]) == 3
     with pytest.raises(ContractError, match="level of the earlier report"):
         report_of.added(found, found | {"level_hash": "b"})
+
+
+def test_a_pair_that_is_tested_again_stands_once() -> None:
+    first = report_of.joined([part_of("controls") | {"better": [{"arms": ["a", "b"], "n": 34}], "rows": ROW}])
+    again = report_of.joined([part_of("controls") | {"better": [{"arms": ["a", "b"], "n": 68}], "rows": ROW}])
+    assert [test["n"] for test in report_of.added(again, first)["tests"]] == [68]
 
 
 def test_the_best_script_without_touch_stands_beside_the_arms() -> None:
