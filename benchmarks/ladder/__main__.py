@@ -4,9 +4,9 @@ import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-from benchmarks.ladder.plan import BETTER, CLAIMS, PARTS, SLACK, Entry
+from benchmarks.ladder.plan import BETTER, PARTS, Entry, claims
 from benchmarks.scene_blocks import BLOCKS
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
 from uniforce_cli.boundary import Level, command
@@ -15,7 +15,7 @@ from uniforce_cli.score_settings import SCRIPTS, ScoreConfig
 from uniforce_vtla.arguments import choose
 from uniforce_vtla.errors import CheckpointError, expected
 from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow, table
-from uniforce_vtla.evaluation.comparison import as_good, better
+from uniforce_vtla.evaluation.comparison import better
 from uniforce_vtla.evaluation.pictures import draw_arms
 from uniforce_vtla.evaluation.statistics import wilson
 from uniforce_vtla.options import CountOrZero, FolderPath, OutFile, OutFolder, Seed, Text, Workers
@@ -90,15 +90,6 @@ def wanted(config: LadderCommand) -> list[Entry]:
     return [entry for name, entry in planned.items() if name in chosen]
 
 
-def claims(reports: dict[str, ArmReport]) -> list[dict[str, Any]]:
-    """Return the plan's claims with their verdict: estimate within the margin, bound within the margin and slack."""
-    found = as_good(reports, CLAIMS)
-    for claim in found:
-        within = claim["difference"] >= -claim["margin"] and claim["lower"] >= -claim["margin"] - SLACK
-        claim["holds"] = bool(within)
-    return found
-
-
 @command(LadderCommand)
 def main(config: LadderCommand) -> None:
     planned = [(entry, configured(config, entry)) for entry in wanted(config)]
@@ -114,7 +105,8 @@ def main(config: LadderCommand) -> None:
     found = joined(configs, score_arms(configs, config.workers))
     reports = {name: report for name, (report, _) in found.items()}
     rows = {name: report.as_dict() | {"clean_by_training_seed": seeds} for name, (report, seeds) in found.items()}
-    within = claims(reports)
+    arms = {name: report.clean_by_seed for name, report in reports.items()}
+    within = claims(arms)
     content = {
         "part": config.part,
         "level": config.level,
@@ -122,7 +114,7 @@ def main(config: LadderCommand) -> None:
         "plan": [asdict(entry) for entry, _ in planned],
         "rows": rows,
         "within": within,
-        "better": better(reports, BETTER),
+        "better": better(arms, BETTER),
     }
     print(table(list(reports.values())))
     for name, row in rows.items():

@@ -15,10 +15,12 @@ too, to find out why the exchange failed; final scenes were not.
 interval clear of 0 and the same sign in every training seed.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from uniforce_vtla.contracts import Finger
-from uniforce_vtla.evaluation.comparison import AtMostWorse
+from uniforce_vtla.evaluation.comparison import AtMostWorse, CleanBySeed, as_good
 
 SWAP = "touch0:left"
 
@@ -140,9 +142,23 @@ BETTER = (
     ("V+T", "V with history"),
     ("V+T", "V+T frozen"),
     ("V+T", "V+T masked"),
+    ("V+T", "V+T shuffled"),
+    ("V+T", "best blind"),
     *(
         (f"three newtons {rung}", f"{what} {rung}")
         for rung in RUNGS
         for what in ("whole latents", "descriptor", "raw images")
     ),
+    ("S0 without uskin", "S3 uskin calibrated"),
+    ("S2 uskin calibrated reduced", "S3 uskin calibrated"),
+    ("S0 reduced", "S2 uskin calibrated reduced"),
 )
+
+
+def claims(arms: Mapping[str, CleanBySeed]) -> list[dict[str, Any]]:
+    """Return the plan's claims with their verdict: estimate within the margin, bound within the margin and slack."""
+    found = as_good(arms, CLAIMS)
+    for claim in found:
+        within = claim["difference"] >= -claim["margin"] and claim["lower"] >= -claim["margin"] - SLACK
+        claim["holds"] = bool(within)
+    return found

@@ -1,4 +1,7 @@
-"""Join the scored parts of the plan into one ``wiping.json``: the ladder, its controls, arms, claims and tests."""
+"""Join the scored parts of the plan into one ``wiping.json``: the ladder, its controls, arms, claims and tests.
+
+Claims and tests are of all rows together: parts of one comparison may have been scored one after the other.
+"""
 
 import sys
 from collections.abc import Sequence
@@ -6,9 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from benchmarks.ladder.plan import BETTER, claims
 from uniforce_cli.boundary import command
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.evaluation.comparison import difference
+from uniforce_vtla.evaluation.comparison import better
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.options import FilePath, OutFile, Text, split
 from uniforce_vtla.results_file import provenance, write_json
@@ -16,7 +20,7 @@ from uniforce_vtla.results_file import provenance, write_json
 CLAIMABLE = 200  # an arm of fewer rollouts stands aside: no claim rests on it
 SECTIONS = {"ladder": "ladder", "left_out": "ladder", "controls": "ladder_controls", "arms": "arms"}
 SAME = ("level", "level_hash")
-ROWS, LISTS = ("arms", "side_arms", "ladder", "ladder_controls"), ("within", "scored_by")
+ROWS = ("arms", "side_arms", "ladder", "ladder_controls")
 
 
 @dataclass
@@ -34,7 +38,7 @@ class ReportCommand:
 
 
 def joined(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Return ``wiping.json``: rows under their section, claims and tests; ContractError: parts of different levels."""
+    """Return ``wiping.json`` without its claims: rows under their section; ContractError: parts of different levels."""
     first = parts[0]
     for part in parts[1:]:
         _check_level("the parts", first, part)
@@ -42,15 +46,13 @@ def joined(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
     found["scored_by"] = [{key: part[key] for key in ("command", "date", "machine")} for part in parts]
     rows = [row for part in parts for row in part["rows"].values()]
     found["training_seeds"] = max(len(row["clean_by_training_seed"]) for row in rows)
-    found |= {section: {} for section in ROWS} | {"within": [], "tests": []}
+    found |= {section: {} for section in ROWS}
     for part in parts:
         section = SECTIONS[part["part"]]
         for name, row in part["rows"].items():
             aside = section == "arms" and row["n"] < CLAIMABLE
             key = name.replace(" ", "_") if section == "ladder" else name
             found["side_arms" if aside else section][key] = row
-        found["within"] += part["within"]
-        found["tests"] += part["better"]
     return found
 
 
@@ -61,19 +63,14 @@ def _check_level(whose: str, first: dict[str, Any], other: dict[str, Any]) -> No
 
 
 def added(found: dict[str, Any], earlier: dict[str, Any]) -> dict[str, Any]:
-    """Return an earlier report with these rows, claims and tests beside its own; ContractError: of another level.
-
-    What is scored or tested again replaces what stood there.
-    """
+    """Return an earlier report with these rows beside its own; ContractError: of another level."""
     _check_level("the earlier report", found, earlier)
     rows = {section: earlier[section] | found[section] for section in ROWS}
-    again = [test["arms"] for test in found["tests"]]
-    tests = [test for test in earlier["tests"] if test["arms"] not in again] + found["tests"]
-    return earlier | rows | {name: earlier[name] + found[name] for name in LISTS} | {"tests": tests}
+    return earlier | rows | {"scored_by": earlier["scored_by"] + found["scored_by"]}
 
 
 def add_best_blind(found: dict[str, Any], gates: dict[str, Any]) -> None:
-    """Put the script without touch that wipes clean most often beside the arms, and compare V+T with it.
+    """Put the script without touch that wipes clean most often beside the arms.
 
     Raises ContractError: another level or other scenes than V+T's.
     """
@@ -83,9 +80,24 @@ def add_best_blind(found: dict[str, Any], gates: dict[str, Any]) -> None:
         raise ContractError(expected("level and scenes of the blind", wanted, scored, "Run them on the arms' scenes."))
     blind = gates["must_fail"]
     name = max(blind, key=lambda name: blind[name]["clean"])
-    found["arms"]["best blind"] = {"script": name, **blind[name]}
-    one, two = ([code == "C" for code in row["by_seed"]] for row in (with_touch, blind[name]))
-    found["tests"].append({"arms": ["V+T", "best blind"], "n": len(one), **difference(one, two)})
+    found["arms"]["best blind"] = {"script": name, "seeds": gates["seeds"], **blind[name]}
+
+
+def clean_by_seed(found: dict[str, Any]) -> dict[str, dict[int, bool]]:
+    """Return whether each rollout was clean, by the row's name in the plan and the scene's seed."""
+    arms: dict[str, dict[int, bool]] = {}
+    for section in ROWS:
+        for key, row in found[section].items():
+            first, last = row["seeds"]
+            clean = zip(range(first, last + 1), (code == "C" for code in row["by_seed"]), strict=True)
+            arms.setdefault(key.replace("_", " "), {}).update(clean)
+    return arms
+
+
+def judged(found: dict[str, Any]) -> dict[str, Any]:
+    """Return the report with the plan's claims and tests, each of the scenes that both of its rows share."""
+    arms = clean_by_seed(found)
+    return found | {"within": claims(arms), "tests": better(arms, BETTER)}
 
 
 @command(ReportCommand)
@@ -95,7 +107,7 @@ def main(config: ReportCommand) -> None:
         add_best_blind(content, read_object(Path(config.blind), ContractError))
     if config.onto:
         content = added(content, read_object(Path(config.onto), ContractError))
-    path = write_json(Path(config.out), content | provenance())
+    path = write_json(Path(config.out), judged(content) | provenance())
     rows = sum(len(content[section]) for section in ROWS)
     print(f"{rows} rows written to {path}")
 

@@ -104,7 +104,7 @@ def write_report(config: ScoreConfig) -> list[ArmReport]:
         if settings["level"] == config.level and rows:
             reports.append(ArmReport(settings["arm"], [rows[seed] for seed in sorted(rows)]))
     for first, second in itertools.combinations(reports, 2):
-        one, two = paired_clean(first, second)
+        one, two = paired_clean(first.clean_by_seed, second.clean_by_seed)
         if one:
             tests.append({"arms": [first.arm, second.arm], "n": len(one), **asdict(mcnemar(one, two))})
     content: dict[str, Any] = {"level": config.level, "level_hash": level_hash(LEVELS[config.level])}

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from benchmarks.ladder import report as report_of
-from benchmarks.ladder.__main__ import LadderCommand, claims, configured, joined, main, wanted
-from benchmarks.ladder.plan import BETTER, CLAIMS, PARTS, Entry
+from benchmarks.ladder.__main__ import LadderCommand, configured, joined, main, wanted
+from benchmarks.ladder.plan import BETTER, CLAIMS, PARTS, Entry, claims
 from benchmarks.scene_blocks import BLOCKS
 from uniforce_cli.score_settings import ScoreConfig
 from uniforce_vtla.errors import ContractError
@@ -21,7 +21,7 @@ def test_the_plan_names_blocks_and_rows_that_exist() -> None:
     assert len(names) == len(rows), "two rows of one name"
     assert all(entry.rollouts <= len(BLOCKS[entry.block]) for entry in rows)
     assert {claim.first for claim in CLAIMS} | {claim.second for claim in CLAIMS} <= names
-    assert {name for pair in BETTER for name in pair} <= names
+    assert {name for pair in BETTER for name in pair} <= names | {"best blind"}
     assert all(BLOCKS[entry.block].start >= 1_000_000 for entry in rows), "final scenes only"
 
 
@@ -52,7 +52,9 @@ def test_a_rows_parts_are_joined_and_counted_by_training_seed(tmp_path: Path) ->
         ScoreConfig(policy="a,b", arm="S2", first_seed=first, rollouts=4, out=str(tmp_path / "out"))
         for first in (10, 14)
     ]
-    scored = [reports(S2=[True, False, True, False])["S2"] for _ in parts]
+    clean = [True, False, True, False]
+    one = ArmReport("S2", [EpisodeRow(k, "success", ok, False, False, 0, 0, 0, 0, 0, 0) for k, ok in enumerate(clean)])
+    scored = [one for _ in parts]
     shifted = [
         ArmReport("S2", [replace(row, seed=row.seed + part.first_seed) for row in report.rows])
         for part, report in zip(parts, scored, strict=True)
@@ -62,20 +64,11 @@ def test_a_rows_parts_are_joined_and_counted_by_training_seed(tmp_path: Path) ->
     assert seeds == ["4/4", "0/4"]
 
 
-def reports(**clean: list[bool]) -> dict[str, ArmReport]:
-    return {
-        name: ArmReport(
-            name, [EpisodeRow(k, "success", ok, False, False, 0, 0, 0, 0, 0, 0) for k, ok in enumerate(row)]
-        )
-        for name, row in clean.items()
-    }
-
-
 def test_a_claim_holds_within_its_margin_and_bound() -> None:
-    good, poor = [True] * 190 + [False] * 10, [True] * 150 + [False] * 50
-    (held,) = claims(reports(S0=good, S1=good))
+    good, poor = (dict(enumerate([True] * n + [False] * (200 - n))) for n in (190, 150))
+    (held,) = claims({"S0": good, "S1": good})
     assert held["holds"] and held["difference"] == 0
-    (broken,) = claims(reports(S0=good, S1=poor))
+    (broken,) = claims({"S0": good, "S1": poor})
     assert not broken["holds"]
 
 
@@ -88,14 +81,13 @@ def test_the_expert_alone_is_scored_and_the_rest_is_named(tmp_path: Path, capsys
     assert main(["part=ladder", f"checkpoints={tmp_path}", f"work={tmp_path / 'work'}"]) == 2
 
 
-ROW = {"a": {"n": 1, "clean": 1, "clean_by_training_seed": ["1/1"]}}
-
-
 def part_of(part: str, level_hash: str = "a", **counts: int) -> dict:
-    rows = {name: {"n": n, "clean": n, "clean_by_training_seed": ["1/1"] * 3} for name, n in counts.items()}
+    rows = {
+        name: {"n": n, "clean": n, "clean_by_training_seed": ["1/1"] * 3, "seeds": [0, n - 1], "by_seed": "C" * n}
+        for name, n in counts.items()
+    }
     scored = {"command": part, "date": "today", "machine": "here"}
-    claimed = {"within": [part], "better": []}
-    return {"part": part, "level": "touch", "level_hash": level_hash, "rows": rows} | claimed | scored
+    return {"part": part, "level": "touch", "level_hash": level_hash, "rows": rows} | scored
 
 
 def test_parts_become_one_table_and_small_arms_stand_aside(tmp_path: Path) -> None:
@@ -103,7 +95,6 @@ def test_parts_become_one_table_and_small_arms_stand_aside(tmp_path: Path) -> No
     found = report_of.joined([ladder, arms])
     assert list(found["ladder"]) == ["S2_uskin"] and list(found["arms"]) == ["V"]
     assert list(found["side_arms"]) == ["V+T masked"] and found["training_seeds"] == 3
-    assert found["within"] == ["ladder", "arms"]
     with pytest.raises(ContractError, match="level of the parts"):
         report_of.joined([ladder, part_of("arms", level_hash="b")])
     file = tmp_path / "ladder.json"
@@ -112,15 +103,19 @@ def test_parts_become_one_table_and_small_arms_stand_aside(tmp_path: Path) -> No
     assert json.loads((tmp_path / "wiping.json").read_text())["ladder"]["S2_uskin"]["n"] == 204
     more = report_of.added(report_of.joined([part_of("controls", **{"whole latents S0": 102})]), found)
     assert list(more["ladder_controls"]) == ["whole latents S0"] and more["arms"] == found["arms"]
-    assert more["within"] == ["ladder", "arms", "controls"] and len(more["scored_by"]) == 3
+    assert len(more["scored_by"]) == 3
     with pytest.raises(ContractError, match="level of the earlier report"):
         report_of.added(found, found | {"level_hash": "b"})
 
 
-def test_a_pair_that_is_tested_again_stands_once() -> None:
-    first = report_of.joined([part_of("controls") | {"better": [{"arms": ["a", "b"], "n": 34}], "rows": ROW}])
-    again = report_of.joined([part_of("controls") | {"better": [{"arms": ["a", "b"], "n": 68}], "rows": ROW}])
-    assert [test["n"] for test in report_of.added(again, first)["tests"]] == [68]
+def test_claims_and_tests_are_of_rows_that_were_scored_in_different_parts() -> None:
+    parts = [part_of("ladder", **{"S0": 204, "S2 uskin": 204}), part_of("arms", **{"V+T": 204, "V+T masked": 102})]
+    parts[0]["rows"]["S2 uskin"]["by_seed"] = "r" * 204
+    found = report_of.judged(report_of.added(report_of.joined(parts[:1]), report_of.joined(parts[1:])))
+    assert [(claim["arms"], claim["holds"]) for claim in found["within"]] == [(["S2 uskin", "S0"], False)]
+    assert [(test["arms"], test["n"]) for test in found["tests"]] == [(["V+T", "V+T masked"], 102)]
+    again = report_of.added(report_of.joined([part_of("ladder", **{"S2 uskin": 68})]), found)
+    assert report_of.judged(again)["within"][0]["n"] == 68 and report_of.judged(again)["within"][0]["holds"]
 
 
 def test_the_best_script_without_touch_stands_beside_the_arms() -> None:
@@ -130,6 +125,7 @@ def test_the_best_script_without_touch_stands_beside_the_arms() -> None:
     gates = {"level_hash": "a", "seeds": [10, 13], "must_fail": blind}
     report_of.add_best_blind(found, gates)
     assert found["arms"]["best blind"]["script"] == "plane known"
-    assert found["tests"][-1]["points"] == 50 and found["tests"][-1]["arms"] == ["V+T", "best blind"]
+    (test,) = report_of.judged(found)["tests"]
+    assert test["points"] == 50 and test["arms"] == ["V+T", "best blind"]
     with pytest.raises(ContractError, match="arms' scenes"):
         report_of.add_best_blind(found, gates | {"seeds": [20, 23]})

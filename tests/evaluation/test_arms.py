@@ -74,8 +74,7 @@ def arm(name: str, codes: str, first_seed: int = 0) -> ArmReport:
 
 def test_a_clear_difference_survives_holm_and_an_arm_not_scored_is_not_asked_about() -> None:
     arms = arm("V", "r" * 20), arm("V+T", "C" * 15 + "r" * 5), arm("V+G", "C" + "r" * 19)
-    reports = {report.arm: report for report in arms}
-    tests = {tuple(t["arms"]): t for t in better(reports, PAIRS)}
+    tests = {tuple(t["arms"]): t for t in better({report.arm: report.clean_by_seed for report in arms}, PAIRS)}
     assert set(tests) == {("V+T", "V"), ("V+G", "V")}
     clear, none = tests["V+T", "V"], tests["V+G", "V"]
     assert clear["points"] == pytest.approx(75) and clear["p_holm"] < 0.001 < 0.5 < none["p_holm"]
@@ -83,15 +82,15 @@ def test_a_clear_difference_survives_holm_and_an_arm_not_scored_is_not_asked_abo
 
 
 def test_only_shared_seeds_are_compared() -> None:
-    reports = {"V": arm("V", "rrrr"), "V+T": arm("V+T", "CCCC", first_seed=2)}
-    assert better(reports, PAIRS)[0]["n"] == 2
-    assert better({"V": arm("V", "r"), "V+T": arm("V+T", "C", first_seed=9)}, PAIRS) == []
+    arms = {"V": arm("V", "rrrr").clean_by_seed, "V+T": arm("V+T", "CCCC", first_seed=2).clean_by_seed}
+    assert better(arms, PAIRS)[0]["n"] == 2
+    assert better({"V": {0: False}, "V+T": {9: True}}, PAIRS) == []
 
 
 def test_a_swap_is_as_good_only_when_shown() -> None:
     claims = [AtMostWorse("swapped", "V+G", "V+T", 0.10)]
-    same = {"V+T": arm("V+T", "C" * 180 + "r" * 20), "V+G": arm("V+G", "C" * 178 + "r" * 22)}
-    worse = same | {"V+G": arm("V+G", "C" * 150 + "r" * 50)}
+    same = {"V+T": dict(enumerate([True] * 180 + [False] * 20)), "V+G": dict(enumerate([True] * 178 + [False] * 22))}
+    worse = same | {"V+G": dict(enumerate([True] * 150 + [False] * 50))}
     assert as_good(same, claims)[0]["shown"] and not as_good(worse, claims)[0]["shown"]
 
 

@@ -89,6 +89,11 @@ class ArmReport:
         """Mean over the rollouts."""
         return sum(row.in_band_share for row in self.rows) / self.n
 
+    @property
+    def clean_by_seed(self) -> dict[int, bool]:
+        """Whether each rollout was clean, by its scene's seed."""
+        return {row.seed: row.clean for row in self.rows}
+
     def count(self, name: str) -> int:
         """Number of rollouts with outcome or event ``name``."""
         if name in OUTCOME_NAMES:

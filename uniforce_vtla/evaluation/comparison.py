@@ -4,11 +4,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from uniforce_vtla.evaluation.arms import ArmReport
 from uniforce_vtla.evaluation.statistics import holm, mcnemar, non_inferior
 
 Pairs = Sequence[tuple[str, str]]
 Clean = list[bool]  # clean success, seed by seed
+CleanBySeed = Mapping[int, bool]  # of one arm
 
 
 @dataclass(frozen=True)
@@ -21,18 +21,17 @@ class AtMostWorse:
     margin: float
 
 
-def paired_clean(first: ArmReport, second: ArmReport) -> tuple[Clean, Clean]:
+def paired_clean(first: CleanBySeed, second: CleanBySeed) -> tuple[Clean, Clean]:
     """Return clean success of both arms on the seeds they share, in the order of the seeds."""
-    one, two = ({row.seed: row.clean for row in report.rows} for report in (first, second))
-    seeds = sorted(one.keys() & two.keys())
-    return [one[s] for s in seeds], [two[s] for s in seeds]
+    seeds = sorted(first.keys() & second.keys())
+    return [first[s] for s in seeds], [second[s] for s in seeds]
 
 
-def _scored(reports: Mapping[str, ArmReport], pairs: Pairs) -> Iterator[tuple[dict[str, Any], Clean, Clean]]:
+def _scored(arms: Mapping[str, CleanBySeed], pairs: Pairs) -> Iterator[tuple[dict[str, Any], Clean, Clean]]:
     """Yield, per pair of arms scored on shared seeds, their names and the clean successes of both."""
     for first, second in pairs:
-        if first in reports and second in reports:
-            one, two = paired_clean(reports[first], reports[second])
+        if first in arms and second in arms:
+            one, two = paired_clean(arms[first], arms[second])
             if one:
                 yield {"arms": [first, second], "n": len(one)}, one, two
 
@@ -42,19 +41,19 @@ def difference(one: Clean, two: Clean) -> dict[str, Any]:
     return asdict(mcnemar(one, two)) | {"points": 100 * (sum(one) - sum(two)) / len(one)}
 
 
-def better(reports: Mapping[str, ArmReport], pairs: Pairs) -> list[dict[str, Any]]:
+def better(arms: Mapping[str, CleanBySeed], pairs: Pairs) -> list[dict[str, Any]]:
     """Return, per pair scored on shared seeds, exact McNemar, Holm over the family."""
-    tests = [pair | difference(one, two) for pair, one, two in _scored(reports, pairs)]
+    tests = [pair | difference(one, two) for pair, one, two in _scored(arms, pairs)]
     for test, adjusted in zip(tests, holm([test["p_value"] for test in tests]), strict=True):
         test["p_holm"] = adjusted
     return tests
 
 
-def as_good(reports: Mapping[str, ArmReport], claims: Sequence[AtMostWorse]) -> list[dict[str, Any]]:
+def as_good(arms: Mapping[str, CleanBySeed], claims: Sequence[AtMostWorse]) -> list[dict[str, Any]]:
     """Return, per claim about arms scored on shared seeds, whether non-inferiority within its margin is shown."""
     tests = []
     for claim in claims:
-        for pair, one, two in _scored(reports, [(claim.first, claim.second)]):
+        for pair, one, two in _scored(arms, [(claim.first, claim.second)]):
             found = non_inferior(one, two, claim.margin)
             tests.append({"about": claim.about} | pair | asdict(found) | {"shown": found.shown})
     return tests
