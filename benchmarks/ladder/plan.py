@@ -116,7 +116,7 @@ ARMS = (
     # that finger says how much of a loss is the finger's
     Entry("V+G", "vt", ("gelsight",), "left", SWAP, block="arms"),
     Entry("V+U", "vt", ("uskin",), "left", SWAP, block="arms"),
-    Entry("true wrench, other finger", "wrench", ("gelsight",), "left", SWAP, block="arms"),
+    Entry("true wrench of the other finger", "wrench", ("gelsight",), "left", SWAP, block="arms"),
     # one policy that feels with both fingers; it learnt from both halves of the demonstrations
     Entry("V+T+G", "two_fingers", ("gelsight",), "left", block="arms"),
     Entry("V+T+U", "two_fingers", ("uskin",), "left", block="arms"),
