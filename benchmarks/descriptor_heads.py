@@ -130,6 +130,7 @@ def judge(heads: dict[str, DescriptorHead], episode: EpisodeForces) -> dict[str,
         "press_above_limit": [bool(press_events(trace.press_N, trace.time_s, ScoreLimits())), bool(found.excess_force)],
         "slip_max_mm": float(trace.slip_mm.max()),
         "press_max_N": [float(trace.press_N.max()), float(found.press_N.max())],
+        "in_band_share": [truth.metrics["in_band_share"], found.in_band_share],
         "press_mae_N": float(np.abs(found.press_N - trace.press_N)[wiping].mean()) if wiping.any() else None,
     }
 
@@ -163,6 +164,8 @@ def main(config: DescriptorHeadsConfig) -> None:
     for event in ("slippage", "press_above_limit"):
         agree = sum(truth == said for truth, said in (episode[event] for episode in report["episodes"]))
         print(f"{event}: estimate and truth agree in {agree} of {len(report['episodes'])} episodes")
+    shares = np.array([episode["in_band_share"] for episode in report["episodes"]])
+    print(f"in-band share: estimate off by {np.abs(shares[:, 0] - shares[:, 1]).mean():.3f} in the mean")
     print(f"heads in {report['heads']}; report in {path}")
 
 
