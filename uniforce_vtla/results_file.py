@@ -18,11 +18,17 @@ DISTRIBUTION = "lerobot_policy_pi05_uniforce"
 def provenance() -> dict[str, Any]:
     """Return command line, package version, machine and date of this process."""
     return {
-        "command": without_credentials(" ".join([Path(sys.argv[0]).name, *sys.argv[1:]])),
+        "command": without_credentials(" ".join([_program(), *sys.argv[1:]])),
         "version": importlib.metadata.version(DISTRIBUTION),
         "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, no accelerator used",
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     }
+
+
+def _program() -> str:
+    """Return what was run: a module as ``python -m NAME``, else the file's name."""
+    spec = sys.modules["__main__"].__spec__
+    return f"python -m {spec.name.removesuffix('.__main__')}" if spec else Path(sys.argv[0]).name
 
 
 def write_json(path: Path, content: dict[str, Any]) -> Path:

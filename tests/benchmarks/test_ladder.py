@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.ladder import replay
 from benchmarks.ladder import report as report_of
 from benchmarks.ladder.__main__ import LadderCommand, configured, joined, main, wanted
 from benchmarks.ladder.plan import BETTER, CLAIMS, PARTS, Entry, claims
@@ -129,3 +130,27 @@ def test_the_best_script_without_touch_stands_beside_the_arms() -> None:
     assert test["points"] == 50 and test["arms"] == ["V+T", "best blind"]
     with pytest.raises(ContractError, match="arms' scenes"):
         report_of.add_best_blind(found, gates | {"seeds": [20, 23]})
+
+
+def test_a_replay_takes_the_scenes_of_the_shipped_policys_turn_and_compares(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    row = {"n": 24, "seeds": [500, 523], "by_seed": 8 * "Crs", "clean_by_training_seed": ["8/8", "0/8", "0/8"]}
+    results = tmp_path / "wiping.json"
+    results.write_text(json.dumps({"arms": {}, "side_arms": {}, "ladder": {"S1": row}, "ladder_controls": {}}))
+    asked, ends = [], ["success"]
+
+    def scored(configs: list[ScoreConfig], workers: int) -> list[ArmReport]:
+        asked.extend((config.policy, config.right_sensor, config.first_seed) for config in configs)
+        ended = EpisodeRow(500, ends[0], ends[0] == "success", False, False, 0, 0, 0, 0, 0, 0)
+        return [ArmReport("S1", [ended]) for _ in configs]
+
+    monkeypatch.setattr(replay, "score_arms", scored)
+    given = [f"results={results}", f"work={tmp_path}"]
+    assert replay.main(["row=S1", "scenes=2", *given]) == 0
+    assert asked == [("shipped", "tactip:any", 500), ("shipped", "tactip:any", 503)]
+    ends[0] = "residual"
+    assert replay.main(["row=S1", "scenes=2", *given]) == 0, "two scenes lost may be chance"
+    assert replay.main(["row=S1", "scenes=8", *given]) == 1
+    assert "DIFFERS" in capsys.readouterr().out
+    assert replay.main(["row=S2 uskin calibrated", *given]) == 2

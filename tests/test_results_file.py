@@ -1,0 +1,22 @@
+"""A result file says by which command it was made."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+PRINTS = "import json\nfrom uniforce_vtla.results_file import provenance\nprint(json.dumps(provenance()))\n"
+
+
+def test_a_module_is_named_as_it_is_run_and_a_script_by_its_file(tmp_path: Path) -> None:
+    for name in ("made/__main__.py", "made/by.py", "script.py"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(PRINTS)
+
+    def command(*words: str) -> str:
+        ran = subprocess.run([sys.executable, *words, "seeds=3"], cwd=tmp_path, capture_output=True, check=True)
+        return json.loads(ran.stdout)["command"]
+
+    assert command("-m", "made") == "python -m made seeds=3"
+    assert command("-m", "made.by") == "python -m made.by seeds=3"
+    assert command("script.py") == "script.py seeds=3"
