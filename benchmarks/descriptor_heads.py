@@ -39,7 +39,7 @@ Scenes = Annotated[int, Range(2, 10_000)]  # half of them on each rig
 class DescriptorHeadsConfig:
     """Let experts of all strengths wipe, fit a head per sensor to their forces, score it on scenes it never saw.
 
-    Example: python -m benchmarks.descriptor_heads scenes=60 out=outputs/descriptor_heads_wiping
+    Example: python -m benchmarks.descriptor_heads scenes=60 out=outputs/descriptor_heads
     """
 
     level: Level = "touch"  # locked level
@@ -49,8 +49,8 @@ class DescriptorHeadsConfig:
     # frames of a training sequence: 1.5 s, so that a head's memory is used to long stretches
     stretch: Count = 45
     steps: Count = 1600  # optimiser steps
-    out: OutFolder = "outputs/scene_gauge"  # folder of heads
-    results: OutFile = "outputs/scene_gauge/scene_gauge.json"  # error per sensor on unseen scenes
+    out: OutFolder = "outputs/descriptor_heads"  # folder of heads
+    results: OutFile = "outputs/descriptor_heads/descriptor_heads.json"  # error per sensor on unseen scenes
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,10 @@ def main(config: DescriptorHeadsConfig) -> None:
         agree = sum(truth == said for truth, said in (episode[event] for episode in report["episodes"]))
         print(f"{event}: estimate and truth agree in {agree} of {len(report['episodes'])} episodes")
     shares = np.array([episode["in_band_share"] for episode in report["episodes"]])
-    print(f"in-band share: estimate off by {np.abs(shares[:, 0] - shares[:, 1]).mean():.3f} in the mean")
+    print(f"in-band share: estimate off by {np.abs(np.diff(shares, axis=1)).mean():.3f} in the mean")
+    if wanted := LEVELS[config.level].in_band_share:
+        agree = (np.diff(shares >= wanted, axis=1) == 0).sum()
+        print(f"share of {wanted:g} reached: estimate and truth agree in {agree} of {len(shares)} episodes")
     print(f"heads in {report['heads']}; report in {path}")
 
 

@@ -4,7 +4,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from benchmarks.ladder.plan import BETTER, PARTS, Entry, claims
 from benchmarks.scene_blocks import BLOCKS
@@ -43,6 +43,12 @@ class LadderCommand:
     out: OutFile = "outputs/ladder.json"
 
 
+def score_config(entry: Entry, worn: str, **settings: Any) -> ScoreConfig:
+    """Return how a row is scored with one of its sensors; ``settings`` are further fields of ``ScoreConfig``."""
+    fingers: dict[str, Any] = DEMONSTRATED | {f"{entry.finger}_sensor": worn, "control": entry.control}
+    return ScoreConfig(**{"arm": entry.name, "swap": entry.swap, "videos": 0, **fingers, **settings})
+
+
 def configured(config: LadderCommand, entry: Entry) -> list[ScoreConfig]:
     """Return how a row is scored, one part per sensor it wears; none where checkpoints or calibrations aren't there."""
     policy = entry.checkpoints
@@ -57,15 +63,9 @@ def configured(config: LadderCommand, entry: Entry) -> list[ScoreConfig]:
     share = min(share, config.rollouts) if config.rollouts else share
     parts = []
     for number, worn in enumerate(entry.worn):
-        fingers = DEMONSTRATED | {f"{entry.finger}_sensor": worn}
-        if maps:
-            fingers[f"{entry.finger}_calibration"] = str(maps[number])
-        parts.append(
-            ScoreConfig(
-                policy=policy, arm=entry.name, level=config.level, swap=entry.swap, videos=0, out=config.work,
-                control=entry.control, rollouts=share, first_seed=first + number * share, **fingers,  # type: ignore[arg-type]
-            )
-        )  # fmt: skip
+        calibration = {f"{entry.finger}_calibration": str(maps[number])} if maps else {}
+        scenes = {"level": config.level, "first_seed": first + number * share, "rollouts": share}
+        parts.append(score_config(entry, worn, policy=policy, out=config.work, **scenes, **calibration))
     return parts
 
 

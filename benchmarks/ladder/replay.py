@@ -10,18 +10,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from benchmarks.ladder.__main__ import DEMONSTRATED
+from benchmarks.ladder.__main__ import score_config
 from benchmarks.ladder.plan import PARTS, Entry
-from benchmarks.ladder.report import ROWS
+from benchmarks.ladder.report import CLEAN, codes, named_rows
 from uniforce_cli.boundary import command
 from uniforce_cli.score import score_arms
-from uniforce_cli.score_settings import ScoreConfig
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.evaluation.statistics import mcnemar
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.options import Count, FilePath, OutFolder, Text, Workers
 
-CLEAN = "C"
 MAX_CHANCE = 0.01  # exact McNemar test: below it the replay differs
 SHIPPED_IN = ("ladder", "arms")  # parts in which training seed 0 of V+T is the shipped policy
 
@@ -42,7 +40,7 @@ class ReplayCommand:
 
 def committed(results: dict[str, Any], name: str) -> dict[str, Any]:
     """Return a row of ``wiping.json``; ContractError: it holds none of that name."""
-    rows = {key.replace("_", " "): row for section in ROWS for key, row in results[section].items()}
+    rows = dict(named_rows(results))
     if name not in rows:
         raise ContractError(expected("row", " | ".join(rows), name, "Name one of them."))
     return rows[name]
@@ -60,16 +58,14 @@ def entry_of(name: str) -> Entry:
 def acted_in(row: dict[str, Any], count: int) -> dict[int, str]:
     """Return the first scenes in which training seed 0 acted, and the code of how each ended."""
     turns = len(row["clean_by_training_seed"])
-    first = row["seeds"][0]
-    return {first + place: row["by_seed"][place] for place in range(0, row["n"], turns)[:count]}
+    return dict(list(codes(row).items())[::turns][:count])
 
 
 def replayed(config: ReplayCommand) -> dict[int, tuple[str, str]]:
     """Return scene → how it ended then and how it ends now."""
     entry = entry_of(config.row)
     before = acted_in(committed(read_object(Path(config.results), ContractError), config.row), config.scenes)
-    worn: dict[str, Any] = DEMONSTRATED | {f"{entry.finger}_sensor": entry.worn[0], "control": entry.control}
-    one = ScoreConfig(swap=entry.swap, rollouts=1, videos=0, out=config.work, **worn)
+    one = score_config(entry, entry.worn[0], rollouts=1, out=config.work)
     scenes = [replace(one, arm=f"{entry.name} {seed}", first_seed=seed) for seed in before]
     return {
         seed: (code, report.rows[0].code)

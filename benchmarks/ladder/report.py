@@ -4,7 +4,7 @@ Claims and tests are of all rows together: parts of one comparison may have been
 """
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from uniforce_vtla.json_file import read_object
 from uniforce_vtla.options import FilePath, OutFile, Text, split
 from uniforce_vtla.results_file import provenance, write_json
 
+CLEAN = "C"  # of EpisodeRow.code
 CLAIMABLE = 200  # an arm of fewer rollouts stands aside: no claim rests on it
 SECTIONS = {"ladder": "ladder", "left_out": "ladder", "controls": "ladder_controls", "arms": "arms"}
 SAME = ("level", "level_hash")
@@ -83,14 +84,24 @@ def add_best_blind(found: dict[str, Any], gates: dict[str, Any]) -> None:
     found["arms"]["best blind"] = {"script": name, "seeds": gates["seeds"], **blind[name]}
 
 
+def named_rows(found: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield each row of every section under its name in the plan; arms and side arms may share one."""
+    for section in ROWS:
+        for key, row in found[section].items():
+            yield key.replace("_", " "), row
+
+
+def codes(row: dict[str, Any]) -> dict[int, str]:
+    """Return the code of how each rollout of a row ended, by its scene's seed."""
+    first, last = row["seeds"]
+    return dict(zip(range(first, last + 1), row["by_seed"], strict=True))
+
+
 def clean_by_seed(found: dict[str, Any]) -> dict[str, dict[int, bool]]:
     """Return whether each rollout was clean, by the row's name in the plan and the scene's seed."""
     arms: dict[str, dict[int, bool]] = {}
-    for section in ROWS:
-        for key, row in found[section].items():
-            first, last = row["seeds"]
-            clean = zip(range(first, last + 1), (code == "C" for code in row["by_seed"]), strict=True)
-            arms.setdefault(key.replace("_", " "), {}).update(clean)
+    for name, row in named_rows(found):
+        arms.setdefault(name, {}).update({seed: code == CLEAN for seed, code in codes(row).items()})
     return arms
 
 
