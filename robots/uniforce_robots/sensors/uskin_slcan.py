@@ -100,7 +100,7 @@ class SlcanUSkin(SampleSource):
 
     def __init__(self, port: str, name: str = "uskin", controller: int = 0) -> None:
         super().__init__(f"{name} ({port})")
-        self._port, self._scans = port, SlcanScans(controller)
+        self._port, self._scans, self._early = port, SlcanScans(controller), b""
         self.counts = self._scans.counts
 
     def _connect(self, undo: contextlib.ExitStack) -> None:
@@ -113,7 +113,7 @@ class SlcanUSkin(SampleSource):
             undo.callback(self._stop)
             self._serial.reset_input_buffer()
             for command in OPENING:
-                self._command(command)
+                self._early = self._command(command)  # the channel streams from its last acknowledgement on
         except (*_BROKEN, ValueError) as error:
             raise LostSensorError(expected(self.name, "a serial port", error, do)) from error
 
@@ -125,7 +125,8 @@ class SlcanUSkin(SampleSource):
 
     def read(self) -> list[Stamped]:
         """Return the scans that came, stamped when they were read."""
-        scans = self._scans.feed(chunk := self._receive())
+        scans, self._early = self._scans.feed(self._early), b""
+        scans += self._scans.feed(chunk := self._receive())
         while self._more_waits(len(chunk) >= FULL_BYTES):
             scans += self._scans.feed(chunk := self._receive())
         stamp_ns = now_ns()
@@ -138,8 +139,8 @@ class SlcanUSkin(SampleSource):
             do = "Was it unplugged? It is reopened once it is back."
             raise LostSensorError(expected(self.name, "a readable port", error, do)) from error
 
-    def _command(self, command: bytes) -> None:
-        """Send one command and wait for its acknowledgement; data lines of an open channel are skipped."""
+    def _command(self, command: bytes) -> bytes:
+        """Send one command, skip the data lines of an open channel, and return what came after its acknowledgement."""
         self._serial.write(command + b"\r")
         deadline, tail, came = time.monotonic() + ANSWER_S, b"", "no answer"
         while time.monotonic() < deadline:
@@ -148,7 +149,9 @@ class SlcanUSkin(SampleSource):
             if _BELL in chunk and command != b"C":  # C: it was closed already
                 came = "BEL (refused)"
                 break
-            if _BELL in chunk or b"" in lines:
-                return
+            if b"" in lines:
+                return b"\r".join([*lines[lines.index(b"") + 1 :], tail])
+            if _BELL in chunk:
+                return b""
         what, do = f"{self.name}, command {command.decode()}", "Is this the SLCAN adapter, at 3 Mbaud?"
         raise ProtocolError(expected(what, "an acknowledgement", came, do))

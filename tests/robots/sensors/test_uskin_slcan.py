@@ -104,6 +104,39 @@ def test_a_held_port_is_refused(slcan: StandIn, reader: SampleReader):
     assert reader.newest(1e4).raw.shape == (16, 3)
 
 
+class _Adapter:
+    """A port on which the first scans come in one piece with the last acknowledgement."""
+
+    def __init__(self, *_: object, **__: object) -> None:
+        self._out = b""
+
+    @property
+    def in_waiting(self) -> int:
+        return len(self._out)
+
+    def reset_input_buffer(self) -> None: ...
+
+    def close(self) -> None: ...
+
+    def write(self, line: bytes) -> None:
+        self._out += b"\r" + STREAM[:HALF_A_LINE] if line == b"O\r" else b"\r"
+
+    def read(self, _: int) -> bytes:
+        chunk, self._out = self._out, b""
+        return chunk
+
+
+def test_scans_that_come_with_the_acknowledgement_are_kept(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("serial.Serial", _Adapter)
+    source = SlcanUSkin("anywhere")
+    source._scans = new_scans()
+    source.open()
+    source._serial._out = STREAM[HALF_A_LINE:]
+    assert np.array_equal([scan for _, scan in source.read()], CYCLE)
+    assert not source.read()
+    source.close()
+
+
 @pytest.mark.slow
 def test_500_scans_per_second_and_none_lost():
     """The seconds to run can be set: ``UNIFORCE_RATE_SECONDS=60``."""
@@ -120,6 +153,7 @@ def test_500_scans_per_second_and_none_lost():
 CYCLE = np.random.default_rng(0).integers(0, 65_536, (6, 16, 3)).astype(np.uint16)
 LINES = scan_lines(CYCLE, controller=4)
 STREAM = b"".join(b"".join(lines) for lines in LINES)
+HALF_A_LINE = len(STREAM) * 5 // 12 + 9
 
 
 def new_scans() -> SlcanScans:
