@@ -87,6 +87,17 @@ LEFT_OUT = (
         )
     ),
 )  # fmt: skip
+# the same question of newtons, planned on 2026-11-27 after the answer for whole latents: a head fitted to simulated
+# TacTips reads force in the latents of the tokenizer that never saw a uSkin, nor did the head
+LEFT_OUT_IN_NEWTONS = tuple(
+    Entry(name, "vt_no_uskin_newtons", worn, calibrated=calibrated, tokenizer="no_uskin",
+          block="kinds left out, felt in newtons", rollouts=68)
+    for name, worn, calibrated in (
+        ("S0 newtons without uskin", ("tactip",), False),
+        ("S3 uskin newtons", _units("uskin"), False),
+        ("S3 uskin newtons calibrated", _units("uskin"), True),
+    )
+)  # fmt: skip
 # the same swap for other things to feel with, each with the same alignment
 RUNGS = ("S0", "S2 gelsight calibrated", "S2 uskin calibrated")
 # raw images get none: a linear map of two pictures is none of a sensor's
@@ -124,7 +135,7 @@ ARMS = (
     Entry("V+T shuffled", "vt", control="shuffled", block="arms", rollouts=102),
     Entry("V+T frozen", "vt", control="frozen", block="arms"),
 )
-PARTS = {"ladder": LADDER, "left_out": LEFT_OUT, "controls": CONTROLS, "arms": ARMS}
+PARTS = {"ladder": LADDER, "left_out": LEFT_OUT + LEFT_OUT_IN_NEWTONS, "controls": CONTROLS, "arms": ARMS}
 
 CLAIMS = (
     AtMostWorse("another unit", "S1", "S0", 0.07),
@@ -134,6 +145,9 @@ CLAIMS = (
     AtMostWorse("stiffer or keener, calibrated", "S4 gelsight calibrated", "S0", 0.15),
     AtMostWorse("a kind left out of everything, calibrated", "S3 gelsight calibrated", "S0 reduced", 0.15),
     AtMostWorse("a kind left out of everything, calibrated", "S3 uskin calibrated", "S0 reduced", 0.15),
+    AtMostWorse(
+        "a kind left out of everything, calibrated", "S3 uskin newtons calibrated", "S0 newtons without uskin", 0.15
+    ),
     AtMostWorse("next to the true wrench", "V+T", "true wrench", 0.08),
     AtMostWorse("next to the true wrench", "V+T+G", "true wrench", 0.08),
     AtMostWorse("next to the true wrench", "V+T+U", "true wrench", 0.08),

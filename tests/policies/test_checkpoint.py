@@ -28,7 +28,7 @@ from lerobot_policy_pi05_uniforce.weights import fill
 from uniforce_vtla.errors import CheckpointError, ContractError
 from uniforce_vtla.file_hashes import write_hashes
 from uniforce_vtla.markers import MARKER_IMAGES
-from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig
 
 
 @pytest.fixture
@@ -277,3 +277,33 @@ def test_a_policy_of_another_force_head_is_refused(make_policy, tmp_path: Path, 
     write_hashes(tmp_path)
     with pytest.raises(CheckpointError, match=said):
         PI05UniforcePolicy.from_pretrained(tmp_path)
+
+
+def test_a_head_of_ones_own_travels_with_its_tokenizer(make_policy, make_batch, tmp_path: Path) -> None:
+    """Only the package's tokenizers have heads in the package."""
+    tokenizer = make_policy().config.tokenizer_hash
+    head = ForceHead(ForceRegressor(HeadConfig(hidden=4, mlp=8)), "tactip", tokenizer)
+    for part, scale in (("head", 1.0), ("changed", 2.0)):
+        head.model.force_scale.fill_(scale)
+        head.save(tmp_path / part)
+    policy = make_policy(touch__input="newtons", touch__head=str(tmp_path / "head"))
+    assert policy.config.touch.head == "tactip" and not policy.train().model.tactile_encoder.head.training
+    policy.eval().save_pretrained(tmp_path / "policy")
+    (tmp_path / "head").rename(tmp_path / "gone")
+    batch = make_batch(policy)
+    loaded = PI05UniforcePolicy.from_pretrained(tmp_path / "policy")
+    assert torch.equal(loaded.predict_action_chunk(batch), policy.predict_action_chunk(batch))
+
+    weights = tmp_path / "policy" / "model.safetensors"
+    changed = load_file(weights) | {"model.tactile_encoder.head.force_scale": torch.full((3,), 2.0)}
+    save_file(changed, weights)
+    write_hashes(tmp_path / "policy")
+    with pytest.raises(CheckpointError, match="force head hash"):
+        PI05UniforcePolicy.from_pretrained(tmp_path / "policy")
+
+
+def test_a_head_that_reads_another_tokenizers_latents_is_refused(make_policy, tmp_path: Path) -> None:
+    ForceHead(ForceRegressor(HeadConfig()), "tactip", "another").save(tmp_path)
+    for head, said in ((str(tmp_path), "Fit a head"), ("tactip", "touch.head")):
+        with pytest.raises(CheckpointError, match=said):
+            make_policy(touch__input="newtons", touch__head=head)

@@ -9,11 +9,9 @@ import torch
 from torch import Tensor, nn
 
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
-from lerobot_policy_pi05_uniforce.touch.encode import TouchInput, load_calibrations, packaged_hashes, taken
+from lerobot_policy_pi05_uniforce.touch.encode import TouchInput, load_calibrations, taken
 from lerobot_policy_pi05_uniforce.touch.tokens import ForceTokens
-from uniforce_vtla.errors import CheckpointError, expected
 from uniforce_vtla.keys import descriptor_key, marker_pair_key, wrench_key
-from uniforce_vtla.tokenizer.force_head import ForceHead
 from uniforce_vtla.tokenizer.plain_touch import DESCRIPTOR_SIZE, PAIR_SIDE, descriptors, marker_pairs
 
 WRENCH_SCALE = (5.0, 5.0, 10.0, 100.0)  # N, N, N, Nmm: a firm wipe's shear, press and torsion become ~1
@@ -58,20 +56,11 @@ class ControlInput(TouchInput):
 
 
 class NewtonInput(TouchInput):
-    """Reads force in newtons: a frozen force head on the slot's latents, mapped by its calibration where it wears one.
-
-    Raises CheckpointError: as ``read_head``.
-    """
+    """Reads force in newtons: the frozen head on the slot's latents, calibrated where its sensor wears a map."""
 
     def __init__(self, latents: TouchInput) -> None:
-        config = latents.config
-        super().__init__(config, latents.encoder, SHAPES["newtons"], monitors=latents.monitors)
+        super().__init__(latents.config, latents.encoder, SHAPES["newtons"], monitors=latents.monitors)
         self._latents = latents
-        head = read_head(config.touch.head, config.tokenizer_hash)
-        if (trained_with := config.touch.head_hash or head.hash) != head.hash:
-            do = "Use the version it was trained with, or train again."
-            raise CheckpointError(expected(f"force head of {config.touch.head}", trained_with, head.hash, do))
-        config.touch.head_hash, self._head = head.hash, head.model
 
     def reset(self) -> None:
         """Let the latents' reader forget; its encoder and monitors are this one's too."""
@@ -80,19 +69,7 @@ class NewtonInput(TouchInput):
     def read(self, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor:
         """Return (B, 1, 3) N of a slot; RolloutError where its sensor is lost."""
         with torch.no_grad():
-            return self._head.to(device).step(self._latents.read(batch, slot, device), None)[0][:, None]
-
-
-def read_head(head: str, tokenizer_hash: str) -> ForceHead:
-    """Return the force head of a kind of sensor for a packaged tokenizer.
-
-    Raises CheckpointError: no such head; another tokenizer, which has none.
-    """
-    size = packaged_hashes().get(tokenizer_hash)
-    if size is None:
-        do = "Use touch.input=latent, or a packaged tokenizer."
-        raise CheckpointError(expected("tokenizer", " | ".join(packaged_hashes().values()), "another", do))
-    return ForceHead.from_pretrained(head, size)
+            return self.encoder.head.step(self._latents.read(batch, slot, device), None)[0][:, None]
 
 
 class MarkerPairTokens(nn.Module):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import functools
 import logging
 from contextlib import nullcontext
+from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -20,6 +22,7 @@ from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig, pool_latent
 from uniforce_vtla.tokenizer.api import STORED_KEY, canonicalizer_facts
 from uniforce_vtla.tokenizer.calibration import Calibration
 from uniforce_vtla.tokenizer.entry import prepare_tensor
+from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig
 from uniforce_vtla.tokenizer.latent_range import FREE_LOOKS, FreeAirError, HealthMonitor, LatentRange
 from uniforce_vtla.tokenizer.model import ForceAutoencoder, ReferenceCache, build_model
 from uniforce_vtla.tokenizer.weights import SIZES, checkpoint_folder, content_hash
@@ -39,11 +42,14 @@ ENCODER = "model.tactile_encoder."  # its tensors in a policy; stored only where
 
 
 class TactileEncoder(nn.Module):
-    """A frozen tokenizer, always in eval mode; its decoder is kept too, so that its hash can be checked."""
+    """A frozen tokenizer, always in eval mode; its decoder is kept too, so that its hash can be checked.
 
-    def __init__(self, model: ForceAutoencoder, grid: int) -> None:
+    ``head`` reads newtons in its latents, frozen too; None where the policy feels with the latents themselves.
+    """
+
+    def __init__(self, model: ForceAutoencoder, grid: int, head: ForceRegressor | None = None) -> None:
         super().__init__()
-        self.model, self.grid = model, grid
+        self.model, self.grid, self.head = model, grid, head
         self.references: ReferenceMemory[ReferenceCache] = ReferenceMemory(len(SLOTS))
         self.requires_grad_(False)
         self.train(False)
@@ -88,33 +94,73 @@ def is_packaged(config: PI05UniforceConfig) -> bool:
 def build_encoder(config: PI05UniforceConfig, empty: bool = False) -> TactileEncoder:
     """Make a new policy's encoder and write its facts into the config, or the one a checkpoint's config knows.
 
-    That is the packaged tokenizer of its hash, or one that is rebuilt, ``empty``, and filled from the checkpoint.
+    Tokenizer and head are the packaged ones of their hash, or rebuilt, ``empty``, and filled from the checkpoint.
 
-    Raises CheckpointError: it was made behind another canonicalizer.
+    Raises CheckpointError: made behind another canonicalizer, or as ``read_head``.
     """
+    model = _build_tokenizer(config, empty)
+    head = _build_head(config, empty) if config.touch.input == "newtons" else None
+    return TactileEncoder(model, config.latent_grid, head)
+
+
+def _build_tokenizer(config: PI05UniforceConfig, empty: bool) -> ForceAutoencoder:
     facts = config.touch.tokenizer
     if facts is not None and is_packaged(config):
-        packaged = Tokenizer.from_pretrained(packaged_hashes()[config.tokenizer_hash])
-        return TactileEncoder(packaged.model, config.latent_grid)
+        return Tokenizer.from_pretrained(packaged_hashes()[config.tokenizer_hash]).model
     if facts is None:
         tokenizer = Tokenizer.from_pretrained(config.touch.tokenizer_path)
         config.touch.tokenizer = {**tokenizer.facts(), "hash": tokenizer.hash}
-        return TactileEncoder(tokenizer.model, config.latent_grid)
+        return tokenizer.model
     stored, running = facts.get(STORED_KEY), canonicalizer_facts()
     if stored != running:
         do = "Use the version it was trained with, or train again."
         raise CheckpointError(expected("canonicalizer of the checkpoint", stored, running, do))
     with no_weights() if empty else nullcontext():
-        return TactileEncoder(build_model(TokenizerConfig(**facts["model"]), seed=0), config.latent_grid)
+        return build_model(TokenizerConfig(**facts["model"]), seed=0)
+
+
+def _build_head(config: PI05UniforceConfig, empty: bool) -> ForceRegressor:
+    touch = config.touch
+    if touch.head_sizes is not None:
+        with no_weights() if empty else nullcontext():
+            return ForceRegressor(HeadConfig(**touch.head_sizes))
+    head = read_head(touch.head, config.tokenizer_hash)
+    if (trained_with := touch.head_hash or head.hash) != head.hash:
+        do = "Use the version it was trained with, or train again."
+        raise CheckpointError(expected(f"force head of {touch.head}", trained_with, head.hash, do))
+    touch.head, touch.head_hash = head.source, head.hash
+    touch.head_sizes = None if is_packaged(config) else asdict(head.model.config)
+    return head.model
+
+
+def read_head(head: str, tokenizer_hash: str) -> ForceHead:
+    """Return the packaged force head of a kind of sensor, or of a tokenizer of one's own the head in a folder.
+
+    Raises CheckpointError: no such head, or one of another tokenizer.
+    """
+    size = packaged_hashes().get(tokenizer_hash)
+    if size is not None:
+        return ForceHead.from_pretrained(head, size)
+    if not Path(head).is_dir():
+        do = "Name its folder in touch.head, or use touch.input=latent."
+        raise CheckpointError(expected("touch.head", "a head of this tokenizer, which isn't packaged", head, do))
+    own = ForceHead.from_pretrained(path=head)
+    if own.tokenizer_hash != tokenizer_hash:
+        raise CheckpointError(expected(f"tokenizer of {head}", tokenizer_hash, own.tokenizer_hash, "Fit a head to it."))
+    return own
 
 
 def check_hash(encoder: TactileEncoder, config: PI05UniforceConfig) -> None:
-    """Raise CheckpointError unless the loaded tokenizer is, bit by bit, the one the policy was trained with."""
+    """Raise CheckpointError unless loaded tokenizer and head are, bit by bit, those the policy was trained with."""
     facts = {name: fact for name, fact in (config.touch.tokenizer or {}).items() if name != "hash"}
     found = content_hash(encoder.model, facts)
     if found != config.tokenizer_hash:
         do = "The tokenizer inside the checkpoint was changed; copy the checkpoint again."
         raise CheckpointError(expected("tokenizer hash", config.tokenizer_hash, found, do))
+    head = "" if encoder.head is None else content_hash(encoder.head, {"source": config.touch.head})
+    if head and head != config.touch.head_hash:
+        do = "The head inside the checkpoint was changed; copy the checkpoint again."
+        raise CheckpointError(expected("force head hash", config.touch.head_hash, head, do))
 
 
 def load_calibrations(
