@@ -17,7 +17,6 @@ from benchmarks.probes.labelled_set import LabelledSet, set_facts
 from benchmarks.probes.latent_and_pictures import latent_correlation, reconstructions
 from benchmarks.probes.recorded_set import user_data
 from benchmarks.probes.report_sets import REPORT_SETS, ReportSet
-from benchmarks.probes.worn_sequences import WornSequences, draw_worn
 from benchmarks.probes.zero_shot import (
     POOL,
     Cells,
@@ -37,17 +36,15 @@ from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.options import CountOrZero, FileName, FolderPath, Names, OutFolder, Range, Text, TokenizerFolder
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.force_head import ForceHead, HeadTrainingConfig, train_head
+from uniforce_vtla.tokenizer.force_head import ForceHead
 from uniforce_vtla.tokenizer.weights import checkpoint_folder
+from uniforce_vtla.tokenizer.worn_heads import fit_head
 
 PICTURED = 64  # pairs per rig that are redrawn
 REPLAY_TOLERANCE = 0.01  # R²; the same images and weights on another CPU differ far less
 OF_THE_TOKENIZER = {"UniForce", "UniForce (FT)"}  # rows that change with its weights
 # its sensors are the registry's, which is what the package's heads are for
 SHIPPED_HEADS_SET = "zero_shot_v2"
-# less noise and more steps than a table's heads: they see 80 units, not 8. Of .1, .4 and .8 what read other TacTips'
-# press in the scene best, by scatter and scale, without a slope that only TacTips have
-SHIPPED_HEADS = HeadTrainingConfig(steps=1500, batch=128, input_noise=0.4)
 
 
 Heads = Annotated[int, Range(1, 100)]
@@ -198,9 +195,7 @@ def ship(size: str, sources: Iterable[str], tokenizer: Tokenizer) -> None:
     """Write the tokenizer and one head per source sensor into the package; heads learn from worn units."""
     tokenizer.save(checkpoint_folder(size, "tokenizer"))
     for source in sources:
-        z, force_N = draw_worn(WornSequences(), source, tokenizer)
-        model = train_head(z, force_N, SHIPPED_HEADS, seed=0)
-        ForceHead(model, source, tokenizer.hash).save(checkpoint_folder(size, f"force_head_{source}"))
+        fit_head(source, tokenizer).save(checkpoint_folder(size, f"force_head_{source}"))
 
 
 def shipped_row(tokenizer: Tokenizer, table: Table, count: int) -> Cells:

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from benchmarks.probes.labelled_set import LabelledSet, press_shear_release
+from benchmarks.probes.labelled_set import LabelledSet
 from uniforce_vtla.contact.indenters import SEEN, UNSEEN
-from uniforce_vtla.contact.sampling import ForceRange, sample_objects
+from uniforce_vtla.contact.sampling import ForceRange, press_shear_release, sample_objects
 from uniforce_vtla.contact.units import Look, UnitVariation
 from uniforce_vtla.contact.virtual import GELSIGHT_D, VirtualSensor, as_virtual
 from uniforce_vtla.contact.wear import Creep, Light, lagging_force

@@ -11,7 +11,7 @@ import numpy as np
 
 from uniforce_vtla.array_file import read_arrays
 from uniforce_vtla.contact import PAPER_RANGE, SEEN, UNSEEN, ContactOptions, ForceRange
-from uniforce_vtla.contact.sampling import sample_objects
+from uniforce_vtla.contact.sampling import press_shear_release, sample_objects
 from uniforce_vtla.contact.simulator import Transform, draw_simulator, images_of
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.tokenizer.descriptor import describe
@@ -58,25 +58,6 @@ def force_sequences(
         references.append((transform(reference) if transform else reference)[0])
         frames.append(images_of(simulator, contact, transform))
     return SequenceBatch(np.stack(references), np.stack(frames), force, objects.names, sensor)
-
-
-def press_shear_release(rng: np.random.Generator, length: int, force_range: ForceRange) -> np.ndarray:
-    """Return (length, 3) float32 force: press in, shear out and back, release, with a little wobble.
-
-    The four parts take random shares of the time; the peak normal force is even over the range, and so is
-    the peak shear within friction.
-    """
-    corners = np.concatenate([[0], np.cumsum(rng.dirichlet(np.full(4, 4.0)))])  # 0 … 1
-    time = np.linspace(0, 1, length)
-    press = np.interp(time, corners, [0, 1, 1, 1, 0]) * rng.uniform(0.05, 1) * force_range.normal_N
-    direction = rng.uniform(-np.pi, np.pi)
-    unit = np.array([np.cos(direction), np.sin(direction)])
-    peak = min(force_range.shear_N / np.abs(unit).max(), force_range.friction * press.max()) * rng.random()
-    shear = np.interp(time, corners, [0, 0, 1, 0, 0])[:, None] * peak * unit
-    wobble = 1 + 0.03 * rng.standard_normal(length)  # hand and robot never hold a force exactly
-    fz = press * wobble
-    room = np.minimum(1, force_range.friction * fz / np.maximum(np.hypot(*shear.T), 1e-9))
-    return np.concatenate([shear * room[:, None], fz[:, None]], axis=1).astype(np.float32)
 
 
 SENSORS = ("gelsight", "tactip", "uskin")

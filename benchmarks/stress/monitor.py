@@ -12,7 +12,6 @@ from joblib import Parallel, delayed
 from scipy.stats import mannwhitneyu
 from tqdm import tqdm
 
-from benchmarks.probes.worn_sequences import WornSequences, draw_worn
 from benchmarks.stress.operators import OPERATORS, worn_with
 from benchmarks.stress.readings import encode_now
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
@@ -24,6 +23,7 @@ from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.latent_range import HealthMonitor, LatentRange
 from uniforce_vtla.tokenizer.weights import SIZES
+from uniforce_vtla.tokenizer.worn_heads import WornSequences, draw_worn
 
 EVERY = 2  # steps between two looks, as tiny takes them
 LOOKS = 8  # that make half a second

@@ -41,15 +41,16 @@ class TouchSettings:
     # as in the paper | "none" (plain π0.5); controls: "wrench" (true wrench) | "descriptor" (hand-made) | "marker_pair"
     # (CNN)
     input: str = _BY_SIZE
-    # input=newtons: kind whose shipped force head reads, that of the demonstrations' finger; with a tokenizer of your
-    # own the folder of its head
+    # input=newtons: kind whose force head reads, that of the demonstrations' finger: the shipped one, or beside
+    # tokenizer_path
     head: str = "tactip"
     # "prefix": beside cameras and text, encoded once | "suffix": before the actions, read in every flow step
     site: str = "prefix"
     # True: training starts with the base policy's actions, touch behind a learnt gate (touch/tokens.py). tiny off
     start_at_base: bool = _BY_SIZE
     head_hash: str = ""  # of that head; filled when the policy is made
-    head_sizes: dict[str, Any] | None = None  # likewise, of a head of your own: its weights are in the checkpoint
+    # likewise, where the tokenizer isn't shipped: then the checkpoint holds the head's weights
+    head_sizes: dict[str, Any] | None = None
     # "error": hold and stop; "mask": go on without that slot, logged; simulation only
     on_sensor_loss: str = "error"
     # slot → kinds seen in training, "gelsight+uskin"; "" or absent = any

@@ -1,16 +1,19 @@
-"""Train the tokenizer on equilibrium pairs, without any force label."""
+"""Train the tokenizer on equilibrium pairs, without any force label; then a head that reads newtons in its latents."""
 
 import logging
 import resource
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 import uniforce_vtla.tokenizer
 from uniforce_cli.boundary import command
-from uniforce_vtla.options import FileName, OutFolder, Workers
+from uniforce_vtla.options import FileName, Names, OutFolder, Workers, split
+from uniforce_vtla.sensors import list_sensors
 from uniforce_vtla.tokenizer.settings import PretrainSettings
 
 PRESETS = Path(uniforce_vtla.tokenizer.__file__).parent / "presets"  # one YAML file each
+Heads = Annotated[str, Names((*list_sensors(), "none"), many=True)]
 
 
 @dataclass
@@ -20,12 +23,17 @@ class PretrainCommand:
     Without a preset the objective is the paper's but for the options' defaults named below.
 
     Example: uniforce pretrain preset=nano out=outputs/mine run.steps=3000
+    Then: uniforce view … tokenizer=outputs/mine/tokenizer and uniforce train … policy.touch.tokenizer_path=the same
     """
 
     preset: FileName = ""  # nano | small_draw and then small: the shipped checkpoints; what else you give wins
     run: PretrainSettings = field(default_factory=PretrainSettings)  # model, loss, data, optimiser
     cache: OutFolder = "outputs/pairs"  # drawn pairs, about 35 kB each; kept for the next run
-    out: OutFolder = "outputs/pretrain"  # state.safetensors to resume from, log.csv, tokenizer/ to load
+    # sensors of the policy's demonstrations, comma between them: for each a force head is fitted to 80 simulated units,
+    # in minutes
+    heads: Heads = "tactip"
+    # state.safetensors to resume from, log.csv, tokenizer/ to load, force_head_SENSOR/ beside it
+    out: OutFolder = "outputs/pretrain"
     threads: Workers = 1  # torch threads; a small model gains little from more
 
 
@@ -35,12 +43,15 @@ def main(settings: PretrainCommand) -> None:
 
     from uniforce_vtla.tokenizer.pair_cache import PairCache
     from uniforce_vtla.tokenizer.pretrain import Pretraining, starting_model
+    from uniforce_vtla.tokenizer.worn_heads import fit_head
 
     logging.basicConfig(level=logging.INFO)
     torch.set_num_threads(settings.threads)
     starting_model(settings.run)  # refuses what does not fit before pairs are drawn
     data = PairCache(Path(settings.cache), settings.run.data)  # drawn where it isn't yet
     tokenizer = Pretraining(settings.run, Path(settings.out), data).run()
+    for kind in split(settings.heads.replace("none", "")):
+        fit_head(kind, tokenizer).save(Path(settings.out) / f"force_head_{kind}")
     peak_GB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # Linux counts in kB
     where = f"in {settings.out}/tokenizer, log in {settings.out}/log.csv"
     print(f"tokenizer {tokenizer.hash[:12]} {where}; peak memory {peak_GB:.1f} GB")

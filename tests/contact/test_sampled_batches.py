@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.probes.labelled_set import force_sequences, press_shear_release
+from benchmarks.probes.labelled_set import force_sequences
 from benchmarks.speed.contact import bench_contact
 from uniforce_vtla.contact import (
     PAPER_RANGE,
@@ -20,7 +20,7 @@ from uniforce_vtla.contact import (
     equilibrium_pairs,
 )
 from uniforce_vtla.contact.pads import cell_positions_mm
-from uniforce_vtla.contact.sampling import FLAT, FLAT_SIDE_mm, sample_loads, sample_objects
+from uniforce_vtla.contact.sampling import FLAT, FLAT_SIDE_mm, press_shear_release, sample_loads, sample_objects
 from uniforce_vtla.contact.wear import Creep, Light, lagging_force
 from uniforce_vtla.sensors import list_sensors
 

@@ -28,6 +28,7 @@ from lerobot_policy_pi05_uniforce.weights import fill
 from uniforce_vtla.errors import CheckpointError, ContractError
 from uniforce_vtla.file_hashes import write_hashes
 from uniforce_vtla.markers import MARKER_IMAGES
+from uniforce_vtla.tokenizer import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig
 
 
@@ -281,15 +282,14 @@ def test_a_policy_of_another_force_head_is_refused(make_policy, tmp_path: Path, 
 
 def test_a_head_of_ones_own_travels_with_its_tokenizer(make_policy, make_batch, tmp_path: Path) -> None:
     """Only the package's tokenizers have heads in the package."""
-    tokenizer = make_policy().config.tokenizer_hash
-    head = ForceHead(ForceRegressor(HeadConfig(hidden=4, mlp=8)), "tactip", tokenizer)
-    for part, scale in (("head", 1.0), ("changed", 2.0)):
-        head.model.force_scale.fill_(scale)
-        head.save(tmp_path / part)
-    policy = make_policy(touch__input="newtons", touch__head=str(tmp_path / "head"))
-    assert policy.config.touch.head == "tactip" and not policy.train().model.tactile_encoder.head.training
+    tokenizer = Tokenizer.from_pretrained(make_policy().config.touch.tokenizer_path)
+    path = tokenizer.save(tmp_path / "made" / "tokenizer")
+    head = ForceHead(ForceRegressor(HeadConfig(hidden=4, mlp=8)), "tactip", tokenizer.hash)
+    head.save(path.parent / "force_head_tactip")
+    policy = make_policy(touch__input="newtons", touch__tokenizer_path=str(path))
+    assert not policy.train().model.tactile_encoder.head.training
     policy.eval().save_pretrained(tmp_path / "policy")
-    (tmp_path / "head").rename(tmp_path / "gone")
+    path.parent.rename(tmp_path / "gone")
     batch = make_batch(policy)
     loaded = PI05UniforcePolicy.from_pretrained(tmp_path / "policy")
     assert torch.equal(loaded.predict_action_chunk(batch), policy.predict_action_chunk(batch))
@@ -302,8 +302,10 @@ def test_a_head_of_ones_own_travels_with_its_tokenizer(make_policy, make_batch, 
         PI05UniforcePolicy.from_pretrained(tmp_path / "policy")
 
 
-def test_a_head_that_reads_another_tokenizers_latents_is_refused(make_policy, tmp_path: Path) -> None:
-    ForceHead(ForceRegressor(HeadConfig()), "tactip", "another").save(tmp_path)
-    for head, said in ((str(tmp_path), "Fit a head"), ("tactip", "touch.head")):
-        with pytest.raises(CheckpointError, match=said):
-            make_policy(touch__input="newtons", touch__head=head)
+def test_a_tokenizer_without_a_head_of_its_own_is_refused(make_policy, tmp_path: Path) -> None:
+    path = str(Tokenizer.from_pretrained(make_policy().config.touch.tokenizer_path).save(tmp_path / "tokenizer"))
+    with pytest.raises(CheckpointError, match="uniforce pretrain"):
+        make_policy(touch__input="newtons", touch__tokenizer_path=path)
+    ForceHead(ForceRegressor(HeadConfig()), "tactip", "another").save(tmp_path / "force_head_tactip")
+    with pytest.raises(CheckpointError, match="Fit a head"):
+        make_policy(touch__input="newtons", touch__tokenizer_path=path)

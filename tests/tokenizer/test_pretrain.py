@@ -13,8 +13,10 @@ from accelerate.state import AcceleratorState
 from uniforce_cli.pretrain import PRESETS, PretrainCommand, main
 from uniforce_vtla.arguments import parse, read
 from uniforce_vtla.contact.virtual import VirtualSensor
-from uniforce_vtla.errors import ContractError, DatasetError
+from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError
+from uniforce_vtla.tokenizer import worn_heads
 from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer.force_head import ForceHead, HeadTrainingConfig
 from uniforce_vtla.tokenizer.losses import (
     Side,
     equilibrium,
@@ -26,6 +28,7 @@ from uniforce_vtla.tokenizer.model import Posterior, build_model
 from uniforce_vtla.tokenizer.pair_cache import PairCache, build_cache, draw_finger, rigs
 from uniforce_vtla.tokenizer.pretrain import Pretraining, learning_rate, pair_loss
 from uniforce_vtla.tokenizer.settings import LossConfig, PairCacheConfig, PretrainSettings, TokenizerConfig
+from uniforce_vtla.tokenizer.worn_heads import WornSequences
 
 SMALL_DATA = PairCacheConfig(side=32, units=2, pairs_per_unit=4, units_per_shard=1)
 
@@ -186,7 +189,7 @@ SMALL_COMMAND = [
 
 
 def run_command(folder: Path, *more: str) -> int:
-    return main([*SMALL_COMMAND, f"cache={folder / 'pairs'}", f"out={folder / 'out'}", *more])
+    return main([*SMALL_COMMAND, "heads=none", f"cache={folder / 'pairs'}", f"out={folder / 'out'}", *more])
 
 
 def test_command_trains_continues_and_leaves_a_loadable_tokenizer(tmp_path: Path) -> None:
@@ -195,6 +198,19 @@ def test_command_trains_continues_and_leaves_a_loadable_tokenizer(tmp_path: Path
     assert run_command(tmp_path, "run.steps=3") == 0
     assert Tokenizer.from_pretrained(tmp_path / "out" / "tokenizer").hash != first
     assert len((tmp_path / "out" / "log.csv").read_text().splitlines()) == 4
+
+
+def test_command_leaves_a_head_beside_its_tokenizer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It reads that tokenizer's latents, wherever a tokenizer's folder is named."""
+    monkeypatch.setattr(worn_heads, "WornSequences", lambda: WornSequences(units=1, moving=1, held=15))
+    monkeypatch.setattr(worn_heads, "WORN_HEADS", HeadTrainingConfig(steps=3, batch=4))
+    out = tmp_path / "out"
+    assert main([*SMALL_COMMAND, "run.steps=1", "heads=tactip", f"cache={tmp_path / 'pairs'}", f"out={out}"]) == 0
+    tokenizer = Tokenizer.from_pretrained(out / "tokenizer")
+    head = ForceHead.from_pretrained("tactip", out / "tokenizer")
+    assert (head.source, head.tokenizer_hash) == ("tactip", tokenizer.hash)
+    with pytest.raises(CheckpointError, match="force_head_uskin"):
+        ForceHead.from_pretrained("uskin", out / "tokenizer")
 
 
 def test_the_family_replaces_cameras_only_and_only_its_share() -> None:

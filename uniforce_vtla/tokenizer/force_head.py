@@ -118,14 +118,18 @@ class ForceHead:
 
     @classmethod
     def from_pretrained(cls, source: str = "tactip", path: str | Path | None = None) -> ForceHead:
-        """Load the shipped head trained on ``source``, or any head's folder.
+        """Load the shipped head trained on ``source``, any head's folder, or the head beside a tokenizer's folder.
 
         A head reads the latents of one tokenizer alone: pass ``"nano"`` for the smaller shipped one's.
 
         Raises CheckpointError: no head for that source, or a checkpoint that doesn't fit.
         """
-        folder = checkpoint_folder(path, f"force_head_{source}")
+        part = f"force_head_{source}"
+        folder = checkpoint_folder(path, part)
         facts = read_config(folder)
+        if "head" not in facts:  # a tokenizer's: `uniforce pretrain` puts its heads beside it
+            folder = folder.parent / part
+            facts = read_config(folder)
         try:
             config = HeadConfig(**facts["head"])
             found, tokenizer_hash = str(facts["source"]), str(facts["tokenizer_hash"])

@@ -6,7 +6,6 @@ import functools
 import logging
 from contextlib import nullcontext
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -28,7 +27,7 @@ from uniforce_vtla.tokenizer.model import ForceAutoencoder, ReferenceCache, buil
 from uniforce_vtla.tokenizer.weights import SIZES, checkpoint_folder, content_hash
 
 if TYPE_CHECKING:
-    from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
+    from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig, TouchSettings
 
 logger = logging.getLogger(__name__)
 
@@ -124,30 +123,30 @@ def _build_head(config: PI05UniforceConfig, empty: bool) -> ForceRegressor:
     if touch.head_sizes is not None:
         with no_weights() if empty else nullcontext():
             return ForceRegressor(HeadConfig(**touch.head_sizes))
-    head = read_head(touch.head, config.tokenizer_hash)
+    head = read_head(touch, config.tokenizer_hash)
     if (trained_with := touch.head_hash or head.hash) != head.hash:
         do = "Use the version it was trained with, or train again."
         raise CheckpointError(expected(f"force head of {touch.head}", trained_with, head.hash, do))
-    touch.head, touch.head_hash = head.source, head.hash
+    touch.head_hash = head.hash
     touch.head_sizes = None if is_packaged(config) else asdict(head.model.config)
     return head.model
 
 
-def read_head(head: str, tokenizer_hash: str) -> ForceHead:
-    """Return the packaged force head of a kind of sensor, or of a tokenizer of one's own the head in a folder.
+def read_head(touch: TouchSettings, tokenizer_hash: str) -> ForceHead:
+    """Return the force head of a kind of sensor: the package's, or the one beside a tokenizer of one's own.
 
     Raises CheckpointError: no such head, or one of another tokenizer.
     """
     size = packaged_hashes().get(tokenizer_hash)
-    if size is not None:
-        return ForceHead.from_pretrained(head, size)
-    if not Path(head).is_dir():
-        do = "Name its folder in touch.head, or use touch.input=latent."
-        raise CheckpointError(expected("touch.head", "a head of this tokenizer, which isn't packaged", head, do))
-    own = ForceHead.from_pretrained(path=head)
-    if own.tokenizer_hash != tokenizer_hash:
-        raise CheckpointError(expected(f"tokenizer of {head}", tokenizer_hash, own.tokenizer_hash, "Fit a head to it."))
-    return own
+    try:
+        head = ForceHead.from_pretrained(touch.head, size or touch.tokenizer_path)
+    except CheckpointError as error:
+        do = "`uniforce pretrain` fits one to its tokenizer; touch.input=latent needs none."
+        raise CheckpointError(expected("touch.head", f"a force head of {touch.head}", error, do)) from error
+    if head.tokenizer_hash != tokenizer_hash:
+        came, do = head.tokenizer_hash, "Fit a head to this tokenizer, or use touch.input=latent."
+        raise CheckpointError(expected(f"tokenizer of the force head of {touch.head}", tokenizer_hash, came, do))
+    return head
 
 
 def check_hash(encoder: TactileEncoder, config: PI05UniforceConfig) -> None:
