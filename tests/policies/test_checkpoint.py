@@ -301,6 +301,14 @@ def test_a_head_of_ones_own_travels_with_its_tokenizer(make_policy, make_batch, 
     with pytest.raises(CheckpointError, match="force head hash"):
         PI05UniforcePolicy.from_pretrained(tmp_path / "policy")
 
+    (tmp_path / "gone").rename(path.parent)
+    config = json.loads((tmp_path / "policy" / "config.json").read_text())
+    config["touch"]["head_sizes"] = None
+    (tmp_path / "policy" / "config.json").write_text(json.dumps(config))
+    write_hashes(tmp_path / "policy")
+    with pytest.raises(CheckpointError, match="Fit a head"):  # a path in a checkpoint is never followed
+        PI05UniforcePolicy.from_pretrained(tmp_path / "policy")
+
 
 def test_a_tokenizer_without_a_head_of_its_own_is_refused(make_policy, tmp_path: Path) -> None:
     path = str(Tokenizer.from_pretrained(make_policy().config.touch.tokenizer_path).save(tmp_path / "tokenizer"))

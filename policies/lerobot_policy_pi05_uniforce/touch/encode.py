@@ -137,9 +137,9 @@ def read_head(touch: TouchSettings, tokenizer_hash: str) -> ForceHead:
 
     Raises CheckpointError: no such head, or one of another tokenizer.
     """
-    size = packaged_hashes().get(tokenizer_hash)
+    beside = None if touch.head_hash else touch.tokenizer_path  # a path in a checkpoint is never followed
     try:
-        head = ForceHead.from_pretrained(touch.head, size or touch.tokenizer_path)
+        head = ForceHead.from_pretrained(touch.head, packaged_hashes().get(tokenizer_hash) or beside)
     except CheckpointError as error:
         do = "`uniforce pretrain` fits one to its tokenizer; touch.input=latent needs none."
         raise CheckpointError(expected("touch.head", f"a force head of {touch.head}", error, do)) from error
