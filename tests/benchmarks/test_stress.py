@@ -200,6 +200,15 @@ def test_two_halves_of_the_scenes_agree_or_not() -> None:
     assert repeatability(cells, rows) == {"cells": 3, "agree": 2}  # the benign dose is none of them
 
 
+def test_two_runs_of_one_truth_agree_in_nineteen_of_twenty_cells() -> None:
+    rng, cells = np.random.default_rng(0), cells_of(Arm("me", "uskin:2"), {"T1 lag": [33]})
+    runs = [
+        {c.name: {seed: row("", seed, rng.random() < 0.7) for seed in range(24)} for c in cells} for _ in range(400)
+    ]
+    agree = sum(repeatability(cells, rows)["agree"] for rows in runs)
+    assert 0.92 < agree / 800 < 0.98
+
+
 def test_episodes_are_kept(tmp_path) -> None:
     cells = cells_of(Arm("expert", acts="expert"), {})
     path = tmp_path / "rows.jsonl"
