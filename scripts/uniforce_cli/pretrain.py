@@ -50,7 +50,7 @@ def main(settings: PretrainCommand) -> None:
     starting_model(settings.run)  # refuses what does not fit before pairs are drawn
     data = PairCache(Path(settings.cache), settings.run.data)  # drawn where it isn't yet
     tokenizer = Pretraining(settings.run, Path(settings.out), data).run()
-    for kind in split(settings.heads.replace("none", "")):
+    for kind in (kind for kind in split(settings.heads) if kind != "none"):
         fit_head(kind, tokenizer).save(Path(settings.out) / f"force_head_{kind}")
     peak_GB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # Linux counts in kB
     where = f"in {settings.out}/tokenizer, log in {settings.out}/log.csv"

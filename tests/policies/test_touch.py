@@ -250,6 +250,8 @@ def test_controls_are_the_same_cached_or_live(make_policy, make_batch, kind):
 
 def test_newtons_are_what_the_shipped_head_reads_in_the_latents(make_policy, make_batch):
     shipped = {"touch__tokenizer_path": None}
+    with pytest.raises(CheckpointError, match="packaged"):
+        make_policy(touch__input="newtons")  # the tests' own tokenizer has no head
     policy, latents = make_policy(touch__input="newtons", **shipped), make_policy(**shipped)
     batch = with_dots(make_batch(policy))
     newtons, _ = policy.touch.gather(batch, torch.device("cpu"), training=False)

@@ -124,10 +124,11 @@ def _build_head(config: PI05UniforceConfig, empty: bool) -> ForceRegressor:
         with no_weights() if empty else nullcontext():
             return ForceRegressor(HeadConfig(**touch.head_sizes))
     head = read_head(touch, config.tokenizer_hash)
-    if (trained_with := touch.head_hash or head.hash) != head.hash:
+    found = head.hash
+    if (trained_with := touch.head_hash or found) != found:
         do = "Use the version it was trained with, or train again."
-        raise CheckpointError(expected(f"force head of {touch.head}", trained_with, head.hash, do))
-    touch.head_hash = head.hash
+        raise CheckpointError(expected(f"force head of {touch.head}", trained_with, found, do))
+    touch.head_hash = found
     touch.head_sizes = None if is_packaged(config) else asdict(head.model.config)
     return head.model
 
@@ -141,7 +142,7 @@ def read_head(touch: TouchSettings, tokenizer_hash: str) -> ForceHead:
     try:
         head = ForceHead.from_pretrained(touch.head, packaged_hashes().get(tokenizer_hash) or beside)
     except CheckpointError as error:
-        do = "`uniforce pretrain` fits one to its tokenizer; touch.input=latent needs none."
+        do = "Let `uniforce pretrain` fit one, use a packaged tokenizer, or touch.input=latent."
         raise CheckpointError(expected("touch.head", f"a force head of {touch.head}", error, do)) from error
     if head.tokenizer_hash != tokenizer_hash:
         came, do = head.tokenizer_hash, "Fit a head to this tokenizer, or use touch.input=latent."
@@ -156,10 +157,12 @@ def check_hash(encoder: TactileEncoder, config: PI05UniforceConfig) -> None:
     if found != config.tokenizer_hash:
         do = "The tokenizer inside the checkpoint was changed; copy the checkpoint again."
         raise CheckpointError(expected("tokenizer hash", config.tokenizer_hash, found, do))
-    head = "" if encoder.head is None else content_hash(encoder.head, {"source": config.touch.head})
-    if head and head != config.touch.head_hash:
+    if encoder.head is None:
+        return
+    found = ForceHead(encoder.head, config.touch.head, config.tokenizer_hash).hash
+    if found != config.touch.head_hash:
         do = "The head inside the checkpoint was changed; copy the checkpoint again."
-        raise CheckpointError(expected("force head hash", config.touch.head_hash, head, do))
+        raise CheckpointError(expected("force head hash", config.touch.head_hash, found, do))
 
 
 def load_calibrations(

@@ -125,8 +125,7 @@ class SlcanUSkin(SampleSource):
 
     def read(self) -> list[Stamped]:
         """Return the scans that came, stamped when they were read."""
-        scans, self._early = self._scans.feed(self._early), b""
-        scans += self._scans.feed(chunk := self._receive())
+        scans = self._scans.feed(chunk := self._receive())
         while self._more_waits(len(chunk) >= FULL_BYTES):
             scans += self._scans.feed(chunk := self._receive())
         stamp_ns = now_ns()
@@ -134,7 +133,8 @@ class SlcanUSkin(SampleSource):
 
     def _receive(self) -> bytes:
         try:
-            return self._serial.read(max(1, self._serial.in_waiting))
+            chunk, self._early = self._early + self._serial.read(max(1, self._serial.in_waiting)), b""
+            return chunk
         except (*_BROKEN, TypeError) as error:  # TypeError: pyserial's descriptor vanished while it read
             do = "Was it unplugged? It is reopened once it is back."
             raise LostSensorError(expected(self.name, "a readable port", error, do)) from error

@@ -128,8 +128,7 @@ class _Adapter:
 
 def test_scans_that_come_with_the_acknowledgement_are_kept(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("serial.Serial", _Adapter)
-    source = SlcanUSkin("anywhere")
-    source._scans = new_scans()
+    source = SlcanUSkin("anywhere", controller=4)
     source.open()
     source._serial._out = STREAM[HALF_A_LINE:]
     assert np.array_equal([scan for _, scan in source.read()], CYCLE)
