@@ -100,7 +100,9 @@ LEFT_OUT_IN_NEWTONS = tuple(
 )  # fmt: skip
 # the same swap for other things to feel with, each with the same alignment
 RUNGS = ("S0", "S2 gelsight calibrated", "S2 uskin calibrated")
-# raw images get none: a linear map of two pictures is none of a sensor's
+# raw images get none: a linear map of two pictures is none of a sensor's. The random encoder has the shipped one's size
+# and never learnt; it is felt as three newtons too, by a head fitted to its latents of simulated TacTips (planned on
+# 2026-11-27, before that policy was trained: one training seed, 34 rollouts a sensor worn)
 CONTROLS = tuple(
     Entry(f"{what} {rung}", arm, worn, calibrated=calibrated and maps != "", tokenizer=maps,
           block="controls", rollouts=102)
@@ -163,7 +165,7 @@ BETTER = (
     *(
         (f"three newtons {rung}", f"{what} {rung}")
         for rung in RUNGS
-        for what in ("whole latents", "descriptor", "raw images")
+        for what in ("whole latents", "descriptor", "raw images", "random encoder")
     ),
     ("S0 without uskin", "S3 uskin calibrated"),
     ("S2 uskin calibrated reduced", "S3 uskin calibrated"),
