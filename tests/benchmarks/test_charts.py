@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.charts import __main__ as charts
-from benchmarks.charts import policy
+from benchmarks.charts import data, policy
 from benchmarks.charts.front import TIE, Point, front
 from benchmarks.charts.tokenizer import PRECISIONS, running_in
 from benchmarks.probes.labelled_set import FROZEN, SENSORS, draw_labelled
@@ -74,3 +74,26 @@ def test_a_copied_checkpoint_executes_other_steps_and_is_whole(tmp_path: Path) -
     folder = policy.executing(shipped_checkpoint(), 3, tmp_path / "three")
     assert stored_config(folder).n_action_steps == 3
     assert policy.executing(tmp_path / "absent", 3, folder) == folder  # kept from an earlier run
+
+
+def test_a_part_of_the_demonstrations_takes_as_many_of_each_source() -> None:
+    episodes = [{"source": source} for source in "aaabbb"]
+    assert data.chosen(episodes, 4) == [0, 1, 3, 4]
+    assert data.chosen(episodes, 3) == [0, 1, 3]
+    assert data.chosen(episodes, 9) == list(range(6))
+
+
+def test_the_data_chart_at_toy_size_holds_what_ran_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(data, "pretrained", lambda run, name, seed: run.units)
+    row = {"fz_r2_worst": -0.1}
+    monkeypatch.setattr(data, "measure", lambda run, units, seed, real: row | {"fz_r2": units / 1000})
+    for units in ("64,128", "256"):
+        assert data.main(["part=pairs", f"units={units}", f"out={tmp_path}"]) == 0
+    found = json.loads((tmp_path / "chart_data.json").read_text())["pairs"]
+    assert [(one["name"], one["cost"], one["score"]) for one in found["points"]] == [("256 units", 8192, 0.256)]
+    assert found["pareto_front"] == ["256 units"] and (tmp_path / "chart_data_pairs.png").stat().st_size > 5000
+
+
+def test_demonstrations_need_a_view(capsys: pytest.CaptureFixture[str]) -> None:
+    assert data.main([]) == 2
+    assert "expected a training view's folder, got none" in capsys.readouterr().err
