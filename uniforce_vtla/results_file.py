@@ -10,7 +10,9 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from uniforce_vtla.errors import without_credentials
+from filelock import FileLock, Timeout
+
+from uniforce_vtla.errors import ContractError, expected, without_credentials
 
 DISTRIBUTION = "lerobot_policy_pi05_uniforce"
 
@@ -38,6 +40,21 @@ def write_json(path: Path, content: dict[str, Any]) -> Path:
         json.dump(content, handle, indent=1)
     Path(handle.name).replace(path)
     return path
+
+
+def only_writer(path: Path) -> FileLock:
+    """Return the held lock of a file that ``append_line`` fills; releasing it lets another process write.
+
+    Raises ContractError: another process fills it now, so both would do the same work and write it twice.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    held = FileLock(path.with_name(f".{path.name}.lock"))
+    try:
+        held.acquire(timeout=0)
+    except Timeout as error:
+        do = "Wait until it ends, or give another folder."
+        raise ContractError(expected(f"who writes {path}", "this process alone", "another one too", do)) from error
+    return held
 
 
 def append_line(path: Path, content: dict[str, Any]) -> None:

@@ -19,6 +19,7 @@ from benchmarks.stress.disturbed import SCENE_OPERATORS
 from benchmarks.stress.operators import OPERATORS, Operator, worn_with
 from benchmarks.stress.row import Row
 from uniforce_vtla.evaluation.statistics import Proportion, non_inferior, wilson
+from uniforce_vtla.results_file import only_writer
 
 MARGIN = 0.10  # of clean success: what may be lost before a dose counts as breaking
 FEWEST = 25  # scenes: of fewer even a dose that costs nothing would have a bound beyond the margin
@@ -105,7 +106,18 @@ def roll(
 
     Benign doses, and arms that act in ``few``, act in the first ``benign`` scenes. Arms whose names don't begin with
     one of ``acting`` play no new episode.
+
+    Raises ContractError: another process adds to ``path`` now.
     """
+    with only_writer(path):
+        _play_missing(cells, level, seeds, workers, path, benign, acting)
+    rows = [Row(**row) for row in Ledger(path.parent).read(path.stem)]
+    return by_cell(rows, cells, seeds)
+
+
+def _play_missing(
+    cells: Sequence[Cell], level: str, seeds: range, workers: int, path: Path, benign: int, acting: tuple[str, ...]
+) -> None:
     ledger = Ledger(path.parent)
     done = {(row["cell"], row["seed"]) for row in ledger.read(path.stem)}
     jobs = [
@@ -117,8 +129,6 @@ def roll(
     ]
     for row in tqdm(Parallel(workers, return_as="generator")(jobs), total=len(jobs), desc="episodes", disable=None):
         ledger.add(path.stem, asdict(row))
-    rows = [Row(**row) for row in ledger.read(path.stem)]
-    return by_cell(rows, cells, seeds)
 
 
 def by_cell(rows: Iterable[Row], cells: Sequence[Cell], seeds: range) -> dict[str, dict[int, Row]]:

@@ -7,14 +7,19 @@ import json
 import logging
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import asdict
+from fnmatch import fnmatch
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from uniforce_cli.boundary import command
 from uniforce_cli.score_settings import SCRIPTS, ScoreConfig
-from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.results_file import append_line, provenance, write_json
+from uniforce_vtla.errors import CheckpointError, ContractError, expected
+from uniforce_vtla.file_hashes import LOADED, hash_files, read_hashes
+from uniforce_vtla.json_file import read_object
+from uniforce_vtla.results_file import append_line, only_writer, provenance, write_json
 
 if TYPE_CHECKING:
     from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow
@@ -44,13 +49,10 @@ def score_arms(configs: Sequence[ScoreConfig], workers: int) -> list[ArmReport]:
 
     Each episode is forced to disk when it ends; the next call goes on with what is missing. Rollouts run on joblib's
     active backend, its own processes unless ``joblib.parallel_config`` names another.
+
+    Raises ContractError: a seed to be filmed isn't scored; ``out`` holds episodes of another policy or calibration; or
+    another process scores into it now.
     """
-    from joblib import Parallel, delayed
-    from tqdm import tqdm
-
-    from uniforce_cli.score_worker import score_job
-    from uniforce_vtla.evaluation.arms import ArmReport
-
     for config in configs:
         if unscored := sorted(set(config.film) - set(config.seeds)):
             wanted, do = (
@@ -58,6 +60,19 @@ def score_arms(configs: Sequence[ScoreConfig], workers: int) -> list[ArmReport]:
                 "Film what is scored: set first_seed and rollouts.",
             )
             raise ContractError(expected("film", wanted, unscored, do))
+    with ExitStack() as held:
+        for folder in dict.fromkeys(config.folder for config in configs):
+            held.enter_context(only_writer(folder / ROWS))
+        return _score_missing(configs, workers)
+
+
+def _score_missing(configs: Sequence[ScoreConfig], workers: int) -> list[ArmReport]:
+    from joblib import Parallel, delayed
+    from tqdm import tqdm
+
+    from uniforce_cli.score_worker import score_job
+    from uniforce_vtla.evaluation.arms import ArmReport
+
     done = [_start(config) for config in configs]
     missing = [  # all arms' first seeds first
         (seed, index)
@@ -81,10 +96,43 @@ def _start(config: ScoreConfig) -> dict[int, EpisodeRow]:
     """Write the arm's settings and return the episodes it has already."""
     from uniforce_vtla.evaluation.arms import read_rows
 
-    write_json(config.folder / "config.json", asdict(config) | {"provenance": provenance()})
+    settings, rows, acts = config.folder / "config.json", config.folder / ROWS, what_acts(config)
     if not config.resume:
-        (config.folder / ROWS).unlink(missing_ok=True)
-    return read_rows(config.folder / ROWS)
+        rows.unlink(missing_ok=True)
+    if rows.exists():
+        before = read_object(settings, ContractError).get("acts")
+        if before != acts:
+            do = "resume=false drops them; out=… or arm=… keeps them."
+            came = "of another one, or of an older version"
+            raise ContractError(expected(f"episodes in {config.folder}", "of this policy and calibration", came, do))
+    write_json(settings, asdict(config) | {"acts": acts, "provenance": provenance()})
+    return read_rows(rows)
+
+
+def what_acts(config: ScoreConfig) -> dict[str, Any]:
+    """Return what an episode depends on beside the words in its folder's name: level, policies and calibrations."""
+    from lerobot_env_uniforce_wiping import LEVELS, level_hash
+
+    return {
+        "level": level_hash(LEVELS[config.level]),
+        "policies": [_content(policy) for policy in config.policies],
+        "first_turn": config.first_seed % len(config.policies),
+        "calibrations": {finger: _content(folder) for finger, folder in config.rig.calibrations.items()},
+    }
+
+
+def _content(policy: str) -> str:
+    """Return the hash of what is loaded from a checkpoint's or a calibration's folder; a script's own name."""
+    from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
+
+    folder = shipped_checkpoint() if policy == "shipped" else Path(policy)
+    if not folder.is_dir():
+        return policy
+    files = read_hashes(folder, CheckpointError) or hash_files(
+        folder, [file.name for file in folder.iterdir() if file.is_file()]
+    )
+    loaded = sorted((name, entry["sha256"]) for name, entry in files.items() if any(fnmatch(name, p) for p in LOADED))
+    return sha256(json.dumps(loaded).encode()).hexdigest()
 
 
 def write_report(config: ScoreConfig) -> list[ArmReport]:

@@ -12,11 +12,12 @@ import pytest
 
 from lerobot_env_uniforce_wiping import WipeEnv
 from uniforce_cli import score_worker
-from uniforce_cli.score import SCRIPTS, ScoreConfig, score, score_arms
+from uniforce_cli.score import ROWS, SCRIPTS, ScoreConfig, score, score_arms
 from uniforce_cli.score_worker import FrozenTouch, ShuffledTouch, controlled, donated_touch, score_job
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.evaluation.arms import EpisodeRow
 from uniforce_vtla.keys import TACTILE_NAMES
+from uniforce_vtla.results_file import only_writer
 
 Asked = list[tuple[int, ScoreConfig]]
 Rule = Callable[[int, ScoreConfig], bool]
@@ -77,6 +78,31 @@ def test_a_scored_seed_is_rolled_out_again_to_be_filmed_and_only_once(tmp_path: 
         assert [seed for seed, _ in jobs] == [5, 6, 7, 6] and reports[0].n == 3
     with pytest.raises(ContractError, match="5…7"):
         score_arms([dataclasses.replace(plain, film=[8])], workers=1)
+
+
+def test_episodes_of_another_policy_are_neither_taken_over_nor_lost(tmp_path: Path, rolled_out: RolledOut) -> None:
+    jobs, trained = rolled_out(lambda *_: True), tmp_path / "trained"
+    trained.mkdir()
+    (trained / "config.json").write_text("{}")
+    (trained / "model.safetensors").write_bytes(b"before")
+    config = ScoreConfig(policy=str(trained), rollouts=1, out=str(tmp_path / "out"))
+    score_arms([config], workers=1)
+    (trained / "README.md").write_text("a card changes nothing")
+    score_arms([config], workers=1)
+    assert len(jobs) == 1
+    (trained / "model.safetensors").write_bytes(b"trained again")
+    for _ in range(2):
+        with pytest.raises(ContractError, match=r"of this policy and calibration.*resume=false"):
+            score_arms([config], workers=1)
+    score_arms([dataclasses.replace(config, resume=False)], workers=1)
+    assert len(jobs) == 2
+
+
+def test_two_processes_do_not_score_into_one_folder(tmp_path: Path, rolled_out: RolledOut) -> None:
+    jobs, config = rolled_out(lambda *_: True), ScoreConfig(rollouts=1, out=str(tmp_path))
+    with only_writer(config.folder / ROWS), pytest.raises(ContractError, match="another one too"):
+        score_arms([config], workers=1)
+    assert not jobs and score_arms([config], workers=1)[0].n == 1
 
 
 def test_a_slot_the_policy_lacks_is_refused_before_processes_start(tmp_path: Path, rolled_out: RolledOut) -> None:
