@@ -174,10 +174,12 @@ class PolicyController:
         return self._before(batch | {"task": [task]})
 
     def _wanted(self, observation: dict[str, Any]) -> dict[str, Any]:
-        """Leave out marker images no slot reads; name the true wrench by slot for the ceiling control."""
+        """Leave out marker images that neither a slot nor a monitor reads; name the ceiling control's true wrench."""
         wanted = {k: v for k, v in observation.items() if not k.startswith("wrench_")}
         if self.needs_true_wrench:
             for slot, finger in self.config.finger_by_slot().items():
                 wanted[wrench_key(slot).removeprefix("observation.")] = observation[f"wrench_{finger}"]
+        if self.policy.touch.monitors:
+            return wanted
         unread = [name for name in TACTILE_NAMES if name.split("_")[1] not in self.reads]  # tactile_FINGER[_ref]
         return wanted | {"pixels": {k: v for k, v in observation["pixels"].items() if k not in unread}}

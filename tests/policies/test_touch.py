@@ -19,6 +19,7 @@ from lerobot_policy_pi05_uniforce.touch.tokens import SHUT, ForceTokens
 from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError, SensorError
 from uniforce_vtla.keys import descriptor_key, latent_key, marker_pair_key, tactile_key
 from uniforce_vtla.tokenizer.calibration import Agreement, Calibration, LatentMap
+from uniforce_vtla.tokenizer.finger_balance import FingerBalance
 from uniforce_vtla.tokenizer.force_head import ForceHead
 from uniforce_vtla.tokenizer.latent_range import FREE_LOOKS, FreeAirError, HealthMonitor, LatentRange
 from uniforce_vtla.tokenizer.plain_touch import descriptors, marker_pairs
@@ -426,9 +427,9 @@ def test_a_calibrated_unit_is_watched_as_the_unit_that_it_was_calibrated_to(tmp_
             monitor.see(healthy)
 
 
-def watch_start(words, monitor="stop"):
+def watch_start(words, monitor="stop", drawn=("right",)):
     """Let the shipped policy begin in a scene whose right finger wears this; return what it watches."""
-    env = WipeEnv("touch", right_sensor=words, drawn=("right",))
+    env = WipeEnv("touch", right_sensor=words, drawn=drawn)
     kinds = {"left": "gelsight", "right": "tactip"}
     controller = PolicyController(shipped_checkpoint(), kinds, monitor=monitor)
     observation, _ = env.reset(seed=20_000)
@@ -448,3 +449,16 @@ def test_the_shipped_policy_renews_a_shifted_reference_and_stops_on_markers_that
     with pytest.raises(SensorError, match="in free air"):
         watch_start("tactip:1+flicker=0.4")
     assert not watch_start("tactip:1+flicker=0.4", monitor="off")
+
+
+@pytest.mark.slow
+def test_the_shipped_policy_compares_its_finger_with_the_other_one_where_that_is_seen(caplog, monkeypatch):
+    grips_N = []
+    monkeypatch.setattr(FingerBalance, "see", lambda self, own_N, other_N: grips_N.append((own_N, other_N)) or 2.0)
+    watch_start("tactip:1")
+    assert not grips_N
+    watch_start("tactip:1", drawn=("left", "right"))
+    assert len(grips_N) == 2 and np.abs(grips_N).max() < 1  # the hand is open
+    assert "right finger reads 2.00 times the other one's grip" in caplog.text
+    watch_start("tactip:1", monitor="off", drawn=("left", "right"))
+    assert len(grips_N) == 2
