@@ -18,8 +18,9 @@ from benchmarks.stress.screen import against, screen_cell
 from benchmarks.stress.warning import warned
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
 from uniforce_cli.boundary import Level, command, worker_process
+from uniforce_cli.score import content_of
 from uniforce_vtla.contact.worn_in_words import wear
-from uniforce_vtla.errors import ContractError
+from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.options import (
     Count,
@@ -136,9 +137,22 @@ def _calibration(config: StressCommand, sensor: str, operator: str = "", dose: f
     return str(folder) if config.calibrations and folder.is_dir() else ""
 
 
+def check_ledger(folder: Path, acting: list[Arm]) -> None:
+    """Note in the folder of a ledger what acts; ContractError: its episodes are of another policy or calibration."""
+    now = {arm.name: [content_of(name) for name in (*arm.policies, arm.calibration) if name] for arm in acting}
+    path = folder / "acts.json"
+    before = read_object(path, ContractError) if path.is_file() else {}
+    if others := [name for name in now if before.get(name, now[name]) != now[name]]:
+        do = "Name another folder: work=…"
+        raise ContractError(expected(f"episodes in {folder}", "of these policies", f"other ones' of {others}", do))
+    write_json(path, before | now)
+
+
 def roll_out(config: StressCommand) -> dict[str, Any]:
     first = config.first_seed or BLOCKS["stress"].start
-    cells = {arm.name: cells_of(arm, doses) for arm, doses in arms(config)}
+    who = arms(config)
+    check_ledger(Path(config.work), [arm for arm, _ in who])
+    cells = {arm.name: cells_of(arm, doses) for arm, doses in who}
     every = [cell for of_arm in cells.values() for cell in of_arm]
     seeds, ledger = range(first, first + config.rollouts), Path(config.work) / "episodes.jsonl"
     acting = tuple(split(config.acting)) or ("",)

@@ -115,13 +115,13 @@ def what_acts(config: ScoreConfig) -> dict[str, Any]:
 
     return {
         "level": level_hash(LEVELS[config.level]),
-        "policies": [_content(policy) for policy in config.policies],
+        "policies": [content_of(policy) for policy in config.policies],
         "first_turn": config.first_seed % len(config.policies),
-        "calibrations": {finger: _content(folder) for finger, folder in config.rig.calibrations.items()},
+        "calibrations": {finger: content_of(folder) for finger, folder in config.rig.calibrations.items()},
     }
 
 
-def _content(policy: str) -> str:
+def content_of(policy: str) -> str:
     """Return the hash of what is loaded from a checkpoint's or a calibration's folder; a script's own name."""
     from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
 

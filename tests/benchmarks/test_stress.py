@@ -10,8 +10,8 @@ from lerobot.policies.act import ACTConfig
 from lerobot.policies.act.modeling_act import ACTPolicy
 from lerobot.policies.factory import make_pre_post_processors
 
-from benchmarks.stress import rollouts
-from benchmarks.stress.__main__ import CALIBRATED, StressCommand
+from benchmarks.stress import balance, rollouts
+from benchmarks.stress.__main__ import CALIBRATED, StressCommand, check_ledger
 from benchmarks.stress.__main__ import arms as arms_of
 from benchmarks.stress.actors import Arm, play
 from benchmarks.stress.disturbed import EXCHANGED, SCENE_OPERATORS, Disturbance, DisturbedEnv
@@ -35,6 +35,7 @@ from benchmarks.stress.warning import first_event_s, warned
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.episodes import walk
 from uniforce_vtla.contact.worn_in_words import wear
+from uniforce_vtla.errors import ContractError
 from uniforce_vtla.evaluation.episode import STEP_FIELDS, WIPING_PHASE, EpisodeTrace, ScoreLimits
 from uniforce_vtla.keys import CAMERAS
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
@@ -303,3 +304,26 @@ def test_a_monitors_alarm_is_timed_and_clean_wipes_are_told_from_faulty_ones() -
     refused = watched(calm[:3], usual, 0.2, refused=True)
     found = summary([faulty, refused], [clean, clean])
     assert (found["auroc"], found["noticed"], found["refused"]) == (1.0, 2, 1)
+
+
+def test_wipes_of_a_finger_that_is_wrong_in_scale_are_told_from_clean_ones() -> None:
+    clean = [1.0, 1.05, 1.1]
+    found = balance.cell([2.0, 0.5], clean)
+    assert (found["n"], found["noticed"], found["auroc"]) == (2, 2, 1.0)
+    assert balance.cell(clean, clean)["noticed"] == 0
+    assert balance.cell([], clean)["auroc"] is None  # every wipe was refused or ended before it was judged
+
+
+@pytest.mark.slow
+def test_a_keener_sensor_reads_more_than_the_other_finger() -> None:
+    usual, keener = (balance.wipe("touch", "uskin:1", f"tactip:1+gain={gain}", 39_600) for gain in (1, 1.6))
+    assert usual is not None and keener is not None and keener > 1.2 * usual
+
+
+def test_a_ledger_of_another_policy_is_refused(tmp_path) -> None:
+    expert, shipped = Arm("expert", acts="expert"), Arm("policy", policies=("shipped",))
+    for _ in range(2):
+        check_ledger(tmp_path, [expert, shipped])
+    check_ledger(tmp_path, [expert])
+    with pytest.raises(ContractError, match=r"other ones' of \['policy'\]"):
+        check_ledger(tmp_path, [replace(shipped, policies=("seed0",))])
