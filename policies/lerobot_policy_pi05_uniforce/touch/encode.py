@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
+from lerobot_policy_pi05_uniforce.touch.comparison import GripComparison
 from lerobot_policy_pi05_uniforce.weights import no_weights
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError, SensorError, UniForceError, expected
@@ -21,7 +22,6 @@ from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig, pool_latent
 from uniforce_vtla.tokenizer.api import STORED_KEY, canonicalizer_facts
 from uniforce_vtla.tokenizer.calibration import Calibration
 from uniforce_vtla.tokenizer.entry import prepare_tensor
-from uniforce_vtla.tokenizer.finger_balance import EVERY, FingerBalance, imbalance
 from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig
 from uniforce_vtla.tokenizer.latent_range import FREE_LOOKS, FreeAirError, HealthMonitor, LatentRange
 from uniforce_vtla.tokenizer.model import ForceAutoencoder, ReferenceCache, build_model
@@ -230,7 +230,7 @@ class TouchInput:
             finger: worn.map for finger, worn in (calibrations or {}).items()
         }  # of what is encoded now; cached latents are used as they are
         self.encoder: Any = encoder  # TactileEncoder; None where the input is a control's
-        self._balance, self._looks = FingerBalance(), 0
+        self._grips = GripComparison(encoder, self.maps, config.n_action_steps)
         self._renewed: dict[Finger, Tensor] = {}  # references taken in this episode instead of those given
         self.masked = False  # every slot masked: the control that takes touch away from a trained policy
         self._logged: set[str] = set()
@@ -240,8 +240,7 @@ class TouchInput:
         if self.encoder is not None:
             self.encoder.references.forget()
         self._renewed.clear()
-        self._balance.reset()
-        self._looks = 0
+        self._grips.reset()
         for monitor in self.monitors.values():
             monitor.reset()
 
@@ -296,28 +295,16 @@ class TouchInput:
             except FreeAirError as error:
                 latent = self._renew(batch, slot, current, error)
         worn = self.maps[finger](latent) if finger in self.maps else latent
-        if finger in self.monitors and self.monitors[finger].active and slot == next(iter(self.config.slots)):
-            self._looks += 1
-            if self._looks % max(1, EVERY // self.config.n_action_steps) == 0 and not self._balance.done:
-                self._compare_fingers(batch, slot, finger, worn)
+        if finger in self.monitors:
+            self._compare(batch, slot, finger, worn)
         return worn
 
-    def _compare_fingers(self, batch: dict[str, Tensor], slot: str, finger: Finger, worn: Tensor) -> None:
-        """Warn, once an episode, where the other finger reads another grip; silent where it isn't seen or read."""
-        other = next(one for one in FINGERS if one != finger)
-        if self.encoder.head is None or any(key not in batch for key in PAIR_KEYS[other]):
-            return
-        try:
-            beside = self.encoder(slot, other, *(image.to(worn.device) for image in self.pair(batch, other)))
-        except ContractError:  # it shows no markers: the policy does without it
-            return
-        beside = self.maps[other](beside) if other in self.maps else beside
-        with torch.no_grad():
-            grips_N = [float(self.encoder.head.step(latent, None)[0][:, 2].mean()) for latent in (worn, beside)]
-        times = self._balance.see(*grips_N)
-        if times is not None and imbalance(times) > 1:
-            message = "%s finger reads %.2f times the other one's grip: one of them is wrong in scale, calibrate it"
-            logger.warning(message, finger, times)
+    def _compare(self, batch: dict[str, Tensor], slot: str, finger: Finger, worn: Tensor) -> None:
+        """Compare the first slot's finger with the other one, where its pictures are there."""
+        first, other = next(iter(self.config.slots)), next(one for one in FINGERS if one != finger)
+        seen = all(key in batch for key in PAIR_KEYS[other])
+        if slot == first and seen and self.monitors[finger].active and self._grips.due:
+            self._grips.see(slot, finger, worn, [image.to(worn.device) for image in self.pair(batch, other)])
 
     def _renew(self, batch: dict[str, Tensor], slot: str, current: Tensor, why: FreeAirError) -> Tensor:
         """Take what an open hand shows now as the reference of this episode, once; return the latents with it."""

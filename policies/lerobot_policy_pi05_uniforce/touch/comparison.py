@@ -1,0 +1,55 @@
+"""The watched finger's grip beside the other one's, which a policy need not feel with; a warning where they differ."""
+
+import logging
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from uniforce_vtla.contracts import FINGERS, Finger
+from uniforce_vtla.errors import ContractError
+from uniforce_vtla.tokenizer.finger_balance import EVERY, FingerBalance, imbalance
+
+logger = logging.getLogger(__name__)
+
+
+class GripComparison:
+    """Looks at both fingers every few control steps, and warns once an episode.
+
+    Args:
+        encoder: TactileEncoder; nothing is compared where it has no head.
+        maps: finger → calibration that its sensor wears.
+        steps: control steps between two looks of the policy.
+    """
+
+    def __init__(self, encoder: Any, maps: Mapping[Finger, nn.Module], steps: int) -> None:
+        self._encoder, self._maps, self._every = encoder, maps, max(1, EVERY // steps)
+        self._balance = FingerBalance()
+        self.reset()
+
+    def reset(self) -> None:
+        """Start an episode."""
+        self._balance.reset()
+        self._looks = 0
+
+    @property
+    def due(self) -> bool:
+        """Whether this look compares; call it once a look."""
+        self._looks += 1
+        return self._encoder.head is not None and self._looks % self._every == 0 and not self._balance.done
+
+    @torch.no_grad()
+    def see(self, slot: str, finger: Finger, own: Tensor, others_pair: list[Tensor]) -> None:
+        """Take in a finger's (B, P, L) latents, after its calibration, and the other one's (B, H, W) images."""
+        other = next(one for one in FINGERS if one != finger)
+        try:
+            beside = self._encoder(slot, other, *others_pair)
+        except ContractError:  # it shows no markers: the policy does without it
+            return
+        beside = self._maps[other](beside) if other in self._maps else beside
+        own_N, other_N = (float(self._encoder.head.step(latent, None)[0][:, 2].mean()) for latent in (own, beside))
+        times = self._balance.see(own_N, other_N)
+        if times is not None and imbalance(times) > 1:
+            message = "%s finger reads %.2f times the other one's grip: one of them is wrong in scale, calibrate it"
+            logger.warning(message, finger, times)
