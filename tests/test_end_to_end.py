@@ -71,6 +71,11 @@ def test_lerobot_eval_agrees_with_our_score(tmp_path: Path, monkeypatch: pytest.
     assert row.outcome == "success"
 
 
+def test_a_dataset_that_is_full_says_that_nothing_was_recorded(demos: Path) -> None:
+    end = record(RecordConfig(episodes=1, level="easy", root=str(demos), left_sensor="uskin:drawing"))
+    assert end.exit_code == 0 and end.message.startswith(f"nothing new, {demos} holds 1 or more")
+
+
 def test_a_recording_is_scored_from_its_fingers_alone(demos: Path, tmp_path: Path) -> None:
     """Marker images → newtons → events, and true forces beside them because this recording is simulated."""
     friction = draw_scene(3, "easy").pad_friction

@@ -101,8 +101,10 @@ def _record_expert(config: RecordConfig) -> SessionEnd:
 
     drawn = config.episodes, config.seed, config.keep_failures
     with closing(WipeEnv(config.level, config.left_sensor, config.right_sensor)) as env:
-        record_expert(env, Path(config.root), config.repo_id, *drawn)
-    return SessionEnd(0, f"{config.episodes} episodes")
+        new = record_expert(env, Path(config.root), config.repo_id, *drawn)
+    if not new:
+        return SessionEnd(0, f"nothing new, {config.root} holds {config.episodes} or more; set episodes= or root=")
+    return SessionEnd(0, f"{config.episodes} episodes, {new} of them new")
 
 
 def _operator(config: RecordConfig, teleop: Teleoperator) -> Operator:

@@ -20,8 +20,8 @@ from uniforce_vtla.keys import ACTION, STATE, age_key, time_key, truth_wrench_ke
 GIVE_UP_FACTOR = 4  # attempts per wanted episode before a run without failures kept stops
 
 
-def record_expert(env: WipeEnv, root: Path, repo_id: str, episodes: int, seed: int, keep_failures: bool) -> None:
-    """Record what is missing; ``uniforce record --help`` says what each setting is.
+def record_expert(env: WipeEnv, root: Path, repo_id: str, episodes: int, seed: int, keep_failures: bool) -> int:
+    """Record what is missing; ``uniforce record --help`` says what each setting is. Return how many are new.
 
     Raises ContractError: an expert that fails too often; DatasetError: see ``EpisodeRecorder``.
     """
@@ -43,6 +43,7 @@ def record_expert(env: WipeEnv, root: Path, repo_id: str, episodes: int, seed: i
         if recorder.num_episodes < episodes:
             wanted, do = f"{episodes} successes", "Try an easier level."
             raise ContractError(expected("expert", wanted, recorder.num_episodes, do))
+        return recorder.num_episodes - have
 
 
 def record_episode(env: WipeEnv, recorder: EpisodeRecorder, seed: int) -> EpisodeResult:
