@@ -34,14 +34,27 @@ def score(config: ScoreConfig) -> ArmReport:
 
 
 def check_policies(config: ScoreConfig) -> None:
-    """Refuse an unknown sensor or fault, a damaged checkpoint and a slot it lacks, before processes start."""
+    """Refuse before processes start: unknown sensors or faults, another unit's calibration, damaged checkpoints."""
+    from uniforce_vtla.tokenizer.weights import read_config
+
     _ = config.rig.kinds
+    for finger, folder in config.rig.calibrations.items():
+        fitted_to = str(read_config(Path(folder)).get("new", ""))
+        if _unit(fitted_to) != (worn := _unit(config.rig.mounted[finger])):
+            do = f"Calibrate it: uniforce calibrate new={worn}"
+            raise ContractError(expected(f"{finger}_calibration", f"one of {worn}", f"one of {fitted_to}", do))
     from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint, stored_config
 
     for policy in {*config.policies} - {*SCRIPTS}:
         settings = stored_config(shipped_checkpoint() if policy == "shipped" else Path(policy))
         settings.swap = config.swap or settings.swap
         settings.finger_by_slot()
+
+
+def _unit(words: str) -> str:
+    """Return the unit in a sensor's words, without faults: they come after its calibration."""
+    name, _, which = words.partition("+")[0].partition(":")
+    return f"{name}:{which or 1}"
 
 
 def score_arms(configs: Sequence[ScoreConfig], workers: int) -> list[ArmReport]:

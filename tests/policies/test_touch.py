@@ -427,6 +427,15 @@ def test_a_calibrated_unit_is_watched_as_the_unit_that_it_was_calibrated_to(tmp_
             monitor.see(healthy)
 
 
+def test_a_calibration_of_another_kind_of_sensor_is_refused(tmp_path):
+    config = stored_config(shipped_checkpoint())
+    found = LatentMap(config.tokens_per_slot, config.latent_size)
+    Calibration(found, config.tokenizer_hash, "", "uskin:2", "tactip:1", 1.0, 0.0, {}).save(tmp_path)
+    config.right_sensor, config.right_calibration = "gelsight", str(tmp_path)
+    with pytest.raises(CheckpointError, match="one of a gelsight, got one of uskin:2"):
+        load_calibrations(config, (config.tokens_per_slot, config.latent_size))
+
+
 def watch_start(words, monitor="stop", drawn=("right",)):
     """Let the shipped policy begin in a scene whose right finger wears this; return what it watches."""
     env = WipeEnv("touch", right_sensor=words, drawn=drawn)

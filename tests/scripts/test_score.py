@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from lerobot_env_uniforce_wiping import WipeEnv
+from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint, stored_config
 from uniforce_cli import score_worker
 from uniforce_cli.score import ROWS, SCRIPTS, ScoreConfig, score, score_arms
 from uniforce_cli.score_worker import FrozenTouch, ShuffledTouch, controlled, donated_touch, score_job
@@ -18,6 +20,7 @@ from uniforce_vtla.errors import ContractError
 from uniforce_vtla.evaluation.arms import EpisodeRow
 from uniforce_vtla.keys import TACTILE_NAMES
 from uniforce_vtla.results_file import only_writer
+from uniforce_vtla.tokenizer.calibration import Calibration, LatentMap
 
 Asked = list[tuple[int, ScoreConfig]]
 Rule = Callable[[int, ScoreConfig], bool]
@@ -110,6 +113,19 @@ def test_a_slot_the_policy_lacks_is_refused_before_processes_start(tmp_path: Pat
     with pytest.raises(ContractError, match="touch0"):
         score(ScoreConfig(swap="nose:left", workers=1, out=str(tmp_path)))
     assert not jobs
+
+
+@pytest.mark.parametrize(("worn", "fits"), [("uskin", True), ("uskin:1+lag=100", True), ("uskin:2", False)])
+def test_the_calibration_of_another_unit_is_refused(
+    worn: str, fits: bool, tmp_path: Path, rolled_out: RolledOut
+) -> None:
+    jobs, config = rolled_out(lambda *_: True), stored_config(shipped_checkpoint())
+    found = LatentMap(config.tokens_per_slot, config.latent_size)
+    folder = Calibration(found, config.tokenizer_hash, "", "uskin:1", "tactip:1", 1.0, 0.0, {}).save(tmp_path / "map")
+    asked = ScoreConfig(right_sensor=worn, right_calibration=str(folder), rollouts=1, workers=1, out=str(tmp_path))
+    with nullcontext() if fits else pytest.raises(ContractError, match=r"one of uskin:2, got one of uskin:1"):
+        score(asked)
+    assert len(jobs) == fits
 
 
 @pytest.mark.slow

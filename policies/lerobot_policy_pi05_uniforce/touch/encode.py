@@ -18,6 +18,7 @@ from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError, SensorError, UniForceError, expected
 from uniforce_vtla.keys import AXES, SLOTS, latent_key, tactile_key
 from uniforce_vtla.markers.reference import ReferenceMemory
+from uniforce_vtla.sensors import list_sensors
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig, pool_latent
 from uniforce_vtla.tokenizer.api import STORED_KEY, canonicalizer_facts
 from uniforce_vtla.tokenizer.calibration import Calibration
@@ -173,7 +174,7 @@ def load_calibrations(
 
     ``made_for`` is a tokenizer's hash, "" the policy's own; or "descriptor".
 
-    Raises CheckpointError: made for another tokenizer, or of other sizes than this policy's input.
+    Raises CheckpointError: made for another tokenizer or kind of sensor, or of other sizes than this policy's input.
     """
     found: dict[Finger, Calibration] = {}
     for finger in FINGERS:
@@ -183,6 +184,10 @@ def load_calibrations(
             if came != shape:
                 do = "Calibrate with this version."
                 raise CheckpointError(expected(f"latents of {folder}", shape, came, do))
+            made_of, kind = worn.new.partition("+")[0].partition(":")[0], getattr(config, f"{finger}_sensor")
+            if kind and made_of in list_sensors() and made_of != kind:
+                do = "Calibrate the sensor that the finger wears."
+                raise CheckpointError(expected(f"{finger}_calibration", f"one of a {kind}", f"one of {worn.new}", do))
             logger.info("%s finger wears the calibration of %s against %s", finger, worn.new, worn.anchor)
             worn.map.to(config.device)
             found[finger] = worn
