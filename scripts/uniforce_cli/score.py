@@ -159,17 +159,19 @@ def write_report(config: ScoreConfig) -> list[ArmReport]:
     from uniforce_vtla.evaluation.pictures import draw_arms
     from uniforce_vtla.evaluation.statistics import mcnemar
 
-    out, reports, tests = Path(config.out), [], []
+    out, reports, tests, acts = Path(config.out), [], [], {}
     for file in sorted(out.glob("*/config.json")):
         settings, rows = json.loads(file.read_text()), read_rows(file.parent / ROWS)
         if settings["level"] == config.level and rows:
             reports.append(ArmReport(settings["arm"], [rows[seed] for seed in sorted(rows)]))
+            acts[settings["arm"]] = settings.get("acts", {}).get("policies", [])
     for first, second in itertools.combinations(reports, 2):
         one, two = paired_clean(first.clean_by_seed, second.clean_by_seed)
         if one:
             tests.append({"arms": [first.arm, second.arm], "n": len(one), **asdict(mcnemar(one, two))})
     content: dict[str, Any] = {"level": config.level, "level_hash": level_hash(LEVELS[config.level])}
-    content |= {"arms": {report.arm: report.as_dict() for report in reports}, "tests": tests}
+    arms = {report.arm: report.as_dict() | {"policies": acts[report.arm]} for report in reports}
+    content |= {"arms": arms, "tests": tests}
     write_json(out / "wiping.json", content | provenance())
     draw_arms(reports, out / "wiping.png", title=f"wiping, level {config.level}, simulated")
     return reports

@@ -59,6 +59,7 @@ def share(config: ShareConfig) -> Path:
 
     source, out = Path(config.checkpoint), Path(config.out)
     scores = _read(Path(config.scores))
+    _check_scores(scores, source)
     policy = _load(source)
     processors = make_pre_post_processors(policy.config, pretrained_path=str(source))
     policy.config.touch.tokenizer_path = policy.config.pretrained_path = None  # paths of this machine
@@ -76,6 +77,17 @@ def share(config: ShareConfig) -> Path:
         write_json(out / SCORES, scores)
     write_hashes(out)
     return out
+
+
+def _check_scores(scores: dict[str, Any] | None, source: Path) -> None:
+    """Raise ContractError where a table says whose scores it holds, and none of them is this checkpoint's."""
+    from uniforce_cli.score import content_of
+
+    arms = (scores or {}).get("arms")
+    acted = [policy for arm in arms.values() for policy in arm.get("policies", [])] if isinstance(arms, dict) else []
+    if acted and content_of(str(source)) not in acted:
+        do = "Score it: uniforce score policy=… out=a new folder"
+        raise ContractError(expected("scores", "those of this checkpoint", "another policy's", do))
 
 
 def _load(source: Path) -> PI05UniforcePolicy:

@@ -21,6 +21,7 @@ from lerobot_policy_pi05_uniforce import make_pi05_uniforce_pre_post_processors 
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TouchSettings
 from lerobot_policy_pi05_uniforce.model_card import model_card
 from uniforce_cli import share
+from uniforce_cli.score import content_of
 from uniforce_datasets.synthetic import record_synthetic
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
 
@@ -94,6 +95,15 @@ def test_another_machine_gets_the_same_action(trained, tmp_path, monkeypatch) ->
         assert str(tmp_path) not in file.read_text() and "/machine/only" not in file.read_text()
     card = (elsewhere / "moved" / "README.md").read_text()
     assert "somebody/wipe" in card and "| V+T | 16/20 | 17/20 |" in card and "steps: 40" in card
+
+
+def test_a_card_does_not_carry_another_policys_scores(trained, tmp_path, capsys) -> None:
+    checkpoint, file = trained[0], tmp_path / "wiping.json"
+    call = [f"checkpoint={checkpoint}", f"out={tmp_path / 'shared'}", f"scores={file}"]
+    for acted, code in (("another one's", 2), (content_of(str(checkpoint)), 0)):
+        file.write_text(json.dumps(SCORES | {"arms": {"V+T": SCORES["arms"]["V+T"] | {"policies": [acted]}}}))
+        assert share.main(call) == code
+    assert "expected those of this checkpoint, got another policy's" in capsys.readouterr().err
 
 
 def test_what_is_pushed_is_the_whole_folder(trained, tmp_path, monkeypatch) -> None:
