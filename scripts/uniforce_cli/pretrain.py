@@ -41,6 +41,7 @@ class PretrainCommand:
 def main(settings: PretrainCommand) -> None:
     import torch
 
+    from uniforce_vtla.tokenizer.force_head import ForceHead
     from uniforce_vtla.tokenizer.pair_cache import PairCache
     from uniforce_vtla.tokenizer.pretrain import Pretraining, starting_model
     from uniforce_vtla.tokenizer.worn_heads import fit_head
@@ -51,7 +52,9 @@ def main(settings: PretrainCommand) -> None:
     data = PairCache(Path(settings.cache), settings.run.data)  # drawn where it isn't yet
     tokenizer = Pretraining(settings.run, Path(settings.out), data).run()
     for kind in (kind for kind in split(settings.heads) if kind != "none"):
-        fit_head(kind, tokenizer).save(Path(settings.out) / f"force_head_{kind}")
+        folder = Path(settings.out) / f"force_head_{kind}"
+        if not folder.is_dir() or ForceHead.from_pretrained(kind, folder).tokenizer_hash != tokenizer.hash:
+            fit_head(kind, tokenizer).save(folder)
     peak_GB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # Linux counts in kB
     where = f"in {settings.out}/tokenizer, log in {settings.out}/log.csv"
     print(f"tokenizer {tokenizer.hash[:12]} {where}; peak memory {peak_GB:.1f} GB")
