@@ -151,6 +151,7 @@ def content_of(policy: str) -> str:
 def write_report(config: ScoreConfig) -> list[ArmReport]:
     """Write ``wiping.json`` and ``wiping.png`` over all arms scored into ``config.out`` at its level; return them.
 
+    Of each arm the scenes count that it was asked for last: other ones in its folder may be development scenes.
     For every two arms: the exact McNemar test of clean success on the seeds they share.
     """
     from lerobot_env_uniforce_wiping import LEVELS, level_hash
@@ -162,8 +163,9 @@ def write_report(config: ScoreConfig) -> list[ArmReport]:
     out, reports, tests, acts = Path(config.out), [], [], {}
     for file in sorted(out.glob("*/config.json")):
         settings, rows = json.loads(file.read_text()), read_rows(file.parent / ROWS)
-        if settings["level"] == config.level and rows:
-            reports.append(ArmReport(settings["arm"], [rows[seed] for seed in sorted(rows)]))
+        asked = range(settings["first_seed"], settings["first_seed"] + settings["rollouts"])
+        if settings["level"] == config.level and (found := [rows[seed] for seed in asked if seed in rows]):
+            reports.append(ArmReport(settings["arm"], found))
             acts[settings["arm"]] = settings.get("acts", {}).get("policies", [])
     for first, second in itertools.combinations(reports, 2):
         one, two = paired_clean(first.clean_by_seed, second.clean_by_seed)

@@ -14,7 +14,7 @@ import pytest
 from lerobot_env_uniforce_wiping import WipeEnv
 from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint, stored_config
 from uniforce_cli import score_worker
-from uniforce_cli.score import ROWS, SCRIPTS, ScoreConfig, score, score_arms
+from uniforce_cli.score import ROWS, SCRIPTS, ScoreConfig, score, score_arms, write_report
 from uniforce_cli.score_worker import FrozenTouch, ShuffledTouch, controlled, donated_touch, score_job
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.evaluation.arms import EpisodeRow
@@ -99,6 +99,16 @@ def test_episodes_of_another_policy_are_neither_taken_over_nor_lost(tmp_path: Pa
             score_arms([config], workers=1)
     score_arms([dataclasses.replace(config, resume=False)], workers=1)
     assert len(jobs) == 2
+
+
+def test_a_table_holds_the_scenes_that_were_asked_for_last(tmp_path: Path, rolled_out: RolledOut) -> None:
+    jobs = rolled_out(lambda *_: True)
+    for first, rollouts in ((5, 3), (100, 2), (5, 2)):
+        config = ScoreConfig(rollouts=rollouts, first_seed=first, out=str(tmp_path))
+        score_arms([config], workers=1)
+        (report,) = write_report(config)
+        assert [row.seed for row in report.rows] == list(config.seeds)
+    assert len(jobs) == 5  # the last two were scored before
 
 
 def test_two_processes_do_not_score_into_one_folder(tmp_path: Path, rolled_out: RolledOut) -> None:
