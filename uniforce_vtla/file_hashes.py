@@ -100,12 +100,24 @@ def check_hashes(folder: Path, error: type[UniForceError], verify: str = "full")
     files = {name: folder / name for name in entries if os.path.isfile(folder / name)}
     wanted = {name: (entry,) for name, entry in entries.items()}
     is_large = (lambda path: _size(path) >= QUICK_BELOW) if verify == "quick" else None
-    loaded = [p.name for p in sorted(folder.iterdir()) if any(fnmatch(p.name, name) for name in LOADED)]
+    loaded = [p.name for p in sorted(folder.iterdir()) if _is_loaded(p.name)]
     wrong = [f"{name}: {came}" for name, came in differences(wanted, files, is_large)]
     wrong += [f"{name}: without a hash" for name in loaded if name not in entries]
     if wrong:
         do = "A file was changed or is another checkpoint's: copy the whole checkpoint again."
         raise error(expected(str(folder), f"the files of {HASHES}", "; ".join(wrong), do))
+
+
+def loaded_hash(folder: Path, error: type[UniForceError]) -> str:
+    """Return one hash of what loaders open in a folder, by its ``hashes.json`` where there is one; error: damaged."""
+    names = [file.name for file in folder.iterdir() if file.is_file() and _is_loaded(file.name)]
+    files = read_hashes(folder, error) or hash_files(folder, names)
+    loaded = sorted((name, entry["sha256"]) for name, entry in files.items() if _is_loaded(name))
+    return hashlib.sha256(json.dumps(loaded).encode()).hexdigest()
+
+
+def _is_loaded(name: str) -> bool:
+    return any(fnmatch(name, pattern) for pattern in LOADED)
 
 
 def differences(

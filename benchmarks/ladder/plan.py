@@ -101,7 +101,7 @@ LEFT_OUT_IN_NEWTONS = tuple(
 # the same swap for other things to feel with, each with the same alignment
 RUNGS = ("S0", "S2 gelsight calibrated", "S2 uskin calibrated")
 # raw images get none: a linear map of two pictures is none of a sensor's. The random encoder has the shipped one's size
-# and never learnt; it is felt as three newtons too, by a head fitted to its latents of simulated TacTips (planned on
+# and never learnt; its policy gets three newtons too, by a head fitted to its latents of simulated TacTips (planned on
 # 2026-11-27, before that policy was trained: one training seed, 34 rollouts a sensor worn)
 CONTROLS = tuple(
     Entry(f"{what} {rung}", arm, worn, calibrated=calibrated and maps != "", tokenizer=maps,

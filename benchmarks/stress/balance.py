@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import torch
 from joblib import Parallel, delayed
-from scipy.stats import mannwhitneyu
 from tqdm import tqdm
 
+from benchmarks.stress.monitor import auroc
 from benchmarks.stress.operators import OPERATORS, worn_with
 from benchmarks.stress.readings import encode_now
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
@@ -72,12 +72,11 @@ def wipes(config: BalanceCommand, left: str, rows: Iterable[tuple[str, int]], de
 def cell(times: list[float], clean: list[float]) -> dict[str, Any]:
     """Return how wipes with a fault differ from clean ones: ratio, share noticed, AUROC."""
     odd, usual = ([imbalance(one) for one in found] for found in (times, clean))
-    area = mannwhitneyu(odd, usual).statistic / (len(odd) * len(usual)) if odd else None
     return {
         "n": len(times),
         "times": round(float(np.exp(np.log(times).mean())), 3) if times else None,
         "noticed": sum(one > 1 for one in odd),
-        "auroc": None if area is None else round(float(area), 3),
+        "auroc": auroc(odd, usual) if odd else None,
     }
 
 

@@ -1,7 +1,7 @@
 """A monitor of a sensor's health: fit a kind's range of latents; say which faults it notices while the expert wipes."""
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -147,17 +147,21 @@ def faults(config: MonitorCommand, kind: str) -> dict[str, Any]:
     return found
 
 
+def auroc(odd: Sequence[float], usual: Sequence[float]) -> float:
+    """Return the chance that a score of ``odd`` lies above one of ``usual``."""
+    return round(float(mannwhitneyu(odd, usual).statistic / (len(odd) * len(usual))), 3)
+
+
 def summary(seen: list[Watched], clean: list[Watched]) -> dict[str, Any]:
     """Return how one dose is noticed: share of wipes, median time, AUROC against clean wipes."""
     scores = [np.inf if one.refused else one.score for one in seen]
-    area = mannwhitneyu(scores, [one.score for one in clean]).statistic / (len(seen) * len(clean))
     noticed = [one for one in seen if one.refused or one.score > 1]
     times_s = [min(one.alarm_s, one.seconds) for one in noticed]
     return {
         "n": len(seen),
         "noticed": len(noticed),
         "refused": sum(one.refused for one in seen),
-        "auroc": round(float(area), 3),
+        "auroc": auroc(scores, [one.score for one in clean]),
         "after_s": round(float(np.median(times_s)), 2) if times_s else None,
         "free": round(float(np.mean([one.free for one in seen])), 2),
         "run": round(float(np.mean([one.run for one in seen])), 2),

@@ -9,15 +9,13 @@ import time
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
-from fnmatch import fnmatch
-from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from uniforce_cli.boundary import command
 from uniforce_cli.score_settings import SCRIPTS, ScoreConfig
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
-from uniforce_vtla.file_hashes import LOADED, hash_files, read_hashes
+from uniforce_vtla.file_hashes import loaded_hash
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.results_file import append_line, only_writer, provenance, write_json
 
@@ -139,13 +137,7 @@ def content_of(policy: str) -> str:
     from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
 
     folder = shipped_checkpoint() if policy == "shipped" else Path(policy)
-    if not folder.is_dir():
-        return policy
-    files = read_hashes(folder, CheckpointError) or hash_files(
-        folder, [file.name for file in folder.iterdir() if file.is_file()]
-    )
-    loaded = sorted((name, entry["sha256"]) for name, entry in files.items() if any(fnmatch(name, p) for p in LOADED))
-    return sha256(json.dumps(loaded).encode()).hexdigest()
+    return loaded_hash(folder, CheckpointError) if folder.is_dir() else policy
 
 
 def write_report(config: ScoreConfig) -> list[ArmReport]:
@@ -160,19 +152,19 @@ def write_report(config: ScoreConfig) -> list[ArmReport]:
     from uniforce_vtla.evaluation.pictures import draw_arms
     from uniforce_vtla.evaluation.statistics import mcnemar
 
-    out, reports, tests, acts = Path(config.out), [], [], {}
+    out, reports, tests, arms = Path(config.out), [], [], {}
     for file in sorted(out.glob("*/config.json")):
         settings, rows = json.loads(file.read_text()), read_rows(file.parent / ROWS)
         asked = range(settings["first_seed"], settings["first_seed"] + settings["rollouts"])
         if settings["level"] == config.level and (found := [rows[seed] for seed in asked if seed in rows]):
             reports.append(ArmReport(settings["arm"], found))
-            acts[settings["arm"]] = settings.get("acts", {}).get("policies", [])
+            policies = settings.get("acts", {}).get("policies", [])
+            arms[settings["arm"]] = reports[-1].as_dict() | {"policies": policies}
     for first, second in itertools.combinations(reports, 2):
         one, two = paired_clean(first.clean_by_seed, second.clean_by_seed)
         if one:
             tests.append({"arms": [first.arm, second.arm], "n": len(one), **asdict(mcnemar(one, two))})
     content: dict[str, Any] = {"level": config.level, "level_hash": level_hash(LEVELS[config.level])}
-    arms = {report.arm: report.as_dict() | {"policies": acts[report.arm]} for report in reports}
     content |= {"arms": arms, "tests": tests}
     write_json(out / "wiping.json", content | provenance())
     draw_arms(reports, out / "wiping.png", title=f"wiping, level {config.level}, simulated")

@@ -33,9 +33,8 @@ class GripComparison:
         self._balance.reset()
         self._looks = 0
 
-    @property
-    def due(self) -> bool:
-        """Whether this look compares; call it once a look."""
+    def look(self) -> bool:
+        """Count a look of the policy; return whether it compares."""
         self._looks += 1
         return self._encoder.head is not None and self._looks % self._every == 0 and not self._balance.done
 

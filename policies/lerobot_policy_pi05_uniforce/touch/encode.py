@@ -308,7 +308,7 @@ class TouchInput:
         """Compare the first slot's finger with the other one, where its pictures are there."""
         first, other = next(iter(self.config.slots)), next(one for one in FINGERS if one != finger)
         seen = all(key in batch for key in PAIR_KEYS[other])
-        if slot == first and seen and self.monitors[finger].active and self._grips.due:
+        if slot == first and seen and self.monitors[finger].active and self._grips.look():
             self._grips.see(slot, finger, worn, [image.to(worn.device) for image in self.pair(batch, other)])
 
     def _renew(self, batch: dict[str, Tensor], slot: str, current: Tensor, why: FreeAirError) -> Tensor:
