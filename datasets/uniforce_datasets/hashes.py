@@ -9,12 +9,13 @@ from typing import Literal, get_args
 from uniforce_datasets.dataset_info import INFO
 from uniforce_datasets.staging import COMMIT, STAGING
 from uniforce_vtla.errors import DatasetError, expected, require_one_of
-from uniforce_vtla.file_hashes import HASHES, Entries, differences, hash_files, read_hashes, store_hashes
+from uniforce_vtla.file_hashes import HASHES, Entries, Entry, differences, hash_files, read_hashes, store_hashes
 from uniforce_vtla.keys import VIEW_MARKER
 
 logger = logging.getLogger(__name__)
 Verify = Literal["full", "quick", "off"]
 PARTS = ("data", "videos", "raw", "cards", "meta")  # folders of a dataset; whatever else lies there isn't its
+LOOKS = 5  # at files that a recorder moved in since the look before
 VIDEO = ".mp4"  # quick compares the sizes of these only
 
 
@@ -62,7 +63,8 @@ def stage_hashes(root: Path, episode: int | None = None) -> None:
 def check_hashes(root: Path, verify: Verify = "full") -> None:
     """Compare the files of a dataset or view with its hashes; one warning where it has none.
 
-    A commit that a kill has cut short counts as made or not made, file by file.
+    A commit that a kill has cut short counts as made or not made, file by file. What a recorder moves in meanwhile is
+    looked at again: a dataset can be checked while it is recorded.
 
     Args:
         root: its folder.
@@ -72,22 +74,40 @@ def check_hashes(root: Path, verify: Verify = "full") -> None:
     """
     if verify == "off":
         return
-    stored = [read_hashes(folder, DatasetError) for folder in (root, root / COMMIT)]
-    known = [entries for entries in stored if entries is not None]
-    if not known:
+    if not any((folder / HASHES).exists() for folder in (root, root / COMMIT)):
         logger.warning("%s", expected(str(root / HASHES), "hashes of its files", "none", _what_to_do(root)))
         return
-    names = {name: None for entries in known for name in entries}
-    wanted = {name: [entries[name] for entries in known if name in entries] for name in names}
-    found = {name: folder / name for folder in (root / COMMIT, root) for name in files_of(folder)}
-    wrong = [(name, "one that was never saved here") for name in found if name not in wanted]
+    doubted = None
+    for _ in range(LOOKS):
+        wanted, found = _saved(root)
+        wrong = _wrong(wanted, found, verify, doubted)
+        if not wrong:
+            return
+        if (wanted, found) == _saved(root):
+            break
+        doubted = set(wrong)
+    name, came = next(iter(wrong.items()))
+    episode = wanted[name][0].get("episode") if name in wanted else None
+    where = os.path.join(root, name) + ("" if episode is None else f", episode {episode}")
+    raise DatasetError(expected(where, "the file as it was saved", came, _what_to_do(root)))
+
+
+def _saved(root: Path) -> tuple[dict[str, list[Entry]], dict[str, Path]]:
+    """Return by name the entries that are all right, and where each file is, also in the middle of a commit."""
+    stored = [read_hashes(folder, DatasetError) or {} for folder in (root, root / COMMIT)]
+    names = {name: None for entries in stored for name in entries}
+    wanted = {name: [entries[name] for entries in stored if name in entries] for name in names}
+    return wanted, {name: folder / name for folder in (root / COMMIT, root) for name in files_of(folder)}
+
+
+def _wrong(
+    wanted: Mapping[str, list[Entry]], found: Mapping[str, Path], verify: Verify, doubted: set[str] | None
+) -> dict[str, str]:
+    """Return by name what is not as it was saved, and what it is instead; ``doubted``: only these are looked at."""
+    strange = {name: "one that was never saved here" for name in found if name not in wanted}
     is_video = (lambda path: path.suffix == VIDEO) if verify == "quick" else None
-    wrong = wrong or differences(wanted, found, is_video)
-    if wrong:
-        name, came = wrong[0]
-        episode = wanted[name][0].get("episode") if name in wanted else None
-        where = os.path.join(root, name) + ("" if episode is None else f", episode {episode}")
-        raise DatasetError(expected(where, "the file as it was saved", came, _what_to_do(root)))
+    asked = {name: entries for name, entries in wanted.items() if doubted is None or name in doubted}
+    return strange | dict(differences(asked, found, is_video))
 
 
 def _what_to_do(root: Path) -> str:

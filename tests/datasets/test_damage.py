@@ -7,6 +7,7 @@ import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from lerobot.datasets.dataset_tools import delete_episodes, merge_datasets, modify_tasks
@@ -14,13 +15,15 @@ from lerobot.datasets.dataset_tools import delete_episodes, merge_datasets, modi
 from benchmarks.trust.damaged_datasets import DATASET_DAMAGES, record_whole
 from benchmarks.trust.injuries import Damage
 from uniforce_cli import share, verify
-from uniforce_datasets.hashes import PARTS, files_of
+from uniforce_datasets import hashes
+from uniforce_datasets.hashes import PARTS, files_of, stage_hashes
 from uniforce_datasets.lossless import check_dataset, open_dataset
 from uniforce_datasets.recorder import EpisodeRecorder
+from uniforce_datasets.staging import STAGING, commit
 from uniforce_datasets.synthetic import FPS, record_synthetic
 from uniforce_datasets.training_view import TrainingView
 from uniforce_vtla.errors import ContractError, DatasetError
-from uniforce_vtla.file_hashes import HASHES, read_hashes, store_hashes
+from uniforce_vtla.file_hashes import HASHES, differences, read_hashes, store_hashes
 from uniforce_vtla.keys import ACTION, tactile_key
 
 ONLY_FULL_SEES = {"bytes of a tactile video overwritten", "one bit of a camera video flipped"}
@@ -109,6 +112,24 @@ def test_a_hash_opens_no_file_outside(copy: Path, name: str) -> None:
     known = read_hashes(copy, DatasetError)
     store_hashes(copy, (known or {}) | {name: {"bytes": 4, "sha256": "0"}})
     with pytest.raises(DatasetError, match=r"file names with|got none"):
+        check_dataset(copy, "full")
+
+
+def test_a_commit_made_while_a_reader_looks_is_no_damage(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stats = copy / "meta" / "stats.json"
+    (copy / STAGING / "meta").mkdir(parents=True)
+    (copy / STAGING / "meta" / "stats.json").write_text(stats.read_text() + " ")
+    stage_hashes(copy)
+
+    def commit_first(*looked_at: Any) -> list[tuple[str, str]]:
+        if (copy / STAGING).is_dir():
+            commit(copy)
+        return differences(*looked_at)
+
+    monkeypatch.setattr(hashes, "differences", commit_first)
+    check_dataset(copy, "full")
+    stats.write_text(stats.read_text() + " ")
+    with pytest.raises(DatasetError, match=r"stats\.json"):
         check_dataset(copy, "full")
 
 
