@@ -22,14 +22,8 @@ from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch, state_size
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE, floor_quantiles
 from lerobot_policy_pi05_uniforce.touch.controls import ControlInput, NewtonInput
-from lerobot_policy_pi05_uniforce.touch.encode import (
-    ENCODER,
-    TouchInput,
-    build_monitors,
-    check_hash,
-    is_packaged,
-    load_calibrations,
-)
+from lerobot_policy_pi05_uniforce.touch.encoder import ENCODER, check_hash, is_packaged
+from lerobot_policy_pi05_uniforce.touch.touch_input import TouchInput, build_monitors, load_calibrations
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.file_hashes import drop_hashes
 from uniforce_vtla.json_file import read_object

@@ -12,7 +12,7 @@ from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import ENCODED, PI
 from lerobot_policy_pi05_uniforce.sampler.fast import FastSampler
 from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, drop_padding
 from lerobot_policy_pi05_uniforce.touch.controls import control_tokens
-from lerobot_policy_pi05_uniforce.touch.encode import build_encoder
+from lerobot_policy_pi05_uniforce.touch.encoder import build_encoder
 from lerobot_policy_pi05_uniforce.touch.tokens import ForceTokens, GatedColumns, SuffixTouch, TouchGate
 from lerobot_policy_pi05_uniforce.training import freeze_unread
 from lerobot_policy_pi05_uniforce.weights import no_weights

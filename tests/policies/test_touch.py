@@ -14,8 +14,8 @@ from lerobot_policy_pi05_uniforce.checkpoint import check_settings
 from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint, stored_config
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
 from lerobot_policy_pi05_uniforce.touch import controls
-from lerobot_policy_pi05_uniforce.touch.encode import build_monitors, load_calibrations
 from lerobot_policy_pi05_uniforce.touch.tokens import SHUT, ForceTokens
+from lerobot_policy_pi05_uniforce.touch.touch_input import build_monitors, load_calibrations
 from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError, SensorError
 from uniforce_vtla.keys import descriptor_key, latent_key, marker_pair_key, tactile_key
 from uniforce_vtla.tokenizer.calibration import Agreement, Calibration, LatentMap

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
-from lerobot_policy_pi05_uniforce.touch.encode import TouchInput, load_calibrations, taken
 from lerobot_policy_pi05_uniforce.touch.tokens import ForceTokens
+from lerobot_policy_pi05_uniforce.touch.touch_input import TouchInput, load_calibrations, taken
 from uniforce_vtla.keys import descriptor_key, marker_pair_key, wrench_key
 from uniforce_vtla.tokenizer.plain_touch import DESCRIPTOR_SIZE, PAIR_SIDE, descriptors, marker_pairs
 
