@@ -24,6 +24,7 @@ class Readings:
 
     latent: Latent  # (n, P, L) pooled, canonical frame
     truth_N: np.ndarray  # (n, 3) force on the pad, canonical frame
+    before_N: np.ndarray  # (n, 3) the same a step earlier, which is what a worn sensor shows
     press_N: np.ndarray  # (n,) of the eraser on the board
     refused: int  # frames that the canonicalizer refused
 
@@ -40,22 +41,25 @@ def read_scenes(level: str, finger: Finger, sensor: str, seeds: range, tokenizer
     Raises SensorError: the reference of a scene's unit is refused.
     """
     worn: dict[str, Any] = {f"{finger}_sensor": sensor}
-    env, latents, truth, press, refused = WipeEnv(level, drawn=(finger,), **worn), [], [], [], 0
+    env, latents, truth, before, press, refused = WipeEnv(level, drawn=(finger,), **worn), [], [], [], [], 0
     for seed in seeds:
+        now: np.ndarray = np.zeros(3)
         for step, _ in enumerate(walk(env, WipeExpert(), seed)):
-            force = env.true_wrench()[finger][:3]
-            if step % EVERY or force[2] < GRIPPED_N:
+            earlier, now = now, env.true_wrench()[finger][:3]
+            if step % EVERY or now[2] < GRIPPED_N:
                 continue
             try:
                 latents.append(encode_now(env, finger, tokenizer))
             except SensorError:
                 refused += 1
                 continue
-            truth.append(force)
+            truth.append(now)
+            before.append(earlier)
             press.append(env.sim.press_N)
     found = torch.cat(latents) if latents else torch.zeros(0, POOL**2, tokenizer.config.latent)
     latent = Latent.of(found.as_subclass(torch.Tensor), tokenizer.hash)
-    return Readings(latent, np.array(truth).reshape(-1, 3), np.array(press), refused)
+    now_N, before_N = (np.array(one).reshape(-1, 3) for one in (truth, before))
+    return Readings(latent, now_N, before_N, np.array(press), refused)
 
 
 class ReadsWorn(WipeExpert):

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 Unit = Annotated[
     str, Pattern("a sensor and which unit of it", r"\w+(:(drawing|\d{1,6}))?(\+[a-z]+=[\d.]+)*", "uskin:7")
 ]
-TASKS = {"both": OBJECT_CLASSES, "small": ("small",), "tool": ("tool",)}
+Task = Literal["both", "small", "tool"]
+TASKS: dict[Task, tuple[str, ...]] = {"both": OBJECT_CLASSES, "small": ("small",), "tool": ("tool",)}
 TOOL_SHARE = {"both": 0.5, "small": 0.0, "tool": 1.0}  # of simulated grasps
 TOOL_TORSION_ARM_mm = 9.0  # a held tool twists flat pads so far
 BATCH = 32
@@ -54,7 +55,7 @@ class CalibrateCommand:
     pairs: FolderPath = ""  # recorded pairs, as `uniforce pairs` writes them; empty = grasps are simulated
     tools: Text = "tool,flat"  # recorded objects that count as tools; all others are small
     # objects it is fitted to and judged on: a policy that holds a tool reads better by tools alone
-    task: Literal["both", "small", "tool"] = "both"
+    task: Task = "both"
     grasps: Count = 600  # simulated pairs
     out: OutFolder = "outputs/calibration"  # the map's folder
     tokenizer: TokenizerFolder = ""  # checkpoint folder; empty = shipped
