@@ -17,7 +17,7 @@ BLOCKS: dict[str, range] = {
     "is touch needed": range(1_070_000, 1_080_000),
     "kinds left out": range(1_060_000, 1_070_000),
     "kinds left out, felt in newtons": range(1_080_000, 1_090_000),
-    "calibrated by tools": range(1_090_000, 1_100_000),
+    "spent on maps fitted to tools alone, which buy nothing": range(1_090_000, 1_100_000),
     "stress, seen while a limit of the monitor was set": range(1_040_000, 1_041_000),
     "stress": range(1_041_000, 1_060_000),
 }

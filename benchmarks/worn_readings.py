@@ -10,7 +10,7 @@ import torch
 
 from benchmarks.stress.readings import Readings, read_scenes
 from uniforce_cli.boundary import Level, command
-from uniforce_cli.calibrate import TASKS, CalibrateCommand, calibrate_sensor
+from uniforce_cli.calibrate import CalibrateCommand, calibrate_sensor
 from uniforce_vtla.options import Count, OutFile, Seed, TokenizerFolder
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
@@ -64,11 +64,10 @@ def measure(config: WornReadingsCommand) -> dict[str, Any]:
         seeds = range(config.first_seed, config.first_seed + config.scenes)
         found = read_scenes(config.level, "left", new, seeds, tokenizer)
         rows: dict[str, dict[str, Any]] = {"before": compare(head(found.latent).numpy(), found)}
-        for task in TASKS:
-            settings = CalibrateCommand(new, anchor, task=task, grasps=config.grasps, tokenizer=config.tokenizer)
-            calibration = calibrate_sensor(settings, tokenizer)
-            read = compare(head(calibration(found.latent)).numpy(), found)
-            rows[task] = read | {"calibration": calibration.facts()}
+        settings = CalibrateCommand(new, anchor, grasps=config.grasps, tokenizer=config.tokenizer)
+        calibration = calibrate_sensor(settings, tokenizer)
+        read = compare(head(calibration(found.latent)).numpy(), found)
+        rows["calibrated"] = read | {"calibration": calibration.facts()}
         sensors[name] = rows
     return {"level": config.level, "anchor": ANCHOR, "tokenizer_hash": tokenizer.hash, "sensors": sensors}
 
@@ -77,12 +76,12 @@ def measure(config: WornReadingsCommand) -> dict[str, Any]:
 def main(config: WornReadingsCommand) -> None:
     torch.set_num_threads(1)
     content = measure(config)
-    print(f"{'sensor':16} {'':6} press × and + N, r | grip bias, error N")
+    print(f"{'sensor':16} {'':10} press × and + N, r | grip bias, error N")
     for name, rows in content["sensors"].items():
         for when, row in rows.items():
             press = f"{row['press_slope']:.2f} {row['press_offset_N']:+.2f} {row['press_r']:.2f}"
             grip = f"{row['grip_bias_N']:+.2f} {row['grip_mae_N']:.2f}"
-            print(f"{name:16} {when:6} {press}, noise {row['press_noise_N']:.2f} N | {grip}")
+            print(f"{name:16} {when:10} {press}, noise {row['press_noise_N']:.2f} N | {grip}")
     print(f"written to {write_json(Path(config.out), content | provenance())}")
 
 

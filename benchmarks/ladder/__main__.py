@@ -31,7 +31,7 @@ class LadderCommand:
     Example: python -m benchmarks.ladder part=ladder checkpoints=outputs/arms
     """
 
-    part: Literal["ladder", "left_out", "controls", "arms", "tools"] = "ladder"
+    part: Literal["ladder", "left_out", "controls", "arms"] = "ladder"
     checkpoints: FolderPath = "outputs/arms"  # ARM/seed0, ARM/seed1, …
     calibrations: FolderPath = ""  # of `uniforce calibrate`: shipped/uskin-2, …; "" = those rows wait
     rows: Text = ""  # names between commas: score these alone, the others wait; "" = all of the part

@@ -98,18 +98,6 @@ LEFT_OUT_IN_NEWTONS = tuple(
         ("S3 uskin newtons calibrated", _units("uskin"), True),
     )
 )  # fmt: skip
-# is a map for a held tool better fitted to tools alone? Planned on 2026-11-27: chosen by how the press of TacTips 21 to
-# 23 is read in development scenes; uSkin 2 and GelSight 2 were looked at there first. Units that nothing looked at
-FOR_TOOLS = tuple(
-    Entry(name, "vt", worn, calibrated=maps != "", tokenizer=maps, block="calibrated by tools", rollouts=68)
-    for name, worn, maps in (
-        ("S0 beside tools", ("tactip",), ""),
-        ("S2 uskin by both", tuple(f"uskin:{unit}" for unit in (6, 7, 8, 9)), "both"),
-        ("S2 uskin by tools", tuple(f"uskin:{unit}" for unit in (6, 7, 8, 9)), "tools"),
-        ("S4 uskin by tools", ("uskin_dull:6", "uskin_dull:7", "uskin_keen:8", "uskin_keen:9"), "tools"),
-        ("S1 by tools", tuple(f"tactip:{unit}" for unit in (6, 7, 8, 9)), "tools"),
-    )
-)
 # the same swap for other things to feel with, each with the same alignment
 RUNGS = ("S0", "S2 gelsight calibrated", "S2 uskin calibrated")
 # raw images get none: a linear map of two pictures is none of a sensor's. The random encoder has the shipped one's size
@@ -149,13 +137,7 @@ ARMS = (
     Entry("V+T shuffled", "vt", control="shuffled", block="arms", rollouts=102),
     Entry("V+T frozen", "vt", control="frozen", block="arms"),
 )
-PARTS = {
-    "ladder": LADDER,
-    "left_out": LEFT_OUT + LEFT_OUT_IN_NEWTONS,
-    "controls": CONTROLS,
-    "arms": ARMS,
-    "tools": FOR_TOOLS,
-}
+PARTS = {"ladder": LADDER, "left_out": LEFT_OUT + LEFT_OUT_IN_NEWTONS, "controls": CONTROLS, "arms": ARMS}
 
 CLAIMS = (
     AtMostWorse("another unit", "S1", "S0", 0.07),
@@ -168,9 +150,6 @@ CLAIMS = (
     AtMostWorse(
         "a kind left out of everything, calibrated", "S3 uskin newtons calibrated", "S0 newtons without uskin", 0.15
     ),
-    AtMostWorse("another unit, calibrated by tools", "S1 by tools", "S0 beside tools", 0.07),
-    AtMostWorse("another kind, calibrated by tools", "S2 uskin by tools", "S0 beside tools", 0.12),
-    AtMostWorse("stiffer or keener, calibrated by tools", "S4 uskin by tools", "S0 beside tools", 0.15),
     AtMostWorse("next to the true wrench", "V+T", "true wrench", 0.08),
     AtMostWorse("next to the true wrench", "V+T+G", "true wrench", 0.08),
     AtMostWorse("next to the true wrench", "V+T+U", "true wrench", 0.08),
@@ -188,7 +167,6 @@ BETTER = (
         for rung in RUNGS
         for what in ("whole latents", "descriptor", "raw images", "random encoder")
     ),
-    ("S2 uskin by tools", "S2 uskin by both"),
     ("S0 without uskin", "S3 uskin calibrated"),
     ("S2 uskin calibrated reduced", "S3 uskin calibrated"),
     ("S0 reduced", "S2 uskin calibrated reduced"),

@@ -28,9 +28,6 @@ if TYPE_CHECKING:
 Unit = Annotated[
     str, Pattern("a sensor and which unit of it", r"\w+(:(drawing|\d{1,6}))?(\+[a-z]+=[\d.]+)*", "uskin:7")
 ]
-Task = Literal["both", "small", "tool"]
-TASKS: dict[Task, tuple[str, ...]] = {"both": OBJECT_CLASSES, "small": ("small",), "tool": ("tool",)}
-TOOL_SHARE = {"both": 0.5, "small": 0.0, "tool": 1.0}  # of simulated grasps
 TOOL_TORSION_ARM_mm = 9.0  # a held tool twists flat pads so far
 BATCH = 32
 TURN_DEG = 10.0  # pairs tell the angle between two fingers to a few degrees
@@ -41,9 +38,8 @@ logger = logging.getLogger(__name__)
 class CalibrateCommand:
     """Fit a map for the sensor ``new`` to paired grasps with the sensor ``anchor``; no force is measured.
 
-    Two minutes: hold an object from outside, let both fingers grasp it, squeeze, push and twist. For a policy that
-    holds a tool grasp flat handles (task=tool), else small objects after a minute. Record that with:
-    uniforce pairs robot=franka indenters=small,tool
+    Two minutes: hold a small object from outside, let both fingers grasp it, squeeze, push and twist; after a minute
+    take a tool's flat handle. Record that with: uniforce pairs robot=franka indenters=small,tool
     Example: uniforce calibrate new=gelsight anchor=tactip pairs=outputs/pairs/uniforce_pairs out=outputs/calibration
     In simulation: uniforce calibrate new=gelsight_stiff anchor=tactip, or a unit of them: new=tactip:7 anchor=tactip:1
     Use it: uniforce score … right_sensor=uskin right_calibration=outputs/calibration
@@ -54,8 +50,7 @@ class CalibrateCommand:
     anchor: Unit = "tactip"  # the sensor that is known; likewise
     pairs: FolderPath = ""  # recorded pairs, as `uniforce pairs` writes them; empty = grasps are simulated
     tools: Text = "tool,flat"  # recorded objects that count as tools; all others are small
-    # objects it is fitted to and judged on: a policy that holds a tool reads better by tools alone
-    task: Task = "both"
+    task: Literal["both", "small", "tool"] = "both"  # which objects must agree, or the calibration is refused
     grasps: Count = 600  # simulated pairs
     out: OutFolder = "outputs/calibration"  # the map's folder
     tokenizer: TokenizerFolder = ""  # checkpoint folder; empty = shipped
@@ -82,9 +77,7 @@ def calibrate_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibrat
     pairs = bool(config.pairs)
     grasps = recorded_grasps(config, tokenizer) if pairs else simulated_grasps(config, pooled_latents(tokenizer))
     head = ForceHead.from_pretrained(anchor_kind, config.tokenizer or None)
-    return calibrate(
-        grasps.new, grasps.anchor, grasps.classes, head, config.new, config.anchor, config.fit, TASKS[config.task]
-    )
+    return calibrate(grasps.new, grasps.anchor, grasps.classes, head, config.new, config.anchor, config.fit)
 
 
 def pooled_latents(tokenizer: Tokenizer) -> Encode:
@@ -95,7 +88,7 @@ def pooled_latents(tokenizer: Tokenizer) -> Encode:
 
 
 def simulated_grasps(config: CalibrateCommand, encode: Encode) -> Grasps:
-    """Grasp in simulation, the new sensor left and the anchor right: the task's objects, at rest."""
+    """Grasp in simulation, the new sensor left and the anchor right: half small objects, half tools, at rest."""
     import numpy as np
     import torch
 
@@ -108,7 +101,7 @@ def simulated_grasps(config: CalibrateCommand, encode: Encode) -> Grasps:
 
     new, anchor = (wear(words)(config.seed) for words in (config.new, config.anchor))
     n, rng = config.grasps, np.random.default_rng([config.seed, 55])
-    objects = sample_objects(rng, n, PRETRAIN, flat_share=TOOL_SHARE[config.task])
+    objects = sample_objects(rng, n, PRETRAIN, flat_share=0.5)
     force, torsion = sample_loads(rng, n, ForceRange(flat_torsion_arm_mm=TOOL_TORSION_ARM_mm), objects.names)
     contact = ContactState(objects.gap_mm, force, torsion)
     left = seen(WornView(new, config.seed), contact, "left", encode)
@@ -161,10 +154,11 @@ def recorded_grasps(config: CalibrateCommand, tokenizer: Tokenizer) -> Grasps:
 
 
 def check_agreement(found: Calibration, config: CalibrateCommand) -> str:
-    """Return which class agrees least, in words; ContractError: it agrees too little to be of use."""
-    name, r2 = found.worst()
+    """Return which class the task needs agrees least, in words; ContractError: it agrees too little to be of use."""
+    classes = OBJECT_CLASSES if config.task == "both" else (config.task,)
+    name, r2 = found.worst(classes)
     if r2 < config.fit.refuse_below:
-        do = f"Grasp more {name} objects, from light to firm, all over the pad; or say task= if you need only some."
+        do = f"Grasp more {name} objects, from light to firm, all over the pad; or say task= if you need only others."
         wanted = f"R² of Fz ≥ {config.fit.refuse_below} against the anchor"
         raise ContractError(expected(f"calibration on {name} objects", wanted, f"{r2:.2f}", do))
     return f"{name} objects agree least: R² of Fz {r2:.2f}"

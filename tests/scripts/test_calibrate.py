@@ -26,15 +26,6 @@ def test_a_unit_learns_to_read_as_another_one_does(tmp_path: Path, capsys: pytes
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("task", ["tool", "small"])
-def test_a_task_chooses_what_is_grasped_and_judged(task: str, tmp_path: Path) -> None:
-    out = tmp_path / "map"
-    assert main(["new=uskin:12", "anchor=tactip:1", "grasps=120", f"task={task}", f"out={out}"]) == 0
-    judged = Calibration.load(out, Tokenizer.from_pretrained().hash).agreement
-    assert list(judged) == [task] and judged[task].grasps == 24
-
-
-@pytest.mark.slow
 def test_a_grasp_that_the_canonicaliser_refuses_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """A pad of four tenths its stiffness moves markers further than any that pretraining saw, in the firmest grasps."""
     assert main(["new=tactip:1+stiffness=0.4", "anchor=tactip:1", "grasps=120", f"out={tmp_path / 'map'}"]) == 0

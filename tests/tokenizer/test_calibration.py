@@ -69,19 +69,6 @@ def test_one_class_of_objects_does_not_speak_for_the_other(head: ForceHead) -> N
     assert found.worst()[0] == "tool" and found.agreement["tool"].r2[2] < found.agreement["small"].r2[2] - 0.1
 
 
-def test_a_map_for_tools_alone_needs_and_sees_no_other_grasps(head: ForceHead) -> None:
-    new, anchor = grasps()
-    tool = torch.tensor([name == "tool" for name in CLASSES])
-    spoilt = new.as_subclass(torch.Tensor).clone()
-    spoilt[~tool] = torch.randn(int((~tool).sum()), 16, 6)
-    found = calibrate(Latent.of(spoilt, "abc"), anchor, CLASSES, head, "new", "old", wanted=("tool",))
-    alone = calibrate(new[tool], anchor[tool], ("tool",) * 150, head, "new", "old", wanted=("tool",))
-    assert list(found.agreement) == ["tool"] and found.worst()[1] > 0.95 and found.agreement["tool"].grasps == 30
-    assert list(alone.agreement) == ["tool"] and alone.worst()[1] > 0.95
-    with pytest.raises(ContractError, match="at least 50, got 20"):
-        calibrate(new[tool][:20], anchor[tool][:20], ("tool",) * 20, head, "new", "old", wanted=("tool",))
-
-
 def test_saved_equals_loaded_and_another_tokenizer_is_refused(head: ForceHead, tmp_path: Path) -> None:
     new, anchor = grasps()
     found = calibrate(new, anchor, CLASSES, head, "new", "old")

@@ -1,10 +1,9 @@
 """Label-free calibration: a sensor never pretrained on learns to give the known one's latents on the same grasps.
 
-Both fingers grasp an externally held object for two minutes: tools, small objects, or half the time each. Their forces
-are equal, so their latents should be. What differs depends on the place on the pad: one linear map of the whole pooled
-latent, ridge-regressed towards the identity in closed form, is fitted to the pairs. No force is ever measured. It
-corrects what a reference image can't show: stiffness, thickness and gain. One linear map for both classes of objects
-reads each a little worse than a map of its own.
+Both fingers grasp an externally held object for two minutes, half the time small objects, half the time tools. Their
+forces are equal, so their latents should be. What differs depends on the place on the pad: one linear map of the whole
+pooled latent, ridge-regressed towards the identity in closed form, is fitted to the pairs. No force is ever measured.
+It corrects what a reference image can't show: stiffness, thickness and gain.
 """
 
 from __future__ import annotations
@@ -88,9 +87,9 @@ class Calibration:
         """Content hash of the map and what it belongs to; a policy that wears it stores this."""
         return content_hash(self.map, {"tokenizer_hash": self.tokenizer_hash})
 
-    def worst(self) -> tuple[str, float]:
-        """Return the class of objects and R² of Fz that agrees least."""
-        return min(((name, judged.r2[2]) for name, judged in self.agreement.items()), key=lambda found: found[1])
+    def worst(self, classes: Sequence[str] = OBJECT_CLASSES) -> tuple[str, float]:
+        """Return the class and R² of Fz that agrees least among ``classes``."""
+        return min(((name, self.agreement[name].r2[2]) for name in classes), key=lambda found: found[1])
 
     def facts(self) -> dict[str, object]:
         """Return which sensors it matches, and how well."""
@@ -136,7 +135,6 @@ def calibrate(
     new: str,
     anchor: str,
     config: CalibrationConfig | None = None,
-    wanted: Sequence[str] = OBJECT_CLASSES,
 ) -> Calibration:
     """Fit the map to paired pooled latents of the same grasps, and judge it on grasps it didn't see.
 
@@ -148,7 +146,6 @@ def calibrate(
         new: name of the sensor to calibrate.
         anchor: name of the known one.
         config: share held out, fewest grasps, seed.
-        wanted: classes it is fitted to and judged on; grasps of others are left out.
 
     Raises ContractError: too few grasps of a class, different shapes, NaN, no origin, or grasps that never load the
     sensors; CheckpointError: latents of another tokenizer than the head's.
@@ -157,13 +154,13 @@ def calibrate(
     origin = head.tokenizer_hash
     own_new, own_anchor = (own_latent(z, origin, "calibration") for z in (z_new, z_anchor))
     names = np.asarray(classes)
-    _check(own_new, own_anchor, names, config, wanted)
-    judge, fit = _split(names, config, wanted)
+    _check(own_new, own_anchor, names, config)
+    judge, fit = _split(names, config)
     found, ridge = fit_map(own_new[fit], own_anchor[fit])
     truth, before, after = (head(Latent.of(z[judge], origin)).numpy() for z in (own_anchor, own_new, found(own_new)))
     kinds = names[judge]
     judged = {}
-    for kind in wanted:
+    for kind in OBJECT_CLASSES:
         t, a, b = (values[kinds == kind] for values in (truth, after, before))
         judged[kind] = Agreement(len(t), _r2(t, a), _abs_r(t, a), _r2(t, b))
     turn_deg = float(np.degrees(in_plane_turn_rad(before[:, :2], truth[:, :2])))
@@ -180,12 +177,11 @@ def fit_map(z_new: torch.Tensor, z_anchor: torch.Tensor) -> tuple[LatentMap, flo
     return found.eval(), ridge
 
 
-def _split(classes: np.ndarray, config: CalibrationConfig, wanted: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+def _split(classes: np.ndarray, config: CalibrationConfig) -> tuple[np.ndarray, np.ndarray]:
     """Return rows that judge, the same share of each class, and rows that are fitted to, both in random order."""
     order = np.random.default_rng(config.seed).permutation(len(classes))
-    order = order[np.isin(classes[order], wanted)]
-    rank = np.zeros(len(classes))
-    for name in wanted:
+    rank = np.zeros(len(order))
+    for name in OBJECT_CLASSES:
         rows = order[classes[order] == name]
         rank[rows] = np.arange(len(rows)) / len(rows)
     return order[rank[order] < config.held_out], order[rank[order] >= config.held_out]
@@ -234,18 +230,16 @@ def _agreement(stored: dict[str, object]) -> Agreement:
     return Agreement(int(stored["grasps"]), (*r2,), (*abs_r,), (*before,))  # type: ignore[call-overload,arg-type]
 
 
-def _check(
-    z_new: torch.Tensor, z_anchor: torch.Tensor, classes: np.ndarray, config: CalibrationConfig, wanted: Sequence[str]
-) -> None:
+def _check(z_new: torch.Tensor, z_anchor: torch.Tensor, classes: np.ndarray, config: CalibrationConfig) -> None:
     if z_new.shape != z_anchor.shape or z_new.ndim != 3 or len(classes) != len(z_new):
         came = f"{tuple(z_new.shape)}, {tuple(z_anchor.shape)} and {len(classes)} classes"
         raise ContractError(expected("paired latents", "(n, P, latent) twice, n classes", came, "Pair them by frame."))
     if unknown := set(classes.tolist()) - set(OBJECT_CLASSES):
         raise ContractError(expected("class of an object", " | ".join(OBJECT_CLASSES), sorted(unknown), "Name it so."))
-    for name in wanted:
-        if (count := int((classes == name).sum())) < (fewest := config.min_pairs // len(wanted)):
-            do = f"Grasp each class of objects for a minute: {name} objects are missing."
-            raise ContractError(expected(f"grasps of {name} objects", f"at least {fewest}", count, do))
+    for name in OBJECT_CLASSES:
+        if (count := int((classes == name).sum())) < config.min_pairs // 2:
+            do = f"Grasp one class for a minute, then the other: {name} objects are missing."
+            raise ContractError(expected(f"grasps of {name} objects", f"at least {config.min_pairs // 2}", count, do))
     if not bool(z_new.isfinite().all() and z_anchor.isfinite().all()):
         raise ContractError(expected("latents", "finite numbers", "NaN or inf", "Check the recordings."))
     if float(z_anchor.mean(dim=1).std(dim=0).max()) < 1e-6:

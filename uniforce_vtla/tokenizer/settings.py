@@ -136,7 +136,7 @@ class CalibrationConfig:
     """How a calibration's map is fitted and judged."""
 
     held_out: Share = 0.2  # share of the grasps that only judge
-    min_pairs: Count = 50  # as many of each class it is for; fewer say nothing about whole maps
+    min_pairs: Count = 50  # half of them of each class; fewer say nothing about whole maps
     seed: Seed = 0  # which grasps judge
-    refuse_below: Share = 0.5  # R² of Fz on held-out grasps of a class; less is no calibration
+    refuse_below: Share = 0.5  # R² of Fz on held-out grasps of the task's class; less is no calibration
     warn_below: Share = 0.8  # less is worth another try
