@@ -43,9 +43,9 @@ def write_json(path: Path, content: dict[str, Any]) -> Path:
 
 
 def only_writer(path: Path) -> FileLock:
-    """Return the held lock of a file that ``append_line`` fills; releasing it lets another process write.
+    """Return the held lock of a file or folder that a long run fills; releasing it lets another process write.
 
-    Raises ContractError: another process fills it now, so both would do the same work and write it twice.
+    Raises ContractError: another process fills it now, so both would do the same work and spoil each other's.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     held = FileLock(path.with_name(f".{path.name}.lock"))

@@ -25,7 +25,7 @@ from uniforce_datasets.view_plan import TOUCH_STREAMS, EpisodeFacts, ViewPlan, V
 from uniforce_vtla.contracts import FINGERS, Finger, check_marker_image
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.keys import CAMERAS, VIEW_MARKER, camera_key, tactile_key
-from uniforce_vtla.results_file import write_json
+from uniforce_vtla.results_file import only_writer, write_json
 from uniforce_vtla.tokenizer import Tokenizer, pool_latent
 from uniforce_vtla.tokenizer.plain_touch import descriptors, marker_pairs
 
@@ -91,7 +91,8 @@ def build_view(
         workers: processes that decode and encode, an episode each at a time.
         verify: how the datasets are checked, see ``check_dataset``.
 
-    Raises DatasetError: a dataset can't be trusted, no episode is left, or ``out`` holds something else.
+    Raises DatasetError: a dataset can't be trusted, no episode is left, or ``out`` holds something else; ContractError:
+    another process builds it.
     """
     encoder = encoder or PooledTokenizer(tokenizer, latent_grid)
     settings = ViewSettings(image_side, latent_grid, dict(slots or DEFAULT_SLOTS), encoder.hash)
@@ -100,13 +101,14 @@ def build_view(
     if _same_view(out, plan):
         return out
     building = out.with_name(out.name + ".building")
-    _write_frames(plan, encoder, building, workers)
-    for key, values in plan.columns.items():
-        np.save(building / f"{key}.npy", values)
-    write_json(building / VIEW_MARKER, plan.marker)
-    write_hashes(building, {})
-    shutil.rmtree(out, ignore_errors=True)
-    building.rename(out)
+    with only_writer(building):
+        _write_frames(plan, encoder, building, workers)
+        for key, values in plan.columns.items():
+            np.save(building / f"{key}.npy", values)
+        write_json(building / VIEW_MARKER, plan.marker)
+        write_hashes(building, {})
+        shutil.rmtree(out, ignore_errors=True)
+        building.rename(out)
     return out
 
 

@@ -9,6 +9,7 @@ from typing import Annotated
 import uniforce_vtla.tokenizer
 from uniforce_cli.boundary import command
 from uniforce_vtla.options import FileName, Names, OutFolder, Workers, split
+from uniforce_vtla.results_file import only_writer
 from uniforce_vtla.sensors import list_sensors
 from uniforce_vtla.tokenizer.settings import PretrainSettings
 
@@ -50,7 +51,8 @@ def main(settings: PretrainCommand) -> None:
     torch.set_num_threads(settings.threads)
     starting_model(settings.run)  # refuses what does not fit before pairs are drawn
     data = PairCache(Path(settings.cache), settings.run.data)  # drawn where it isn't yet
-    tokenizer = Pretraining(settings.run, Path(settings.out), data).run()
+    with only_writer(Path(settings.out) / "log.csv"):
+        tokenizer = Pretraining(settings.run, Path(settings.out), data).run()
     for kind in (kind for kind in split(settings.heads) if kind != "none"):
         folder = Path(settings.out) / f"force_head_{kind}"
         if not folder.is_dir() or ForceHead.from_pretrained(kind, folder).tokenizer_hash != tokenizer.hash:

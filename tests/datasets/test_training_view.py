@@ -27,6 +27,7 @@ from uniforce_vtla.keys import (
     truth_wrench_key,
     wrench_key,
 )
+from uniforce_vtla.results_file import only_writer
 from uniforce_vtla.tokenizer.plain_touch import DESCRIPTOR_SIZE, PAIR_SIDE, descriptors
 
 EPISODES, FRAMES = 3, 20
@@ -143,6 +144,12 @@ def test_interrupted_build_goes_on(demos: Path, tmp_path: Path, view: Path) -> N
         assert np.array_equal(np.load(out / f"{name}.npy"), np.load(view / f"{name}.npy"))
     counter.left = 0
     build_view(demos, out, encoder=counter)  # nothing to do
+
+
+def test_one_process_builds_a_view_at_a_time(demos: Path, tmp_path: Path) -> None:
+    with only_writer(tmp_path / "view.building"), pytest.raises(ContractError, match="another one too"):
+        build_view(demos, tmp_path / "view", encoder=BlockMeans())
+    assert TrainingView(build_view(demos, tmp_path / "view", encoder=BlockMeans()))
 
 
 def test_sensors_are_those_of_the_episodes_sampled_from(view: Path, tmp_path: Path) -> None:

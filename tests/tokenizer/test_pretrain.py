@@ -14,6 +14,7 @@ from uniforce_cli.pretrain import PRESETS, PretrainCommand, main
 from uniforce_vtla.arguments import parse, read
 from uniforce_vtla.contact.virtual import VirtualSensor
 from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError
+from uniforce_vtla.results_file import only_writer
 from uniforce_vtla.tokenizer import worn_heads
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead, HeadTrainingConfig
@@ -197,6 +198,9 @@ def test_command_trains_continues_and_leaves_a_loadable_tokenizer(tmp_path: Path
     first = Tokenizer.from_pretrained(tmp_path / "out" / "tokenizer").hash
     assert run_command(tmp_path, "run.steps=3") == 0
     assert Tokenizer.from_pretrained(tmp_path / "out" / "tokenizer").hash != first
+    assert len((tmp_path / "out" / "log.csv").read_text().splitlines()) == 4
+    with only_writer(tmp_path / "out" / "log.csv"):
+        assert run_command(tmp_path, "run.steps=4") == 2
     assert len((tmp_path / "out" / "log.csv").read_text().splitlines()) == 4
 
 
