@@ -28,7 +28,8 @@ def check_verify(verify: str) -> Verify:
 def files_of(root: Path) -> list[str]:
     """Return the files that count as a dataset's or view's, relative to its folder, hidden ones left out."""
     parts = (".",) if (root / VIEW_MARKER).is_file() else PARTS
-    paths = [path.relative_to(root) for part in parts for path in (root / part).rglob("*") if path.is_file()]
+    walked = (Path(folder, name) for part in parts for folder, _, names in os.walk(root / part) for name in names)
+    paths = [path.relative_to(root) for path in walked if path.is_file()]  # rglob fails where a recorder drops a folder
     names = [str(path) for path in paths if not any(word.startswith(".") for word in path.parts)]
     return [name for name in names if name != HASHES]
 
@@ -77,16 +78,15 @@ def check_hashes(root: Path, verify: Verify = "full") -> None:
     if not any((folder / HASHES).exists() for folder in (root, root / COMMIT)):
         logger.warning("%s", expected(str(root / HASHES), "hashes of its files", "none", _what_to_do(root)))
         return
-    doubted = None
+    saved, doubted = _saved(root), None
     for _ in range(LOOKS):
-        wanted, found = _saved(root)
-        wrong = _wrong(wanted, found, verify, doubted)
+        wrong = _wrong(*saved, verify, doubted)
         if not wrong:
             return
-        if (wanted, found) == _saved(root):
+        before, saved, doubted = saved, _saved(root), set(wrong)
+        if saved == before:
             break
-        doubted = set(wrong)
-    name, came = next(iter(wrong.items()))
+    wanted, (name, came) = saved[0], next(iter(wrong.items()))
     episode = wanted[name][0].get("episode") if name in wanted else None
     where = os.path.join(root, name) + ("" if episode is None else f", episode {episode}")
     raise DatasetError(expected(where, "the file as it was saved", came, _what_to_do(root)))

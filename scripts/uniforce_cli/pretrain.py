@@ -53,10 +53,10 @@ def main(settings: PretrainCommand) -> None:
     data = PairCache(Path(settings.cache), settings.run.data)  # drawn where it isn't yet
     with only_writer(Path(settings.out) / "log.csv"):
         tokenizer = Pretraining(settings.run, Path(settings.out), data).run()
-    for kind in (kind for kind in split(settings.heads) if kind != "none"):
-        folder = Path(settings.out) / f"force_head_{kind}"
-        if not folder.is_dir() or ForceHead.from_pretrained(kind, folder).tokenizer_hash != tokenizer.hash:
-            fit_head(kind, tokenizer).save(folder)
+        for kind in (kind for kind in split(settings.heads) if kind != "none"):
+            folder = Path(settings.out) / f"force_head_{kind}"
+            if not folder.is_dir() or ForceHead.from_pretrained(kind, folder).tokenizer_hash != tokenizer.hash:
+                fit_head(kind, tokenizer).save(folder)
     peak_GB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # Linux counts in kB
     where = f"in {settings.out}/tokenizer, log in {settings.out}/log.csv"
     print(f"tokenizer {tokenizer.hash[:12]} {where}; peak memory {peak_GB:.1f} GB")
