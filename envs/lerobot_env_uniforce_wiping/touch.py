@@ -42,7 +42,7 @@ class PadImages:
 
     def __init__(self, sensor: WornSensor, finger: Finger, seed: int) -> None:
         self.finger, self._worn = finger, sensor
-        self._view = WornView(sensor, seed=2 * seed + (finger == "right"))
+        self._view = WornView(sensor, seed=2 * seed + (finger == "right"), stream=True)
         self._past: deque[Load] = deque(maxlen=sensor.lag_steps + 1)
         self._late = np.zeros(4)
         self._steps = 0

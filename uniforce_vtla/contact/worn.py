@@ -21,6 +21,7 @@ CREEP_SHARE = (0.05, 0.20)  # part of a motion that comes late; rubbers .1–.3
 WARN_SHARE = 0.12  # of the markers lost: a healthy unit in the firmest grasps loses up to a tenth
 MARKER_LOSS = 0.02  # chance per marker and frame that the camera misses it; ViTac 2024 draws .01
 LAG_STEPS = 1  # 33 ms from exposure to image
+REFERENCE_FRAMES = 10  # it is the median of, as on a robot: a stream's reference shows what one frame misses
 STALE_SIDE_mm = 15.0
 STALL_EVERY = 60  # control steps, 2 s
 
@@ -66,25 +67,33 @@ class WornView:
         seed: draws the noise.
         pixel_noise: of raw frames, see ``ContactOptions``.
         register: see ``Canonicalizer``.
+        stream: images follow one another, see ``Canonicalizer``, and the reference is taken as on a robot.
 
     Raises SensorError: the canonicalizer refuses the reference.
     """
 
     def __init__(
-        self, worn: WornSensor, seed: int = 0, pixel_noise: PixelNoise = "sheet", register: bool = True
+        self,
+        worn: WornSensor,
+        seed: int = 0,
+        pixel_noise: PixelNoise = "sheet",
+        register: bool = True,
+        stream: bool = False,
     ) -> None:
         options = ContactOptions(
             marker_loss=worn.marker_loss > 0, loss_probability=worn.marker_loss, pixel_noise=pixel_noise
         )
         self.worn, self.simulator = worn, TactileSimulator(worn.sensor, worn.unit, options, seed)
-        self._canonicalizer = Canonicalizer(worn.kind, register=register, warn_share=WARN_SHARE)
+        self._canonicalizer = Canonicalizer(worn.kind, register=register, warn_share=WARN_SHARE, stream=stream)
         self._light = worn.light
         if worn.direct:
             stale = worn.stale_N > 0
             shown = self.simulator.marker_images(_left_on(worn.stale_N))[0] if stale else self.simulator.reference()
             self.reference = shown  # (480, 640) uint8
         else:
-            raw = self._lit(self.simulator.raw_frames(_left_on(worn.stale_N)))[0]
+            left_on = _left_on(worn.stale_N, REFERENCE_FRAMES if stream else 1)
+            seen = self._lit(self.simulator.raw_frames(left_on))
+            raw = np.median(seen, axis=0).astype(seen.dtype)
             self._canonicalizer.set_reference(raw)
             self.reference = self._canonicalizer.marker_image(raw)
         self._light = worn.light_since or worn.light
@@ -115,12 +124,13 @@ class WornView:
         return raw if self._light is None else self._light.on(raw)
 
 
-def _left_on(press_N: float) -> ContactState:
+def _left_on(press_N: float, frames: int = 1) -> ContactState:
     """Return what is on a pad while its reference is taken: nothing, or a small flat thing that presses on it."""
     if not press_N:
-        return free_air(1)
-    gap = flat_face_gap(np.zeros((1, 2)), np.full((1, 2), STALE_SIDE_mm), np.zeros(1), np.zeros((1, 2)))
-    return ContactState(gap, np.array([[0, 0, press_N]], np.float32), np.zeros(1, np.float32))
+        return free_air(frames)
+    flat = np.zeros((frames, 2)), np.full((frames, 2), STALE_SIDE_mm), np.zeros(frames), np.zeros((frames, 2))
+    force_N = np.tile(np.array([0, 0, press_N], np.float32), (frames, 1))
+    return ContactState(flat_face_gap(*flat), force_N, np.zeros(frames, np.float32))
 
 
 def drawing(sensor: VirtualSensor) -> WornSensor:

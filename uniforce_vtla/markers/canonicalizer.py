@@ -5,6 +5,7 @@ import numpy as np
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE, Finger, MarkerPair, check_finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.camera_markers import Segmentation, fit_canonical, segment
+from uniforce_vtla.markers.marker_hold import MarkerHold
 from uniforce_vtla.markers.marker_reference import WARN_SHARE, MarkerMatch, MarkerReference
 from uniforce_vtla.markers.point_render import check_points, is_pressed, place_points
 from uniforce_vtla.markers.reference import ReferenceMemory, refuse, refuse_pressed_reference
@@ -36,6 +37,7 @@ class Canonicalizer:
         taxel_scales: None: those of the sensor's form.
         register: False leaves a camera's pattern as it was mounted, as frozen sets made before registration did.
         warn_share: of a camera's markers lost, which is warned of once.
+        stream: frames follow one another: a camera's markers that are missed for a few of them stay where they were.
 
     Attributes:
         match: how the latest camera frame read against a reference matches it; None before.
@@ -48,11 +50,14 @@ class Canonicalizer:
         taxel_scales: TaxelScales | None = None,
         register: bool = True,
         warn_share: float = WARN_SHARE,
+        stream: bool = False,
     ) -> None:
         self.spec, self._register, self._warn_share = get_sensor(sensor), register, warn_share
         self.sensor = sensor
         self.match: MarkerMatch | None = None
         self.saturation = Saturation()
+        self._stream = stream
+        self._hold: MarkerHold | None = None
         self._is_dome = self.spec.dome_radius_mm is not None
         self._taxel_scales = taxel_scales or TaxelScales()
         self._reference_rows: np.ndarray | None = None  # counts or displacements
@@ -70,6 +75,7 @@ class Canonicalizer:
             self._reference_rows = self._checked(raw, "reference")
         else:
             (self._reference, self._view), self.match = self._remember(raw), None
+            self._hold = MarkerHold(self._reference.spacing_px) if self._stream else None
 
     def pair(
         self, reference_raw: np.ndarray, current_raw: np.ndarray, finger: Finger, reference_from: str = "own"
@@ -98,7 +104,7 @@ class Canonicalizer:
         the reference's, dark or dead.
         """
         if not self._is_drawn:
-            return self._camera_image(raw, self._reference, self._view)
+            return self._camera_image(raw, self._reference, self._view, self._hold)
         discs = self._discs(raw, self._reference_rows)
         self.saturation.add(discs)
         return draw_discs(discs)
@@ -125,11 +131,15 @@ class Canonicalizer:
         return found, find_view(found.centres_px, self.spec) if self._register else None
 
     def _camera_image(
-        self, raw: np.ndarray, reference: MarkerReference | None, view: np.ndarray | None = None
+        self,
+        raw: np.ndarray,
+        reference: MarkerReference | None,
+        view: np.ndarray | None,
+        hold: MarkerHold | None = None,
     ) -> np.ndarray:
         if reference is None:
             return to_nominal_scale(self._segment(raw).image(), self.spec)
-        image, self.match = reference.read(raw)
+        image, self.match = reference.read(raw, hold)
         return self._placed(image, view)
 
     def _placed(self, image: np.ndarray, view: np.ndarray | None) -> np.ndarray:

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from uniforce_vtla.errors import SensorError, expected
 from uniforce_vtla.markers.camera_markers import Segmentation, fit_canonical, segment
 from uniforce_vtla.markers.marker_blobs import spacing
+from uniforce_vtla.markers.marker_hold import MarkerHold
 
 WARN_SHARE = 0.05  # of the reference's markers lost: said once
 RETRY_SHARE = 0.20  # lost: other channels are tried
@@ -59,20 +60,24 @@ class MarkerReference:
             do = "Is it this sensor's own picture, and in focus?"
             raise SensorError(expected("reference frame", wanted, len(points), do))
         self._dome, self._warn_share, self._warned = dome, warn_share, False
-        self._tree, self._spacing = cKDTree(points), spacing(points)
+        self._tree, self.spacing_px = cKDTree(points), spacing(points)
         self.plan = self._found.plan
         self.centres_px = self._found.centres_px  # (M, 2), of ``image``
         self.image = self._found.image()  # (480, 640) uint8 in {0, 255}
 
-    def read(self, frame: np.ndarray) -> tuple[np.ndarray, MarkerMatch]:
+    def read(self, frame: np.ndarray, hold: MarkerHold | None = None) -> tuple[np.ndarray, MarkerMatch]:
         """Return the (480, 640) uint8 image in {0, 255} of a frame's markers, and how they match.
 
-        Other channels are tried where 20 % of the markers are lost. Warns once at ``warn_share``.
+        Other channels are tried where 20 % of the markers are lost. What ``hold`` then fills in is not lost. Warns once
+        at ``warn_share``.
 
         Raises ContractError: wrong shape or dtype; SensorError: a dark frame, no markers, 25 % of the reference's lost,
         or more extras than those.
         """
         found, match = self._best(fit_canonical(frame))
+        image = found.image()
+        held = hold.fill(image, found.centres_px) if hold else 0
+        match = replace(match, matched=match.matched + held, lost=match.lost - held)
         wanted = f"the {self._tree.n} markers of the reference"
         if self._misses(match, REFUSE_SHARE):
             came = f"{match.matched} of them and {match.dropped} others"
@@ -82,7 +87,7 @@ class MarkerReference:
             self._warned = True
             do = "Force is misread where markers are missing: check light and focus."
             warnings.warn(expected("camera frame", wanted, f"{match.matched} of them", do), stacklevel=3)
-        return found.image(), match
+        return image, match
 
     def _best(self, working: np.ndarray) -> tuple[Segmentation, MarkerMatch]:
         """Return the first channel's markers that suffice, else those of the channel that shows most."""
@@ -112,7 +117,7 @@ class MarkerReference:
     def _extras(self, points: np.ndarray) -> np.ndarray:
         """Return (M,) bool: which of (M, 2) points match no marker of the reference."""
         distance, nearest = self._tree.query(points)
-        distance /= self._spacing
+        distance /= self.spacing_px
         extra = distance > REACH
         order = np.argsort(-distance)
         closest = np.full(self._tree.n, -1)
@@ -124,7 +129,7 @@ class MarkerReference:
             return extra
         surplus = len(points) - int(extra.sum()) - self._tree.n
         if surplus > 0 and len(self._reflections):
-            offset = cKDTree(self._reflections).query(points)[0] / self._spacing
+            offset = cKDTree(self._reflections).query(points)[0] / self.spacing_px
             extra[[i for i in np.argsort(offset)[:surplus] if offset[i] < SAME_PLACE]] = True
         return extra
 

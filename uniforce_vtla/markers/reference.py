@@ -15,6 +15,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from uniforce_vtla.errors import ContractError, SensorError, expected
+from uniforce_vtla.markers.marker_blobs import spacing
+from uniforce_vtla.markers.marker_hold import MISSED
 from uniforce_vtla.markers.taxel_render import check_alive, check_counts
 
 if TYPE_CHECKING:
@@ -69,8 +71,10 @@ def capture_camera_reference(frames: Sequence[np.ndarray], centres_px: Sequence[
     _check_enough(min(len(frames), len(centres_px)))
     if len({frame.shape for frame in frames}) > 1:
         raise ContractError(expected("reference frames", "one size", "several", "Use one camera setting."))
+    reach_px = MISSED * spacing(centres_px[0])  # beyond it a marker was missed, which is no motion
     nearest_px = [cKDTree(centres).query(centres_px[0])[0] for centres in centres_px[1:]]
-    motion = max(float(np.percentile(distance, 90)) for distance in nearest_px)
+    again_px = [distance[distance < reach_px] for distance in nearest_px]
+    motion = max(float(np.percentile(distance, 90)) if len(distance) else reach_px for distance in again_px)
     if motion > MAX_MARKER_MOTION_PX:
         refuse(f"markers still within {MAX_MARKER_MOTION_PX:g} px", f"a motion of {motion:.1f} px")
     return np.median(np.stack(frames), axis=0).astype(np.uint8)

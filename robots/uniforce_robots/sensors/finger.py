@@ -150,7 +150,7 @@ class TactileFinger(SampledCamera):
 
     def __init__(self, config: TactileFingerConfig, source: SampleSource) -> None:
         super().__init__(config, source)
-        self._canonicalizer = Canonicalizer(config.sensor)
+        self._canonicalizer = Canonicalizer(config.sensor, stream=True)
         self._lock = threading.Lock()  # the canonicalizer keeps state; two threads may ask
         self._reference: tuple[np.ndarray, np.ndarray] | None = None  # raw, and its image
 

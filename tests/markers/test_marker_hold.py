@@ -1,0 +1,108 @@
+"""Markers that a camera misses for some frames of a stream stay where they were."""
+
+import cv2
+import numpy as np
+import pytest
+
+from uniforce_vtla.contact import TactileSimulator
+from uniforce_vtla.contact.indenters import flat_face_gap
+from uniforce_vtla.contact.worn import WornView
+from uniforce_vtla.contact.worn_in_words import wear
+from uniforce_vtla.contracts import ContactState
+from uniforce_vtla.errors import SensorError
+from uniforce_vtla.markers import Canonicalizer
+from uniforce_vtla.markers.marker_hold import HOLD_FRAMES, MarkerHold
+
+SPACING_px = 20.0
+GRID_px = np.stack(np.meshgrid(np.arange(40, 600, SPACING_px), np.arange(40, 440, SPACING_px)), -1).reshape(-1, 2)
+
+
+def drawn(points_px: np.ndarray) -> np.ndarray:
+    image = np.zeros((480, 640), np.uint8)
+    for x, y in np.rint(points_px).astype(int).tolist():
+        cv2.circle(image, (x, y), 4, 255, cv2.FILLED)
+    return image
+
+
+def filled(hold: MarkerHold, points_px: np.ndarray) -> tuple[np.ndarray, int]:
+    image = drawn(points_px)
+    held = hold.fill(image, points_px)
+    return image, held
+
+
+def pressed(frames: int) -> ContactState:
+    """Return a press that grows slowly, as seen from frame to frame at 30 Hz."""
+    gap = flat_face_gap(np.zeros((frames, 2)), np.full((frames, 2), 15.0), np.zeros(frames), np.zeros((frames, 2)))
+    force_N = np.stack([np.array([0.5, 0, 4]) * share for share in np.linspace(0.1, 1, frames)])
+    return ContactState(gap, force_N.astype(np.float32), np.zeros(frames, np.float32))
+
+
+def test_a_marker_is_held_for_a_few_frames_and_then_lost() -> None:
+    hold = MarkerHold(SPACING_px)
+    whole, held = filled(hold, GRID_px)
+    assert held == 0
+    for _ in range(HOLD_FRAMES):
+        image, held = filled(hold, GRID_px[1:])
+        assert held == 1 and np.array_equal(image, whole)
+    image, held = filled(hold, GRID_px[1:])
+    assert held == 0 and np.array_equal(image, drawn(GRID_px[1:]))
+    assert filled(hold, GRID_px)[1] == 0  # seen again
+
+
+@pytest.mark.parametrize("step_px", [1.0, 4.0, 9.0])
+def test_markers_in_motion_are_not_drawn_twice(step_px: float) -> None:
+    hold = MarkerHold(SPACING_px)
+    for shift_px in np.arange(4) * step_px:
+        points_px = GRID_px + np.array([shift_px, 0])
+        image, held = filled(hold, points_px)
+        assert held == 0 and np.array_equal(image, drawn(points_px))
+
+
+def test_a_stream_with_missed_markers_shows_what_one_without_shows() -> None:
+    contact = pressed(12)
+    whole, missing, held = (
+        WornView(wear(f"tactip:1+flicker={flicker}")(0), seed=1, stream=stream)
+        for flicker, stream in ((0, False), (0.2, False), (0.2, True))
+    )
+    assert np.mean(held.reference != whole.reference) < 0.01 < np.mean(missing.reference != whole.reference)
+    expected = whole.images(contact)[4:]
+    off = [np.mean(view.images(contact)[4:] != expected, axis=(1, 2)).max() for view in (held, missing)]
+    assert off[0] < off[1] / 3
+
+
+@pytest.mark.parametrize("sensor", ["gelsight", "tactip"])
+def test_a_stream_of_nothing_missed_is_read_as_frames_alone(sensor: str) -> None:
+    simulator, alone, stream = (
+        TactileSimulator(sensor, seed=1),
+        Canonicalizer(sensor),
+        Canonicalizer(sensor, stream=True),
+    )
+    reference = simulator.raw_reference()
+    for canonicalizer in (alone, stream):
+        canonicalizer.set_reference(reference)
+    for frame in simulator.raw_frames(pressed(8)):
+        assert np.array_equal(alone.marker_image(frame), stream.marker_image(frame))
+
+
+def test_pairs_are_not_a_stream() -> None:
+    """Frames that are paired come in any order: a marker missed in one is missed."""
+    view = WornView(wear("tactip:1+flicker=0")(0), seed=1, stream=True)
+    raw, lacking = view.simulator.raw_reference(), view.simulator.raw_reference()
+    lacking[150:200, 250:300] = np.median(lacking)
+    canonicalizer = view._canonicalizer
+    whole, holed = (canonicalizer.pair(raw, frame, "left").current for frame in (raw, lacking))
+    assert (whole > 0).sum() > (holed > 0).sum()
+
+
+def test_markers_lost_for_good_are_refused_in_the_end() -> None:
+    view = WornView(wear("tactip:1+flicker=0")(0), seed=1, stream=True)
+    raw = view.simulator.raw_reference()
+    half = raw.copy()
+    half[:, :300] = np.median(raw, axis=(0, 1)).astype(np.uint8)
+    canonicalizer = view._canonicalizer
+    canonicalizer.set_reference(raw)
+    before, *_ = canonicalizer.marker_image(raw), canonicalizer.match
+    for _ in range(HOLD_FRAMES):
+        assert np.mean(canonicalizer.marker_image(half) != before) < 0.01
+    with pytest.raises(SensorError, match="of the reference"):
+        canonicalizer.marker_image(half)
