@@ -10,7 +10,8 @@ from uniforce_vtla.contact.worn import WornView
 from uniforce_vtla.contact.worn_in_words import wear
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.errors import SensorError
-from uniforce_vtla.markers import Canonicalizer
+from uniforce_vtla.markers import Canonicalizer, marker_reference
+from uniforce_vtla.markers.camera_markers import segment
 from uniforce_vtla.markers.marker_hold import HOLD_FRAMES, MarkerHold
 
 SPACING_px = 20.0
@@ -82,6 +83,21 @@ def test_a_stream_of_nothing_missed_is_read_as_frames_alone(sensor: str) -> None
         canonicalizer.set_reference(reference)
     for frame in simulator.raw_frames(pressed(8)):
         assert np.array_equal(alone.marker_image(frame), stream.marker_image(frame))
+
+
+def test_what_is_held_needs_no_look_at_other_channels(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A look at all five takes longer than a frame at 30 Hz."""
+    simulator, stream = TactileSimulator("tactip", seed=1), Canonicalizer("tactip", stream=True)
+    raw = simulator.raw_reference()
+    stream.set_reference(raw)
+    stream.marker_image(raw)
+    looks = []
+    monkeypatch.setattr(marker_reference, "segment", lambda *given: looks.append(given) or segment(*given))
+    lacking = raw.copy()
+    lacking[:, :270] = np.median(raw, axis=(0, 1)).astype(np.uint8)
+    stream.marker_image(lacking)
+    assert len(looks) == 1 and stream.match is not None and stream.match.lost == 0
+    assert np.mean(Canonicalizer("tactip").markers(raw)[:, 0] < 270) > marker_reference.RETRY_SHARE
 
 
 def test_pairs_are_not_a_stream() -> None:

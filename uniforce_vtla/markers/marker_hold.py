@@ -20,11 +20,14 @@ class MarkerHold:
         self._image = np.zeros((0, 0), np.uint8)
         self._centres_px, self._missed_for = np.zeros((0, 2)), np.zeros(0, int)
 
+    def missed(self, centres_px: np.ndarray) -> np.ndarray:
+        """Return which remembered markers none of (M, 2) is near, as far as they are still held."""
+        away_px = cKDTree(centres_px).query(self._centres_px)[0]
+        return np.flatnonzero((away_px > self._reach_px) & (self._missed_for < self._frames))
+
     def fill(self, image: np.ndarray, centres_px: np.ndarray) -> int:
         """Draw the missed markers into an (H, W) uint8 image of (M, 2) markers; return how many."""
-        away_px = cKDTree(centres_px).query(self._centres_px)[0]
-        asked = np.flatnonzero((away_px > self._reach_px) & (self._missed_for < self._frames))
-        held = [k for k in asked if self._draw(image, self._centres_px[k])]
+        held = [k for k in self.missed(centres_px) if self._draw(image, self._centres_px[k])]
         self._missed_for = np.concatenate([np.zeros(len(centres_px), int), self._missed_for[held] + 1])
         self._centres_px = np.concatenate([centres_px, self._centres_px[held]])
         self._image = image.copy()

@@ -74,7 +74,7 @@ class MarkerReference:
         Raises ContractError: wrong shape or dtype; SensorError: a dark frame, no markers, 25 % of the reference's lost,
         or more extras than those.
         """
-        found, match = self._best(fit_canonical(frame))
+        found, match = self._best(fit_canonical(frame), hold)
         image = found.image()
         held = hold.fill(image, found.centres_px) if hold else 0
         match = replace(match, matched=match.matched + held, lost=match.lost - held)
@@ -89,8 +89,8 @@ class MarkerReference:
             warnings.warn(expected("camera frame", wanted, f"{match.matched} of them", do), stacklevel=3)
         return image, match
 
-    def _best(self, working: np.ndarray) -> tuple[Segmentation, MarkerMatch]:
-        """Return the first channel's markers that suffice, else those of the channel that shows most."""
+    def _best(self, working: np.ndarray, hold: MarkerHold | None) -> tuple[Segmentation, MarkerMatch]:
+        """Return the first channel's markers that suffice, held ones counted, else those of the channel that shows most."""
         seen, failures = [], []
         for channel in dict.fromkeys((self.plan.channel, *RETRIES)):
             try:
@@ -98,9 +98,11 @@ class MarkerReference:
             except SensorError as error:
                 failures.append(error)
                 continue
-            seen.append(self._match(found))
-            if not self._misses(seen[-1][1], RETRY_SHARE):
-                return seen[-1]
+            found, match = self._match(found)
+            seen.append((found, match))
+            held = len(hold.missed(found.centres_px)) if hold else 0
+            if not self._misses(replace(match, lost=match.lost - held), RETRY_SHARE):
+                return found, match
         if not seen:
             raise failures[0]
         return max(seen, key=lambda pair: pair[1].matched)
