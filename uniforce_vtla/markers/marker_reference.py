@@ -90,7 +90,7 @@ class MarkerReference:
         return image, match
 
     def _best(self, working: np.ndarray, hold: MarkerHold | None) -> tuple[Segmentation, MarkerMatch]:
-        """Return the first channel's markers that suffice, held ones counted, else those of the channel that shows most."""
+        """Return the first channel's markers that suffice with those held, else those of the one that shows most."""
         seen, failures = [], []
         for channel in dict.fromkeys((self.plan.channel, *RETRIES)):
             try:
