@@ -12,9 +12,10 @@ from benchmarks.scene_blocks import BLOCKS
 from benchmarks.stress.actors import Arm
 from benchmarks.stress.disturbed import EXCHANGED
 from benchmarks.stress.operators import OPERATORS, worn_with
+from benchmarks.stress.other_readers import Readers, fit_readers
 from benchmarks.stress.page import draw, monitor_row, one_table
 from benchmarks.stress.rollouts import cells_of, near_cliffs, of_the_scene, repeatability, roll, summarise
-from benchmarks.stress.screen import against, screen_cell
+from benchmarks.stress.screen import PRESSED_N, against, others_against, screen_cell
 from benchmarks.stress.warning import warned
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
 from uniforce_cli.boundary import Level, command, worker_process
@@ -77,13 +78,18 @@ MENDED = ("C2 shift", "C3 turn", "M2 flicker", "R1 stale reference")
 CALIBRATED = {"G1 stiffer": 1.6, "G1 softer": 0.4, "G2 keener": 1.6, "G2 duller": 0.4}
 PARTS, FACTS = ("rollouts", "screen"), ("monitor", "wiping")
 SCREENED_FROM = 39_700  # development scenes
+READERS_LEARN = range(39_790, 39_794)  # likewise; of the sensor without a fault
 
 
-def _cell(level: str, words: str, first: int, scenes: int) -> dict[str, Any]:
+def _cell(level: str, words: str, first: int, scenes: int, readers: Readers) -> dict[str, Any]:
     worker_process()
-    return screen_cell(
-        level, words, range(first, first + scenes), Tokenizer.from_pretrained(), ForceHead.from_pretrained()
-    )
+    seeds = range(first, first + scenes)
+    return screen_cell(level, words, seeds, Tokenizer.from_pretrained(), ForceHead.from_pretrained(), readers)
+
+
+def _readers(level: str, words: str) -> Readers:
+    worker_process()
+    return fit_readers(level, words, READERS_LEARN, Tokenizer.from_pretrained(), PRESSED_N)
 
 
 def screen(config: StressCommand) -> dict[str, Any]:
@@ -93,14 +99,17 @@ def screen(config: StressCommand) -> dict[str, Any]:
             for dose in (operator.benign, *operator.doses):
                 if (words := worn_with(operator, sensor, dose)) is not None:
                     cells.append((sensor, name, dose, words))
-    first = config.first_seed or SCREENED_FROM
-    jobs = [delayed(_cell)(config.level, words, first, config.scenes) for *_, words in cells]
+    first, sensors = config.first_seed or SCREENED_FROM, split(config.sensors)
+    fitted = Parallel(config.workers)(delayed(_readers)(config.level, sensor) for sensor in sensors)
+    readers = dict(zip(sensors, fitted, strict=True))
+    jobs = [delayed(_cell)(config.level, words, first, config.scenes, readers[sensor]) for sensor, *_, words in cells]
     found = list(tqdm(Parallel(config.workers, return_as="generator")(jobs), total=len(jobs), desc="cells"))
     usual = {sensor: cell for (sensor, name, *_), cell in zip(cells, found, strict=True) if name == "none"}
     rows: dict[str, Any] = {sensor: {"none": usual[sensor]} for sensor in usual}
     for (sensor, name, dose, _), cell in zip(cells, found, strict=True):
         if name != "none":
             cell |= {"dose": dose, "press_error_N": against(cell, usual[sensor])}
+            cell["others_error_N"] = others_against(cell, usual[sensor])
             rows[sensor].setdefault(name, []).append(cell)
     return rows
 

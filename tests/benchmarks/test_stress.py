@@ -17,6 +17,7 @@ from benchmarks.stress.actors import Arm, play
 from benchmarks.stress.disturbed import EXCHANGED, SCENE_OPERATORS, Disturbance, DisturbedEnv
 from benchmarks.stress.monitor import summary, watched
 from benchmarks.stress.operators import OPERATORS, worn_with
+from benchmarks.stress.other_readers import fit_readers
 from benchmarks.stress.page import draw, monitor_row, one_table, retention
 from benchmarks.stress.readings import ReadsWorn, read_scenes
 from benchmarks.stress.rollouts import (
@@ -29,7 +30,7 @@ from benchmarks.stress.rollouts import (
     summarise,
 )
 from benchmarks.stress.row import Row
-from benchmarks.stress.screen import against, screen_cell
+from benchmarks.stress.screen import against, others_against, screen_cell
 from benchmarks.stress.stock import StockController
 from benchmarks.stress.warning import first_event_s, warned
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
@@ -38,6 +39,7 @@ from uniforce_vtla.contact.worn_in_words import wear
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.evaluation.episode import STEP_FIELDS, WIPING_PHASE, EpisodeTrace, ScoreLimits
 from uniforce_vtla.keys import CAMERAS
+from uniforce_vtla.markers.marker_hold import HOLD_FRAMES
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 from uniforce_vtla.tokenizer.latent_range import LatentRange
 
@@ -67,18 +69,23 @@ def test_every_operator_has_five_doses_and_a_sensor_that_can_have_it() -> None:
 
 
 def test_a_duller_sensor_is_read_as_less_press_and_a_benign_dose_as_the_same(tokenizer, head) -> None:
+    readers = fit_readers("touch", "uskin:2", SCENE, tokenizer, pressed_N=1.0)
+
     def cell(words: str) -> dict:
-        return screen_cell("touch", words, SCENE, tokenizer, head)
+        return screen_cell("touch", words, SCENE, tokenizer, head, readers)
 
     usual, benign, dull = (cell(f"uskin:2{fault}") for fault in ("", "+gain=1", "+gain=0.55"))
     assert usual == benign and usual["refused_share"] == 0 and usual["press_slope"] > 0.5
     assert against(benign, usual) == 0 and against(dull, usual) < -1
-    assert against({"refused_share": 1.0}, usual) == np.inf
+    assert against({"refused_share": 1.0}, usual) == np.inf and others_against({"refused_share": 1.0}, usual) == {}
+    others = others_against(dull, usual)
+    assert set(others) == {"tokenizer", "untrained encoder", "hand descriptors"} and others["hand descriptors"] < 0
+    assert set(others_against(benign, usual).values()) == {0.0}
 
 
 def test_frames_that_are_refused_are_counted(tokenizer) -> None:
     found = read_scenes("touch", "right", "tactip:1+lost=0.5", SCENE, tokenizer)
-    assert found.refused > 0 and len(found.latent) == 0
+    assert found.refused > 0 and len(found.latent) <= HOLD_FRAMES  # so long the reference's markers are held
 
 
 def test_the_reading_expert_regulates_by_what_the_head_reads(tokenizer, head) -> None:
