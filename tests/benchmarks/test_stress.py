@@ -39,7 +39,6 @@ from uniforce_vtla.contact.worn_in_words import wear
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.evaluation.episode import STEP_FIELDS, WIPING_PHASE, EpisodeTrace, ScoreLimits
 from uniforce_vtla.keys import CAMERAS
-from uniforce_vtla.markers.marker_hold import HOLD_FRAMES
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 from uniforce_vtla.tokenizer.latent_range import LatentRange
 
@@ -85,7 +84,7 @@ def test_a_duller_sensor_is_read_as_less_press_and_a_benign_dose_as_the_same(tok
 
 def test_frames_that_are_refused_are_counted(tokenizer) -> None:
     found = read_scenes("touch", "right", "tactip:1+lost=0.5", SCENE, tokenizer)
-    assert found.refused > 0 and len(found.latent) <= HOLD_FRAMES  # so long the reference's markers are held
+    assert found.refused > 0 and len(found.latent) == 0
 
 
 def test_the_reading_expert_regulates_by_what_the_head_reads(tokenizer, head) -> None:

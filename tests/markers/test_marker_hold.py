@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from uniforce_vtla.contact import TactileSimulator
+from uniforce_vtla.contact import TactileSimulator, free_air
 from uniforce_vtla.contact.indenters import flat_face_gap
 from uniforce_vtla.contact.worn import WornView
 from uniforce_vtla.contact.worn_in_words import wear
@@ -57,6 +57,22 @@ def test_markers_in_motion_are_not_drawn_twice(step_px: float) -> None:
         points_px = GRID_px + np.array([shift_px, 0])
         image, held = filled(hold, points_px)
         assert held == 0 and np.array_equal(image, drawn(points_px))
+
+
+def test_a_pattern_that_jumps_or_goes_is_not_held() -> None:
+    for now_px in (GRID_px + 0.5 * SPACING_px, GRID_px[: int(0.4 * len(GRID_px))]):
+        hold = MarkerHold(SPACING_px)
+        filled(hold, GRID_px)
+        image, held = filled(hold, now_px)
+        assert held == 0 and np.array_equal(image, drawn(now_px))
+
+
+def test_a_camera_that_moved_since_its_reference_shows_no_old_markers() -> None:
+    """The reference is the first frame of its stream: without it a fifth missed at once might be refused."""
+    moved = WornView(wear("tactip:1+shift=2+flicker=0")(0), seed=1, stream=True)
+    alone = WornView(wear("tactip:1+shift=2+flicker=0")(0), seed=1)
+    drawn_px = [(view.images(free_air(3))[2] > 0).sum() for view in (moved, alone)]
+    assert abs(drawn_px[0] / drawn_px[1] - 1) < 0.02  # the third look in free air may become the new reference
 
 
 def test_a_stream_with_missed_markers_shows_what_one_without_shows() -> None:

@@ -3,7 +3,8 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
-HOLD_FRAMES = 5  # 170 ms at 30 Hz: of markers missed at random in a fifth of frames, 6 in 100,000 are missed for longer
+HOLD_FRAMES = 2  # of markers missed at random in a fifth of frames one in 125 is missed for longer
+MOST = 0.45  # of the markers: where more are missed the pattern has jumped or gone, and none is held
 MISSED = 0.5  # spacings: no marker moves farther between two frames, and none of its neighbours comes nearer
 
 
@@ -22,8 +23,9 @@ class MarkerHold:
 
     def missed(self, centres_px: np.ndarray) -> np.ndarray:
         """Return which remembered markers none of (M, 2) is near, as far as they are still held."""
-        away_px = cKDTree(centres_px).query(self._centres_px)[0]
-        return np.flatnonzero((away_px > self._reach_px) & (self._missed_for < self._frames))
+        away = cKDTree(centres_px).query(self._centres_px)[0] > self._reach_px
+        held = np.flatnonzero(away & (self._missed_for < self._frames))
+        return held if away.sum() <= MOST * len(away) else held[:0]
 
     def fill(self, image: np.ndarray, centres_px: np.ndarray) -> int:
         """Draw the missed markers into an (H, W) uint8 image of (M, 2) markers; return how many."""
