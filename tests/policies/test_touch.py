@@ -456,8 +456,8 @@ def test_the_shipped_policy_renews_a_shifted_reference_and_stops_on_markers_that
     watch_start("tactip:1+shift=1")
     assert "new reference" in caplog.text
     with pytest.raises(SensorError, match="in free air"):
-        watch_start("tactip:1+flicker=0.4")
-    assert not watch_start("tactip:1+flicker=0.4", monitor="off")
+        watch_start("tactip:1+flicker=0.6")
+    assert not watch_start("tactip:1+flicker=0.6", monitor="off")
 
 
 @pytest.mark.slow
