@@ -23,9 +23,9 @@ LAST, FIRST = (1, 2, 0), (2, 0, 1)  # depth, shear → shear, depth as forces ar
 Features = Callable[[TactipSet], np.ndarray]  # → (n, F)
 
 
-def fit_readout(features: np.ndarray, label_mm: np.ndarray, ridge: float) -> Pipeline:
-    """Return ridge regression of (n, F) standardised features on (n, 3) depth, shear x and y in mm."""
-    return make_pipeline(StandardScaler(), Ridge(ridge)).fit(features, label_mm)
+def fit_readout(features: np.ndarray, label: np.ndarray, ridge: float) -> Pipeline:
+    """Return ridge regression of (n, F) standardised features on (n, 3) depth, shear x and y in mm, or on (n,) labels."""
+    return make_pipeline(StandardScaler(), Ridge(ridge)).fit(features, label)
 
 
 def labels_mm(recording: TactipSet) -> np.ndarray:

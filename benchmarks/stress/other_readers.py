@@ -7,10 +7,9 @@ tokenizer's own head is given, which knew neither the unit nor the scene.
 from collections.abc import Mapping
 
 import numpy as np
-from sklearn.linear_model import Ridge
-from sklearn.pipeline import Pipeline, make_pipeline
-from sklearn.preprocessing import StandardScaler
+from sklearn.pipeline import Pipeline
 
+from benchmarks.real.readouts import fit_readout
 from benchmarks.stress.readings import Features, encode_pair, read_scenes
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.tokenizer import Tokenizer
@@ -22,13 +21,12 @@ Readers = Mapping[str, Pipeline]  # name → (n, F) features → (n,) N of press
 
 
 def features_of(tokenizer: Tokenizer) -> dict[str, Features]:
-    """Return name → features: the tokenizer's latents, those of an untrained one of its size, hand descriptors."""
+    """Return name → features beside the tokenizer's: latents of an untrained one of its size, hand descriptors."""
     untrained = Tokenizer.random(tokenizer.config, seed=0)
-
-    def latents(encoder: Tokenizer) -> Features:
-        return lambda *pair: encode_pair(encoder, *pair).numpy().ravel()
-
-    return {"tokenizer": latents(tokenizer), "untrained encoder": latents(untrained), "hand descriptors": _described}
+    return {
+        "untrained encoder": lambda *pair: encode_pair(untrained, *pair).numpy().ravel(),
+        "hand descriptors": _described,
+    }
 
 
 def _described(reference: np.ndarray, current: np.ndarray, finger: Finger) -> np.ndarray:
@@ -39,7 +37,4 @@ def fit_readers(level: str, sensor: str, seeds: range, tokenizer: Tokenizer, pre
     """Return a reader of the press per kind of feature, fitted to moments with more press than ``pressed_N``."""
     found = read_scenes(level, "right", sensor, seeds, tokenizer, features_of(tokenizer))
     pressed = found.press_N > pressed_N
-    return {
-        name: make_pipeline(StandardScaler(), Ridge(RIDGE)).fit(values[pressed], found.press_N[pressed])
-        for name, values in found.also.items()
-    }
+    return {name: fit_readout(of[pressed], found.press_N[pressed], RIDGE) for name, of in found.features.items()}

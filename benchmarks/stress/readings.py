@@ -32,6 +32,11 @@ class Readings:
     refused: int  # frames that the canonicalizer refused
     also: dict[str, np.ndarray]  # name → (n, F) of other features of the same frames
 
+    @property
+    def features(self) -> dict[str, np.ndarray]:
+        """Name → (n, F): the tokenizer's latents and the other features."""
+        return {"tokenizer": self.latent.numpy().reshape(len(self.latent), -1), **self.also}
+
 
 def encode_now(env: WipeEnv, finger: Finger, tokenizer: Tokenizer) -> Latent:
     """Return the (1, P, L) pooled latent of a finger; SensorError where its frame is refused."""

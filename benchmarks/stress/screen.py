@@ -32,7 +32,7 @@ def screen_cell(
     if len(found.press_N) < FEWEST:
         return share
     pressed = found.press_N > PRESSED_N
-    others = {name: reader.predict(found.also[name][pressed]) for name, reader in readers.items()}
+    others = {name: reader.predict(found.features[name][pressed]) for name, reader in readers.items()}
     at_6_N = {name: round(_at_6(found.press_N[pressed], read)[0], 3) for name, read in others.items()}
     return {**share, **_line(found, head, level), **({"others_read_at_6_N": at_6_N} if readers else {})}
 
