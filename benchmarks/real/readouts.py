@@ -24,7 +24,7 @@ Features = Callable[[TactipSet], np.ndarray]  # → (n, F)
 
 
 def fit_readout(features: np.ndarray, label: np.ndarray, ridge: float) -> Pipeline:
-    """Return ridge regression of (n, F) standardised features on (n, 3) depth, shear x and y in mm, or on (n,) labels."""
+    """Return ridge regression of (n, F) standardised features on (n, 3) depth, shear x and y in mm, or (n,) labels."""
     return make_pipeline(StandardScaler(), Ridge(ridge)).fit(features, label)
 
 
