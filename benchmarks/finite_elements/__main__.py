@@ -1,7 +1,7 @@
 """Is the contact model right?  Finite elements against theory, and the fast model against finite elements."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -74,11 +74,15 @@ def measure(contacts: int, seed: int) -> dict[str, Any]:
 
 def compare(sensor: VirtualSensor, n: int, seed: int, friction: float = 1.0) -> dict[str, Any]:
     """Return how well the fast model agrees with ``n`` contacts: correlation, slope, depth error."""
-    contacts = solve_contacts(np.random.default_rng(seed), sensor, n, friction=friction)
+    return agreement(sensor, solve_contacts(np.random.default_rng(seed), sensor, n, friction=friction), friction)
+
+
+def agreement(sensor: VirtualSensor, contacts: Sequence[Contact], friction: float = 1.0) -> dict[str, Any]:
+    """Return how well the fast model of a sensor agrees with contacts solved on its finer mesh."""
     simulator = TactileSimulator(sensor, options=replace(ContactOptions().quiet(), friction=friction))
     points, scale = sensor.spec.layout_mm, 1 / sensor.material.stiffness
     fine, fast = (PointMotion(i, points, scale) for i in (influence(fine_gel(sensor)), simulator.pad.influence))
-    rows: dict[str, list[tuple[str, float, float, float]]] = {"press": [], "shear": []}
+    rows: dict[str, list[tuple[str, float, float, float, float]]] = {"press": [], "shear": []}
     for contact in contacts:
         for kind, step in (("press", PRESS_STEPS - 1), ("shear", -1)):
             if contact.force_N[step, 2] >= _LEAST_N:
@@ -88,7 +92,7 @@ def compare(sensor: VirtualSensor, n: int, seed: int, friction: float = 1.0) -> 
 
 def _agreement(
     contact: Contact, step: int, simulator: TactileSimulator, fine: PointMotion, fast: PointMotion
-) -> tuple[str, float, float, float]:
+) -> tuple[str, float, float, float, float]:
     cells, every = contact.cells[step], np.arange(len(contact.cells[step].press_N))
     truth = Traction(every, cells.press_N[None].astype(np.float32), cells.shear_N[None].astype(np.float32))
     force, torsion = contact.force_N[step][None], contact.torsion_Nmm[step][None]
@@ -96,10 +100,11 @@ def _agreement(
     wanted, found = fine(truth)[0, :2].ravel(), fast(simulator.traction(state))[0, :2].ravel()
     correlation, slope = np.corrcoef(wanted, found)[0, 1], wanted @ found / (wanted @ wanted)
     depth = simulator.depth_mm(state)[0] / contact.depth_mm[step]
-    return contact.name, float(correlation), float(slope), float(abs(depth - 1))
+    missed = np.linalg.norm(found - wanted) / np.linalg.norm(wanted)
+    return contact.name, float(correlation), float(slope), float(abs(depth - 1)), float(missed)
 
 
-def _summary(rows: list[tuple[str, float, float, float]]) -> dict[str, float]:
+def _summary(rows: list[tuple[str, float, float, float, float]]) -> dict[str, float]:
     numbers = np.array([row[1:] for row in rows])
     flat = np.array([row[0] == "flat" for row in rows])
     return {
@@ -109,6 +114,7 @@ def _summary(rows: list[tuple[str, float, float, float]]) -> dict[str, float]:
         "slope": float(np.median(numbers[:, 1])),
         "slope_held_tools": float(np.median(numbers[flat, 1])),
         "depth_error": float(np.median(numbers[:, 2])),
+        "motion_error": float(np.median(numbers[:, 3])),
     }
 
 

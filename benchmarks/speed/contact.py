@@ -34,11 +34,11 @@ def bench_contact(seconds: float) -> dict[str, Any]:
 
 def _work(sensor: str, batch: int) -> Callable[[], object]:
     simulator, rng = TactileSimulator(sensor), np.random.default_rng(0)
-    contacts = cycle([_contact(rng, batch) for _ in range(_VARIANTS)])
+    contacts = cycle([drawn_contact(rng, batch) for _ in range(_VARIANTS)])
     return lambda: simulator.marker_images(next(contacts))
 
 
-def _contact(rng: np.random.Generator, batch: int) -> ContactState:
+def drawn_contact(rng: np.random.Generator, batch: int) -> ContactState:
     force, torsion = sample_loads(rng, batch, ForceRange())
     return ContactState(sample_objects(rng, batch, SEEN, flat_share=0.2).gap_mm, force, torsion)
 

@@ -37,17 +37,19 @@ class Arm:
     refitted: bool = False  # the sensor was calibrated with its fault: folder CALIBRATION+FAULT=DOSE
     monitor: Literal["stop", "off"] = "stop"  # of a policy's sensor
     few: bool = False  # acts in the first scenes alone
+    masked: bool = False  # a policy whose touch carries nothing
 
 
 def play(arm: Arm, level: str, words: str, operator: str, dose: float, cell: str, seed: int, first: int) -> Row:
-    """Let an arm act in one scene with a sensor in words, under an operator of the scene if it is one.
+    """Let an arm act in one scene with a sensor in words, under an operator of the scene if it is one."""
+    of_scene = SCENE_OPERATORS.get(operator)
+    return disturbed(arm, level, words, of_scene.disturb(dose) if of_scene else Disturbance(), cell, seed, first)
 
-    What a refused sensor stops counts as aborted.
-    """
+
+def disturbed(arm: Arm, level: str, words: str, disturbance: Disturbance, cell: str, seed: int, first: int) -> Row:
+    """Let an arm act in one disturbed scene. What a refused sensor stops counts as aborted."""
     worker_process()
     torch.manual_seed(seed)
-    of_scene = SCENE_OPERATORS.get(operator)
-    disturbance = of_scene.disturb(dose) if of_scene else Disturbance()
     act = {"policy": _policy, "stock": _stock, "expert": _expert, "reads": _reads}[arm.acts]
     try:
         env, result = act(arm, level, words, disturbance, seed, first)
@@ -70,15 +72,17 @@ Played = tuple[WipeEnv, EpisodeResult]
 def _policy(arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int) -> Played:
     calibration = arm.calibration + words.removeprefix(arm.sensor) * arm.refitted
     rig = Rig(level, right_sensor=words, right_calibration=calibration, monitor=arm.monitor)
-    controller = _controller(whose_turn(seed - first, arm.policies), rig)
+    controller = _controller(whose_turn(seed - first, arm.policies), rig, arm.masked)
     worn = (rig.mounted["left"], rig.mounted["right"])
     env = DisturbedEnv(disturbance, level, *worn, drawn=controller.reads, expose_wrench=controller.needs_true_wrench)
     return env, roll_out(env, controller, seed).result
 
 
 @lru_cache(maxsize=64)
-def _controller(policy: str, rig: Rig) -> PolicyController:
-    return policy_on_rig(policy, rig)[1]
+def _controller(policy: str, rig: Rig, masked: bool) -> PolicyController:
+    controller = policy_on_rig(policy, rig)[1]
+    controller.policy.touch.masked |= masked
+    return controller
 
 
 def _stock(arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int) -> Played:

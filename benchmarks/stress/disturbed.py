@@ -10,6 +10,7 @@ import numpy as np
 from benchmarks.stress.operators import Operator
 from lerobot_env_uniforce_wiping import SceneParams, WipeEnv
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ
+from lerobot_env_uniforce_wiping.mjcf import SolverSettings
 from lerobot_env_uniforce_wiping.touch import PadImages
 from uniforce_vtla.contact.worn_in_words import wear
 from uniforce_vtla.evaluation.episode import WIPING_PHASE
@@ -36,6 +37,7 @@ class Disturbance:
     late_steps: int = 0  # actions are executed so much later
     push_N: float = 0.0  # on the hand, for .2 s every 2 s, in a direction drawn each time
     task: str = ""  # said instead of the scene's text
+    substeps: int = SolverSettings.substeps  # physics steps per force sample
     exchanged: str = ""  # worn right from half a second of wiping on, with its own reference; the pad's springs stay
 
 
@@ -44,7 +46,7 @@ class DisturbedEnv(WipeEnv):
 
     def __init__(self, disturbance: Disturbance, *usual: Any, **options: Any) -> None:
         super().__init__(*usual, **options)
-        self._disturbance = disturbance
+        self._disturbance, self.solver = disturbance, SolverSettings(disturbance.substeps)
 
     def scene_of(self, seed: int) -> SceneParams:
         return self._disturbance.scene(super().scene_of(seed))

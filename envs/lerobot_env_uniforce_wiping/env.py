@@ -8,6 +8,7 @@ import numpy as np
 from gymnasium import spaces
 
 from lerobot_env_uniforce_wiping.levels import CAMERA_PX, CONTROL_HZ, get_level
+from lerobot_env_uniforce_wiping.mjcf import SolverSettings
 from lerobot_env_uniforce_wiping.painter import Painter
 from lerobot_env_uniforce_wiping.recording import CLEAR_m, TraceRecorder
 from lerobot_env_uniforce_wiping.scene_params import TASK_TEXTS, SceneParams, draw_scene
@@ -56,6 +57,7 @@ class WipeEnv(gymnasium.Env):
         self.drawn = drawn
         self.limits = replace(ScoreLimits(), in_band_share=self.level.in_band_share or 0.0)
         self.expose_wrench, self.render_mode = expose_wrench, render_mode
+        self.solver = SolverSettings()  # of the next episode's physics
         self._painter = Painter()
         self._max_episode_steps = max_steps or round(self.level.time_limit_s * CONTROL_HZ)
         self.task = self.task_description = TASK_TEXTS[0]
@@ -138,7 +140,7 @@ class WipeEnv(gymnasium.Env):
         scene = self.scene_of(seed)
         self.worn = {finger: worn(seed) for finger, worn in self._wear.items()}
         stiffness = self.worn["left"].stiffness, self.worn["right"].stiffness
-        self._sim = WipeSimulation(scene, self.sensors["left"], self.sensors["right"], stiffness=stiffness)
+        self._sim = WipeSimulation(scene, self.sensors["left"], self.sensors["right"], self.solver, stiffness)
         self._recorder = TraceRecorder(self._sim)
         self._steps = 0
         self.task = self.task_description = scene.task

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.charts import __main__ as charts
-from benchmarks.charts import data, policy
+from benchmarks.charts import contact, data, policy, scene
 from benchmarks.charts.front import TIE, Point, front
 from benchmarks.charts.tokenizer import PRECISIONS, running_in
 from benchmarks.probes.labelled_set import FROZEN, SENSORS, draw_labelled
@@ -97,3 +97,36 @@ def test_the_data_chart_at_toy_size_holds_what_ran_last(tmp_path: Path, monkeypa
 def test_demonstrations_need_a_view(capsys: pytest.CaptureFixture[str]) -> None:
     assert data.main([]) == 2
     assert "expected a training view's folder, got none" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_contact_chart_at_toy_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(contact, "SENSORS", ("tactip",))
+    monkeypatch.setattr(contact, "CELLS_mm", (2.5, 5.0))
+    assert contact.main(["contacts=2", "rounds=1", f"out={tmp_path}"]) == 0
+    found = json.loads((tmp_path / "chart_contact.json").read_text())["sensors"]["tactip"]
+    fine, coarse = found["points"]
+    assert fine["default"] and not coarse["default"] and fine["score"] > coarse["score"] > 0
+    assert (tmp_path / "chart_contact_tactip.png").stat().st_size > 5000
+
+
+def test_the_scenes_points_are_named_by_the_rate_of_physics_and_compared_with_the_finest() -> None:
+    times = {2: 20.0, 4: 10.0, 32: 1.0}
+    settings = [{"substeps": n, "times_real_time": x, "press_N": [6.0 + 3 / n, 6.0]} for n, x in times.items()]
+    coarse, usual = scene.points(settings)
+    assert (coarse.name, usual.name, usual.default, usual.cost) == ("240 Hz", "480 Hz", True, 100.0)
+    assert coarse.low < usual.low < usual.score < 1
+
+
+@pytest.mark.slow
+def test_the_scene_chart_at_toy_size_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = [{"substeps": n, "times_real_time": 64 / n, "press_N": [6 + 1 / n]} for n in (4, 32)]
+    monkeypatch.setattr(scene, "solvers", lambda asked, repeats: {"settings": settings})
+    asked = ["substeps=4", "rollouts=1", "workers=1", f"out={tmp_path}"]
+    assert scene.main(asked) == 0
+    rows = (tmp_path / "chart_scene_20000.jsonl").read_text()
+    assert scene.main(asked) == 0 and (tmp_path / "chart_scene_20000.jsonl").read_text() == rows
+    clean = json.loads((tmp_path / "chart_scene.json").read_text())["clean"]
+    assert {cell: share["n"] for cell, share in clean.items()} == dict.fromkeys(
+        ("expert, 480 Hz", "V+T, 480 Hz", "V, 480 Hz"), 1
+    )

@@ -1,0 +1,113 @@
+"""The scene by its time step: what a simulated second costs, how far presses are off, and who wipes clean in it."""
+
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from joblib import Parallel, delayed
+from tqdm import tqdm
+
+from benchmarks.charts.front import Point, draw_chart, front
+from benchmarks.ledger import Ledger
+from benchmarks.physics import SUBSTEPS, solvers
+from benchmarks.scene_blocks import BLOCKS
+from benchmarks.stress.actors import Arm, disturbed
+from benchmarks.stress.disturbed import Disturbance
+from lerobot_env_uniforce_wiping.mjcf import SolverSettings
+from uniforce_cli.boundary import Level, command
+from uniforce_vtla.evaluation.statistics import wilson
+from uniforce_vtla.options import Count, Numbers, OutFolder, Policies, Seed, Workers, split
+from uniforce_vtla.results_file import provenance, write_json
+
+
+@dataclass
+class SceneChartCommand:
+    """Time the scene's physics with finer and coarser steps and roll out the expert, V+T and V in it; chart both.
+
+    V is V+T whose touch is masked. Run it again to go on.
+
+    Example: python -m benchmarks.charts.scene rollouts=60
+    """
+
+    policy: Policies = "shipped"  # V+T: checkpoint folders that take turns
+    level: Level = "touch"
+    substeps: Numbers = "2,4,16"  # physics steps per force sample that are rolled out
+    rollouts: Count = 60  # scenes, the same for every cell
+    first_seed: Seed = BLOCKS["development"].start
+    repeats: Count = 3  # of each timed stroke
+    workers: Workers = 2
+    out: OutFolder = "outputs/charts"  # episodes so far, chart_scene.json and .png
+
+
+def hertz(substeps: int) -> str:
+    return f"{SolverSettings(substeps).physics_hz:.0f} Hz"
+
+
+def points(settings: list[dict[str, Any]]) -> list[Point]:
+    """Return a point per time step but the finest: its presses over the finest's, mean and worst of three depths."""
+    truth = np.array(settings[-1]["press_N"])
+    found = []
+    for setting in settings[:-1]:
+        right = 1 - np.abs(np.array(setting["press_N"]) / truth - 1)
+        default = setting["substeps"] == SolverSettings().substeps
+        cost, mean = 1000 / setting["times_real_time"], float(right.mean())
+        found.append(Point(hertz(setting["substeps"]), cost, mean, float(right.min()), mean, default))
+    return found
+
+
+def roll(config: SceneChartCommand) -> list[dict[str, Any]]:
+    """Return a row per time step, arm and scene; those of an earlier run are kept."""
+    ledger, name = Ledger(Path(config.out)), f"chart_scene_{config.first_seed}"
+    done = {(row["cell"], row["seed"]) for row in ledger.read(name)}
+    policies = tuple(split(config.policy))
+    arms = Arm("expert", acts="expert"), Arm("V+T", policies=policies), Arm("V", policies=policies, masked=True)
+    jobs = []
+    for seed in range(config.first_seed, config.first_seed + config.rollouts):
+        for arm in arms:
+            for substeps in map(int, split(config.substeps)):
+                cell, physics = f"{arm.name}, {hertz(substeps)}", Disturbance(substeps=substeps)
+                if (cell, seed) not in done:
+                    job = delayed(disturbed)(arm, config.level, arm.sensor, physics, cell, seed, config.first_seed)
+                    jobs.append(job)
+    for row in tqdm(Parallel(config.workers, return_as="generator")(jobs), total=len(jobs), desc="episodes"):
+        ledger.add(name, asdict(row))
+    return [row for row in ledger.read(name) if row["seed"] < config.first_seed + config.rollouts]
+
+
+def ranked(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Return cell → clean, n and the 95 % interval."""
+    cells: dict[str, list[bool]] = {}
+    for row in rows:
+        cells.setdefault(row["cell"], []).append(row["clean"])
+    return {cell: asdict(wilson(sum(clean), len(clean))) for cell, clean in cells.items()}
+
+
+@command(SceneChartCommand)
+def main(config: SceneChartCommand) -> None:
+    """Entry of ``python -m benchmarks.charts.scene``."""
+    settings = solvers([SolverSettings(n) for n in SUBSTEPS], config.repeats)["settings"]
+    shown, clean = points(settings), ranked(roll(config))
+    cost, score = "ms of a core per simulated second", f"press as at {hertz(SUBSTEPS[-1])}, mean and worst depth"
+    content = {
+        "family": "scene",
+        "cost": cost,
+        "score": score,
+        "points": [asdict(point) for point in shown],
+        "pareto_front": front(shown),
+        "level": config.level,
+        "seeds": [config.first_seed, config.first_seed + config.rollouts - 1],
+        "clean": clean,
+    }
+    path = write_json(Path(config.out) / "chart_scene.json", content | provenance())
+    draw_chart(shown, path.with_suffix(".png"), "time step of the scene, simulated, no pictures", cost, score)
+    for point in shown:
+        print(f"{point.name:8} {point.cost:6.1f} ms a second  press {point.score:.4f}, worst {point.low:.4f}")
+    for cell, share in clean.items():
+        print(f"{cell:18} clean {share['k']} of {share['n']} [{share['low']:.2f}, {share['high']:.2f}]")
+    print(f"on the front: {', '.join(front(shown))}; written to {path}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
