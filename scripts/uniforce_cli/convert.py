@@ -1,4 +1,4 @@
-"""Turn a published π0.5 (folder or hub id) into a pi05_uniforce that training can start from; or convert data.
+"""Turn a published π0.5 (folder or hub id) into a pi05_uniforce that training can start from.
 
 Why not ``policy.pretrained_path``: LeRobot would load the published processors with it, which know nothing of touch,
 and its own loader goes on with random weights after an error. Here every tensor is placed by name or named in an error.
@@ -15,7 +15,7 @@ from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.file_hashes import write_hashes
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import ACTION
-from uniforce_vtla.options import Count, Existing, FolderPath, OutFolder, Pattern, Slots, View
+from uniforce_vtla.options import Existing, OutFolder, Pattern, Slots, View
 
 if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce import PI05UniforceConfig
@@ -35,7 +35,6 @@ class ConvertConfig:
 
     Example: uniforce convert source=lerobot/pi05_base view=outputs/view224 out=outputs/pi05_touch
     then: uniforce train policy.path=outputs/pi05_touch dataset.repo_id=local/view dataset.root=outputs/view224
-    or data, either way: uniforce convert dataset=wipe_board.zarr fps=30 out=outputs/wipe_board
     """
 
     source: Published = "lerobot/pi05_base"  # a pi05, or a pi05_uniforce to change its touch
@@ -47,8 +46,6 @@ class ConvertConfig:
     start_at_base: bool = True  # training starts with the source's actions, touch behind a gate (touch/tokens.py)
     dtype: Literal["bfloat16", "float32"] = "bfloat16"  # of the backbone; a tiny source stays float32
     revision: Revision = ""  # of a hub repository
-    dataset: FolderPath = ""  # instead of a policy: an Open-X-Tactile task to LeRobot, or a recording to such a task
-    fps: Count = 30  # of an Open-X-Tactile task
 
 
 def convert(config: ConvertConfig) -> Path:
@@ -102,24 +99,11 @@ def _settings(source: dict[str, Any], config: ConvertConfig, slots: dict[str, st
     return PI05UniforceConfig(**taken, device="cpu", dtype=dtype, touch=touch)
 
 
-def convert_dataset(config: ConvertConfig) -> Path:
-    """Convert data from Open-X-Tactile or to it, whichever it isn't yet; return the new folder."""
-    from uniforce_datasets.dataset_info import INFO
-    from uniforce_datasets.open_x_tactile import from_lerobot, to_lerobot
-
-    if (Path(config.dataset) / INFO).is_file():
-        return from_lerobot(config.dataset, config.out)
-    return to_lerobot(config.dataset, config.out, config.fps)
-
-
 @command(ConvertConfig)
 def main(config: ConvertConfig) -> None:
     from lerobot_policy_pi05_uniforce import weights
 
     one_thread()
-    if config.dataset:
-        print(f"converted: {convert_dataset(config)}")
-        return
     if not config.view:
         raise ContractError(expected("view", "a training view's folder", "none", "Build one with uniforce view."))
     out = convert(config)

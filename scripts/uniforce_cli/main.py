@@ -21,7 +21,7 @@ GROUPS = {  # what a verb is for; the module of its name does it and is loaded w
         "view": "cache latents and small images, so that the trainer never waits",
         "train": "train a policy with LeRobot's trainer",
         "pretrain": "pretrain the tactile tokenizer",
-        "convert": "make a policy to start from of published pi0.5 weights; data to and from Open-X-Tactile",
+        "convert": "make a policy to start from of published pi0.5 weights",
     },
     "score": {
         "score": "roll a policy out on paired scenes and score it; sensors may be exchanged",
