@@ -89,7 +89,6 @@ def test_a_recording_is_scored_from_its_fingers_alone(demos: Path, tmp_path: Pat
     assert row["press_mae_N"] < 1.5 < row["with_true_forces"]["press_max_N"]
     assert bool(row["slippage"]) == bool(row["with_true_forces"]["slippage"])
     assert not row["lost"] and {"residual", "not_judged"} & set(row["residual"])
-    assert (tmp_path / "episode_0.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize("friction", ["", "0.6", "a,b", "0,0.5"])

@@ -4,10 +4,7 @@ The same batch conversion, preprocessor, ``select_action`` and postprocessor tha
 the observations that would meet a full action queue are never rendered, because the policy ignores them.
 """
 
-import math
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +19,7 @@ from lerobot_policy_pi05_uniforce import weights
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.modeling_pi05_uniforce import PI05UniforcePolicy
 from uniforce_vtla.contracts import Finger
-from uniforce_vtla.errors import CheckpointError, ContractError, expected
+from uniforce_vtla.errors import CheckpointError
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import TACTILE_NAMES, wrench_key
 
@@ -49,48 +46,6 @@ def stored_config(checkpoint: Path) -> PI05UniforceConfig:
     config.device = "cpu"
     config.pretrained_path = checkpoint
     return config
-
-
-class Deadlines:
-    """Account of one episode's calls at a control rate.
-
-    A call that finds k actions still queued is due when they and the present step are over: k + 1 control periods. What
-    comes later leaves the robot without a new action; those control steps are counted too.
-
-    Raises ContractError: no positive rate.
-    """
-
-    def __init__(self, control_hz: float) -> None:
-        if not control_hz > 0:
-            raise ContractError(expected("control rate", "above 0 Hz", control_hz, "Give the robot's rate."))
-        self.period_s = 1.0 / control_hz
-        self.missed = 0  # calls
-        self.empty_steps = 0  # control steps without a new action
-        self._latencies_s: list[float] = []
-
-    @contextmanager
-    def call(self, queued: int) -> Iterator[None]:
-        """Time the block as one call that found ``queued`` actions left."""
-        start = time.perf_counter()
-        yield
-        self.record(time.perf_counter() - start, queued)
-
-    def record(self, latency_s: float, queued: int) -> None:
-        """Account for a call that took ``latency_s``."""
-        self._latencies_s.append(latency_s)
-        late_s = latency_s - (queued + 1) * self.period_s
-        if late_s > 0:
-            self.missed += 1
-            self.empty_steps += math.ceil(late_s / self.period_s)
-
-    def facts(self) -> dict[str, float]:
-        """Return calls, missed deadlines, empty control steps and latencies [ms]; nothing before the first call."""
-        if not self._latencies_s:
-            return {}
-        ms = 1e3 * np.asarray(self._latencies_s)
-        p50, p95, most = (float(np.percentile(ms, share)) for share in (50, 95, 100))
-        counts = {"calls": len(ms), "missed_deadlines": self.missed, "empty_steps": self.empty_steps}
-        return counts | {"latency_p50_ms": p50, "latency_p95_ms": p95, "latency_max_ms": most}
 
 
 class PolicyController:
@@ -131,7 +86,7 @@ class PolicyController:
         with stored.misfits_named(f"processors of {folder}"):
             self._before, self._after = make_pre_post_processors(config, pretrained_path=folder)
         self.config: PI05UniforceConfig = self.policy.config
-        self._deadlines = Deadlines(CONTROL_HZ)
+        self._hz, self._missed = float(CONTROL_HZ), 0
 
     @property
     def needs_true_wrench(self) -> bool:
@@ -145,19 +100,21 @@ class PolicyController:
         return tuple(dict.fromkeys(self.config.finger_by_slot().values())) if images else ()
 
     def reset(self, env: Any) -> None:
-        """Forget the previous episode: action queue, issued target, cached references, latencies."""
+        """Forget the previous episode: action queue, issued target, cached references, missed deadlines."""
         self.policy.reset()
-        self._deadlines = Deadlines(getattr(env, "metadata", {}).get("render_fps", CONTROL_HZ))
+        self._hz, self._missed = getattr(env, "metadata", {}).get("render_fps", CONTROL_HZ), 0
 
     def facts(self) -> dict[str, float]:
-        """Return calls, missed deadlines and latencies since the last reset (``Deadlines.facts``)."""
-        return self._deadlines.facts()
+        """Return how many calls since the last reset left the robot without a new action."""
+        return {"missed_deadlines": self._missed}
 
     @torch.no_grad()
     def chunk(self, observation: dict[str, Any], task: str) -> np.ndarray:
         """Return the next (n_action_steps, 5) absolute targets [m, m, m, rad, m]."""
-        with self._deadlines.call(queued=len(self.policy._action_queue)):
-            return self._issue(self._batch(observation, task))
+        begun, queued = time.perf_counter(), len(self.policy._action_queue)
+        targets = self._issue(self._batch(observation, task))
+        self._missed += time.perf_counter() - begun > (queued + 1) / self._hz  # due when these and the present step end
+        return targets
 
     def _issue(self, batch: dict[str, Any]) -> np.ndarray:
         steps = [self._after(self.policy.select_action(batch)) for _ in range(self.config.n_action_steps)]

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from uniforce_cli.episode_films import encoded, streams
-from uniforce_cli.recorded_episode import cameras
+from uniforce_cli.recorded_episode import cameras, raw_touch
 from uniforce_datasets.source import Episode, Source
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.evaluation.episode_summary import EpisodeSummary
@@ -25,7 +25,7 @@ def write_recording(rerun: ModuleType, summary: EpisodeSummary, source: Source, 
     path.parent.mkdir(parents=True, exist_ok=True)
     at = rerun.TimeColumn(TIME, duration=summary.time_s)
     with rerun.RecordingStream("uniforce show", recording_id=path.stem) as recording:
-        recording.save(path, default_blueprint=_layout(rerun, summary, cameras(source)))
+        recording.save(path, default_blueprint=_layout(rerun, summary, source, episode))
         recording.log("events", rerun.TextDocument("\n".join(["estimated:", *summary.verdict])), static=True)
         for name, pictures in streams(summary, source, episode):
             ending, kind, *options = JPEG if name.startswith(("camera", "raw")) else PNG
@@ -65,13 +65,13 @@ def traces(summary: EpisodeSummary) -> dict[str, np.ndarray]:
     return found
 
 
-def _layout(rerun: ModuleType, summary: EpisodeSummary, seen: dict[str, str]) -> Any:
+def _layout(rerun: ModuleType, summary: EpisodeSummary, source: Source, episode: Episode) -> Any:
     view, judged = rerun.blueprint, summary.found is not None
-    touch = [f"raw/{finger}" for finger in summary.key_frames[0].raw]
+    touch = [f"raw/{finger}" for finger in FINGERS if raw_touch(source, episode, finger) is not None]
     touch += [f"{what}/{finger}" for what in ("markers", "latent") for finger in FINGERS]
     plots = [f"force_N/{finger}" for finger in FINGERS] + ["press_N"] * judged
     plots += ["friction_used"] * (judged and summary.judges_slip)
-    grids = ([f"camera/{name}" for name in seen], touch)
+    grids = ([f"camera/{name}" for name in cameras(source)], touch)
     pictures = [view.Grid(*(view.Spatial2DView(origin=p, name=p) for p in paths)) for paths in grids]
     texts = view.Horizontal(view.TextDocumentView(origin="events"), view.TextLogView(origin="log"))
     lines = (view.TimeSeriesView(origin=path, name=path) for path in plots)

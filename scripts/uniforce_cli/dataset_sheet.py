@@ -11,15 +11,7 @@ import numpy as np
 from uniforce_cli.episode_films import Films
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.evaluation.episode import ScoreLimits
-from uniforce_vtla.evaluation.episode_summary import (
-    FORCES,
-    LETTERS,
-    EpisodeSummary,
-    TimeLine,
-    draw_channels,
-    draw_key_frames,
-    draw_timeline,
-)
+from uniforce_vtla.evaluation.episode_summary import FORCES, LETTERS, EpisodeSummary, TimeLine, draw_timeline
 
 TEMPLATES = jinja2.Environment(loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True)
 TEMPLATES.policies["json.dumps_kwargs"] = {"allow_nan": False}
@@ -27,24 +19,19 @@ TEMPLATES.filters["base64"] = lambda file: b64encode(file.read_bytes()).decode()
 
 
 def write_sheet(summary: EpisodeSummary, films: Films, facts: Mapping[str, str], folder: Path, stem: str) -> Path:
-    """Write the page with all of its pictures in it, and the still ones beside it too; return the page's path.
+    """Write the page with all of its pictures in it, and the time line beside it too; return the page's path.
 
     ``facts`` are the lines at the top; whatever they hold is shown as text, never as HTML.
     """
-    # where both fingers together press hardest
-    held = max(summary.key_frames, key=lambda moment: float(summary.force_N[moment.frame, :, 2].sum()))
     line = draw_timeline(summary, folder / f"{stem}_timeline.png")
-    moments = draw_key_frames(summary, folder / f"{stem}_moments.png")
-    latent = draw_channels(summary, held, folder / f"{stem}_latent.png")
     heads = ["press on board"] * (summary.found is not None)
     heads += [f"{finger} {name}" for finger in FINGERS for name, _ in FORCES]
     # words, first frame, the one after the last, and kind
     events = [(f"{a} {k.name}", k.frame, k.frame + 1, "") for a, k in zip(LETTERS, summary.key_frames, strict=False)]
     events += [(stretch.name, stretch.first, stretch.end, "beyond") for stretch in summary.stretches]
     text = TEMPLATES.get_template("episode_page.html").render(
-        **{"summary": summary, "facts": facts, "line": line, "moments": moments, "latent": latent, "heads": heads},
+        **{"summary": summary, "facts": facts, "line": line, "heads": heads},
         captions={name: _caption(name) for name in films.pictures},
-        held=held.name,
         events=events,
         data=_data(summary, films, line),
     )

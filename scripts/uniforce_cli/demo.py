@@ -96,11 +96,10 @@ def run(config: DemoConfig) -> None:
     start, out = time.perf_counter(), Path(config.out)
     _start_over(out)
     with logged(out / LOG) as say:
-        page, episode = _steps(config, out, say)
+        episode = _steps(config, out, say)
         minutes = (time.perf_counter() - start) / 60
         say(f"\nDone in {minutes:.1f} minutes (n = {config.rollouts}: smoke, no claim).")
         say(f"  look at it     {episode}   (a demo with a slider: open it in a browser)")
-        say(f"  picture page   {page}")
         say(f"  video          {next(out.glob('score/VT_*/seed_*.mp4'))}")
         say(f"  demos          {out / 'demos'}   (LeRobot v3 dataset)")
         say(f"  trained        {out / 'train' / 'checkpoints' / 'last'}")
@@ -108,10 +107,10 @@ def run(config: DemoConfig) -> None:
         say(f"  log            {out / LOG}")
 
 
-def _steps(config: DemoConfig, out: Path, say: Callable[[str], None]) -> tuple[Path, Path]:
-    """Run every stage; return the paths of the picture page and of the first demo's page."""
+def _steps(config: DemoConfig, out: Path, say: Callable[[str], None]) -> Path:
+    """Run every stage; return the path of the first demo's page."""
     say(f"\n[1/5] recording {config.episodes} demos with the scripted expert (GelSight left, TacTip right)")
-    from uniforce_cli import demo_page, lerobot_training, record, score, show, view
+    from uniforce_cli import lerobot_training, record, score, show, view
     from uniforce_vtla.evaluation.arms import table
 
     recording = record.RecordConfig(
@@ -132,13 +131,12 @@ def _steps(config: DemoConfig, out: Path, say: Callable[[str], None]) -> tuple[P
         )  # fmt: skip
         reports.append(score.score(scoring))
     say("\n[5/5] report")
-    page = demo_page.draw_demo_page(reports, next(out.glob("score/VT_*/seed_*.png")), out / "page.png")
     arms = {report.arm: report.as_dict() for report in reports}
     content = {"level": config.level, "label": "smoke, no claim", "arms": arms}
     write_json(out / "wiping.json", content | provenance())
     (episode,) = show.show_dataset(show.ShowDatasetConfig(root=str(out / "demos"), out=str(out / "show")))
     say(table(reports))
-    return page, episode
+    return episode
 
 
 def _train_arguments(config: DemoConfig, out: Path) -> list[str]:

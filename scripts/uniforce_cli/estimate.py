@@ -35,7 +35,7 @@ class ScoreRecordingConfig:
     episodes: CountOrZero = 0  # the first so many; 0 = all
     heads: FolderPath = ""  # of python -m benchmarks.descriptor_heads; empty = the wiping scene's
     verify: Verify = "quick"  # how the dataset is checked first
-    out: OutFolder = "outputs/recording_scores"  # estimates.json and a picture per episode
+    out: OutFolder = "outputs/recording_scores"  # estimates.json
 
 
 def score_recording(config: ScoreRecordingConfig) -> dict[str, Any]:
@@ -48,7 +48,6 @@ def score_recording(config: ScoreRecordingConfig) -> dict[str, Any]:
 
     from uniforce_cli.recorded_episode import RecordingForces, descriptor_heads
     from uniforce_vtla.evaluation.episode import ScoreLimits
-    from uniforce_vtla.evaluation.pictures import draw_estimate
 
     left, right = numbers("pad_friction", config.pad_friction, 2)
     corners = numbers("board_corners", config.board_corners, 8) if config.board_corners else None
@@ -63,7 +62,6 @@ def score_recording(config: ScoreRecordingConfig) -> dict[str, Any]:
         if truth is not None:
             row["with_true_forces"] = _row(episode, truth)
             row["press_mae_N"] = float(abs(found.press_N - truth.press_N).mean())
-        draw_estimate(found, forces.time_s, truth, Path(config.out) / f"episode_{episode.index}.png")
         rows.append(row)
     return {
         "what": "estimates from marker images, the robot's own height and a camera; no truth was used",
@@ -119,3 +117,4 @@ def main(config: ScoreRecordingConfig) -> None:
     content = score_recording(config)
     path = write_json(Path(config.out) / "estimates.json", content | provenance())
     print("\n".join(["Estimates, not truth:", *map(_line, content["episodes"]), f"written to {path}"]))
+    print(f"over time: uniforce show root={config.root} pad_friction={config.pad_friction} episode=0")

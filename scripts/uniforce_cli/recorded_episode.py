@@ -19,7 +19,6 @@ from uniforce_vtla.evaluation.episode_summary import EpisodeSummary, KeyFrame, f
 from uniforce_vtla.evaluation.finger_estimates import FingerEstimate, estimate_events
 from uniforce_vtla.keys import AXES, STATE, TACTILE_KEYS, counts_key, sensor_key, tactile_key, truth_wrench_key
 from uniforce_vtla.markers.mirror import to_canonical
-from uniforce_vtla.markers.raster import overlay
 from uniforce_vtla.sensors import list_sensors
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 from uniforce_vtla.tokenizer.descriptor_head import DescriptorHead
@@ -184,22 +183,15 @@ def summarise_episode(
     known_N = forces.force_N if forces.true_force_N is None else forces.true_force_N  # simulated: events by the truth
     named = find_key_frames(known_N, forces.tool_m[:, 2])
     film = ((np.arange(FILM) + 0.5) / FILM * episode.length).astype(int).tolist()  # middle of each picture
-    shown = set(named.values())
-    seen = {n: _chosen(frames(source, episode, key), {*shown, *film}) for n, key in cameras(source).items()}
-    markers = {finger: _overlays(source, episode, finger, shown) for finger in FINGERS}
-    raw = {finger: _chosen(kept, shown) for finger in FINGERS if (kept := raw_touch(source, episode, finger))}
-
-    def moment(name: str, frame: int) -> KeyFrame:
-        return KeyFrame(name, frame, *({k: p[frame] for k, p in kind.items()} for kind in (seen, markers, raw)))
-
+    films = {name: _chosen(frames(source, episode, key), film) for name, key in cameras(source).items()}
     return EpisodeSummary(
         title=title,
         time_s=forces.time_s,
-        films={camera: [pictures[frame] for frame in film] for camera, pictures in seen.items()},
+        films=films,
         force_N=forces.force_N,
         true_force_N=forces.true_force_N,
         change={f: latent_change(tokenizer, source, episode, f) for f in FINGERS},
-        key_frames=tuple(moment(name, frame) for name, frame in named.items()),
+        key_frames=tuple(KeyFrame(name, frame) for name, frame in named.items()),
         found=found,
         truth=truth,
         judges_slip=friction is not None,
@@ -207,10 +199,7 @@ def summarise_episode(
     )
 
 
-def _chosen(pictures: Iterator[np.ndarray], wanted: set[int]) -> dict[int, np.ndarray]:
-    return {number: frame for number, frame in enumerate(pictures) if number in wanted}
-
-
-def _overlays(source: Source, episode: Episode, finger: Finger, wanted: set[int]) -> dict[int, np.ndarray]:
-    reference, current = marker_images(source, episode, finger)
-    return {number: overlay(reference, image) for number, image in _chosen(current, wanted).items()}
+def _chosen(pictures: Iterator[np.ndarray], wanted: list[int]) -> list[np.ndarray]:
+    """Return the frames of these numbers; one that is wanted twice comes twice."""
+    found = {number: frame for number, frame in enumerate(pictures) if number in wanted}
+    return [found[number] for number in wanted]

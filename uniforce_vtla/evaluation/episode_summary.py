@@ -1,6 +1,6 @@
-"""One recorded episode for people: its key frames, forces, latents and estimated events, and pictures of them."""
+"""One recorded episode for people: its key frames, forces, latents and estimated events, and their time line."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,25 +11,20 @@ from uniforce_vtla.evaluation.episode import ScoreLimits, runs
 from uniforce_vtla.evaluation.finger_estimates import FRICTION_SHARE, FY, FZ, HELD_N, FingerEstimate, lift_frame
 from uniforce_vtla.figure_file import save_figure
 
-LETTERS = "ABCDEFGH"  # of the key frames, the same in all pictures
+LETTERS = "ABCDEFGH"  # of the key frames, the same in picture and buttons
 FORCES = (("fx", "#4c78a8"), ("fy", "#e07b39"), ("fz", "#2a9d8f"))
 BEYOND = "#e63946"  # limits, and stretches beyond one
 BAND = "#2a9d8f"  # the press that was asked for
-SIDE_IN = 2.1  # of a key frame's picture
 WIDTH_IN, FILM_IN, PLOT_IN, LATENT_IN = 14.0, 1.12, 1.6, 0.8  # of the time line and its rows
 SMALL = 9  # points: 11 px on a page as wide as the time line
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class KeyFrame:
     """One frame worth looking at."""
 
     name: str  # why, e.g. "lifted".
     frame: int  # its number in the episode
-    cameras: dict[str, np.ndarray]  # (H, W, 3) uint8 RGB by camera
-    markers: dict[str, np.ndarray]  # (H, W, 3) uint8 overlay of reference and current, by finger
-    # (H, W, 3) uint8 RGB of what the sensor gave, by finger; only those that were kept
-    raw: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -116,60 +111,8 @@ def find_key_frames(force_N: np.ndarray, tool_z_m: np.ndarray) -> dict[str, int]
     return dict(sorted(found.items(), key=lambda item: item[1]))
 
 
-def draw_key_frames(summary: EpisodeSummary, path: Path) -> Path:
-    """Draw a column per key frame: cameras, then of each finger its raw frame if kept, markers, latent change."""
-    first, count = summary.key_frames[0], len(summary.key_frames)
-    rows = list(summary.films)
-    for finger in summary.change:
-        parts = ("raw", "markers", "latent") if finger in first.raw else ("markers", "latent")
-        rows += [f"{finger} {part}" for part in parts]
-    heights = [0.76 if name.endswith(("markers", "raw")) else 1.0 for name in rows]
-    size = (SIDE_IN * count + 0.6, SIDE_IN * sum(heights) + 0.9)
-    figure = Figure(figsize=size, layout="constrained")
-    grid = figure.subplots(len(rows), count, squeeze=False, height_ratios=heights)
-    for column, letter, frame in zip(grid.T, LETTERS, summary.key_frames, strict=False):
-        column[0].set_title(f"{letter}  {frame.name}\n{summary.time_s[frame.frame]:.2f} s", fontsize=10)
-        _column(dict(zip(rows, column, strict=True)), summary, frame)
-    for name, panel in zip(rows, grid[:, 0], strict=True):
-        panel.set_ylabel(name)
-    for panel in grid.flat:
-        panel.set(xticks=[], yticks=[])
-    return save_figure(figure, path)
-
-
-def _column(panels: dict[str, Axes], summary: EpisodeSummary, frame: KeyFrame) -> None:
-    for camera in summary.films:
-        panels[camera].imshow(frame.cameras[camera])
-    for finger, picture in frame.raw.items():
-        panels[f"{finger} raw"].imshow(picture)
-    for number, finger in enumerate(summary.change):
-        panels[f"{finger} markers"].imshow(frame.markers[finger], interpolation="antialiased")
-        strength, panel = summary.strength(finger), panels[f"{finger} latent"]
-        panel.imshow(strength[frame.frame], cmap="magma", vmin=0, vmax=max(float(strength.max()), 1e-6))
-        forces = {"estimate": summary.force_N, "true": summary.true_force_N}
-        known = {name: force_N[frame.frame, number] for name, force_N in forces.items() if force_N is not None}
-        words = [f"{name} ({', '.join(f'{value:+.1f}' for value in force_N)}) N" for name, force_N in known.items()]
-        panel.set_xlabel("\n".join(words), fontsize=8)
-
-
-def draw_channels(summary: EpisodeSummary, frame: KeyFrame, path: Path) -> Path:
-    """Draw every latent channel of both fingers at one key frame, on one colour scale."""
-    changes = {finger: change[frame.frame] for finger, change in summary.change.items()}  # (g, g, L)
-    channels = next(iter(changes.values())).shape[-1]
-    figure = Figure(figsize=(1.6 * channels + 1.4, 1.75 * len(changes) + 0.6), layout="constrained")
-    grid = figure.subplots(len(changes), channels, squeeze=False)
-    limit = max(float(np.abs(change).max()) for change in changes.values()) or 1.0
-    for line, (finger, change) in zip(grid, changes.items(), strict=True):
-        line[0].set_ylabel(finger)
-        for channel, panel in enumerate(line):
-            image = panel.imshow(change[:, :, channel], cmap="RdBu_r", vmin=-limit, vmax=limit)
-            panel.set(xticks=[], yticks=[], title=f"z{channel}")
-    figure.colorbar(image, ax=grid, shrink=0.8, label="latent − free air")
-    return save_figure(figure, path)
-
-
 def draw_timeline(summary: EpisodeSummary, path: Path) -> TimeLine:
-    """Draw everything over the same seconds; letters mark the columns of ``draw_key_frames``."""
+    """Draw everything over the same seconds; letters mark key frames."""
     events = [] if summary.found is None else ["press", *(["friction"] if summary.judges_slip else [])]
     plots = [*events, *(f"force {finger}" for finger in summary.change)]
     rows = [*summary.films, *plots, *(f"latent {finger}" for finger in summary.change)]

@@ -1,4 +1,4 @@
-"""Pictures of scored rollouts: bars with intervals, an episode's sheet or its estimates."""
+"""Pictures of scored rollouts: bars with intervals, an episode's sheet."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,8 +8,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from uniforce_vtla.evaluation.arms import ArmReport
-from uniforce_vtla.evaluation.episode import ScoreLimits
-from uniforce_vtla.evaluation.finger_estimates import FRICTION_SHARE, FingerEstimate
 from uniforce_vtla.evaluation.rollout import Rollout
 from uniforce_vtla.evaluation.statistics import wilson
 from uniforce_vtla.figure_file import save_figure
@@ -27,16 +25,9 @@ COLOURS = {
 
 
 def draw_arms(reports: Sequence[ArmReport], path: Path, title: str) -> Path:
-    """Draw each arm's outcomes and clean success with a 95 % interval."""
+    """Draw a stacked bar of outcomes per arm; the dot is clean success with its Wilson interval."""
     figure = Figure(figsize=(8, 1.2 + 0.34 * len(reports)))
     axes = figure.subplots()
-    draw_outcomes(axes, reports)
-    axes.set_title(title)
-    return save_figure(figure, path, PICTURE_DPI, crop=True)
-
-
-def draw_outcomes(axes: Axes, reports: Sequence[ArmReport]) -> None:
-    """Draw a stacked bar of outcomes per arm; the dot is clean success with its Wilson interval."""
     for place, report in enumerate(reports):
         _draw_bar(axes, place, report)
         clean = wilson(report.count("clean"), report.n)
@@ -48,6 +39,8 @@ def draw_outcomes(axes: Axes, reports: Sequence[ArmReport]) -> None:
     axes.set_xlim(0, 1.02)
     axes.set_xlabel("share of rollouts (dot: clean success, 95 %)")
     axes.legend(bbox_to_anchor=(1.01, 1), loc="upper left", frameon=False)
+    axes.set_title(title)
+    return save_figure(figure, path, PICTURE_DPI, crop=True)
 
 
 def _draw_bar(axes: Axes, place: int, report: ArmReport) -> None:
@@ -86,24 +79,3 @@ def write_trace_sheet(path: Path, rollout: Rollout, title: str) -> Path:
     rows[3].set_ylabel("ink left, %")
     rows[3].set_xlabel("s")
     return save_figure(figure, path, PICTURE_DPI, crop=True)
-
-
-def draw_estimate(found: FingerEstimate, time_s: np.ndarray, truth: FingerEstimate | None, path: Path) -> Path:
-    """Draw a recording's estimates over time, beside the same from true forces where there are any."""
-    figure = Figure(figsize=(9, 6), layout="constrained")
-    panels = figure.subplots(3, 1, sharex=True)
-    for estimate, style, label in ((truth, "k:", "from true forces"), (found, "-", "estimate")):
-        if estimate is not None:
-            panels[0].plot(time_s, estimate.press_N, style, label=label)
-            panels[1].plot(time_s, estimate.grip_N, style, label=[f"left, {label}", f"right, {label}"])
-            panels[2].plot(time_s, estimate.friction_used.min(axis=1), style, label=label)
-    panels[0].axhline(ScoreLimits().mean_press_N, color="C3", lw=0.8, ls="--")
-    panels[2].axhline(FRICTION_SHARE, color="C3", lw=0.8, ls="--")
-    panels[2].set_xlabel("time [s]")
-    labels = ("press on board [N]", "grip [N]", "friction used, lesser pad")
-    for panel, label in zip(panels, labels, strict=True):
-        panel.set_ylabel(label)
-        panel.grid(alpha=0.25)
-        panel.legend(fontsize=8, loc="upper left")
-    figure.suptitle("; ".join(found.events))
-    return save_figure(figure, path)
