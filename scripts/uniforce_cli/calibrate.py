@@ -140,12 +140,12 @@ def recorded_grasps(config: CalibrateCommand, tokenizer: Tokenizer) -> Grasps:
     new_name, anchor_name = (words.partition(":")[0] for words in (config.new, config.anchor))
     encode, new, anchor, classes = pooled_latents(tokenizer), [], [], []
     for recording in read_uniforce_pairs(config.pairs):
-        if set(recording.sensors) != {new_name, anchor_name}:
+        if set(recording.kinds) != {new_name, anchor_name}:
             do = "Name them new= and anchor=."
-            raise DatasetError(expected(f"sensors of {recording}", [new_name, anchor_name], recording.sensors, do))
+            raise DatasetError(expected(f"sensors of {recording}", [new_name, anchor_name], recording.kinds, do))
         left = encode(recording.left_reference, recording.left_frames, "left")
         right = encode(recording.right_reference, recording.right_frames, "right")
-        is_left = recording.sensors[0] == new_name
+        is_left = recording.kinds[0] == new_name
         new.append(left if is_left else right)
         anchor.append(right if is_left else left)
         kind = "tool" if recording.indenter in split(config.tools) else "small"

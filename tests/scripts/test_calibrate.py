@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from uniforce_cli.calibrate import CalibrateCommand, main, recorded_grasps
-from uniforce_datasets.readers import uniforce_pairs
+from uniforce_datasets.readers.recording import PairRecording
+from uniforce_datasets.readers.uniforce_pairs import write_uniforce_pairs
 from uniforce_vtla.tokenizer import Latent, Tokenizer
 from uniforce_vtla.tokenizer.calibration import Calibration
 
@@ -40,21 +41,19 @@ def test_only_a_sensor_that_stays_the_same_is_calibrated(words: str, capsys: pyt
 
 @pytest.mark.parametrize(
     ("sensors", "new_is"),
-    [(("tactip", "gelsight"), "left"), (("gelsight", "tactip"), "right"), (("tactip", "tactip"), "left")],
+    [(("tactip", "gelsight"), "left"), (("gelsight", "tactip"), "right"), (("tactip_l", "tactip_r"), "left")],
 )
 def test_recorded_pairs_of_two_units_of_a_kind_are_kept_apart(
-    sensors: tuple[str, str], new_is: str, monkeypatch: pytest.MonkeyPatch
+    sensors: tuple[str, str], new_is: str, tmp_path: Path
 ) -> None:
-    images = np.zeros((3, 8, 8), np.uint8)
-    one = SimpleNamespace(
-        sensors=sensors, indenter="tool", left_reference=images[0], right_reference=images[0],
-        left_frames=images, right_frames=images,
-    )  # fmt: skip
-    monkeypatch.setattr(uniforce_pairs, "read_uniforce_pairs", lambda folder: [one])
+    images = np.zeros((3, 480, 640), np.uint8)
+    images[:, 200:280, 280:360] = 255
+    recording = PairRecording(sensors, "tool", "", images[0], images[0], images, images)
+    write_uniforce_pairs(tmp_path, recording, "marker")  # folders named as `uniforce pairs` names them
     value = {"left": 1.0, "right": 2.0}
     tokenizer = SimpleNamespace(encode=lambda ref, now, finger: Latent.of(torch.full((3, 64, 6), value[finger]), "abc"))
-    anchor = next((kind for kind in sensors if kind != "tactip"), "tactip:1")
-    config = CalibrateCommand(new="tactip:7", anchor=anchor, pairs="recorded")
+    anchor = "gelsight" if "gelsight" in sensors else "tactip:1"
+    config = CalibrateCommand(new="tactip:7", anchor=anchor, pairs=str(tmp_path))
     grasps = recorded_grasps(config, tokenizer)  # type: ignore[arg-type]
     assert grasps.classes == ("tool",) * 3 and len(grasps.new) == 3
     assert float(grasps.new.mean()) == value[new_is] and float(grasps.anchor.mean()) != value[new_is]

@@ -37,7 +37,7 @@ class LabelledRecording:
 class PairRecording:
     """Contacts that two fingers measure at once: frame k of the left and frame k of the right are a pair."""
 
-    sensors: tuple[str, str]  # kinds of the left and the right sensor
+    sensors: tuple[str, str]  # names of the left and the right sensor
     indenter: str  # what was held
     name: str  # where in its data set it comes from
     left_reference: np.ndarray  # (H, W) uint8 marker images in free air
@@ -53,6 +53,11 @@ class PairRecording:
         if len(self.left_frames) != len(self.right_frames):
             counts = f"{len(self.left_frames)} and {len(self.right_frames)}"
             raise DatasetError(expected(str(self), "as many left as right frames", counts, "Pair them up."))
+
+    @property
+    def kinds(self) -> tuple[str, str]:
+        """Kinds of the left and the right sensor: two of one kind are told apart by _l and _r, as folders need it."""
+        return self.sensors[0].removesuffix("_l"), self.sensors[1].removesuffix("_r")
 
     def __str__(self) -> str:
         return f"{self.sensors[0]}_{self.sensors[1]}/{self.indenter}/{self.name}"
