@@ -194,4 +194,5 @@ def main(config: RecordPairsConfig) -> None:
     if "truth" in content and content["truth"]["kept"]:
         truth = content["truth"]
         print(f"rehearsal, by truth: {truth['out_of_balance']:.1%} of those kept now are out of balance")
+    print(f"next: uniforce pretrain preset=nano run.pairs={content['layout']}")
     print(f"coverage in {Path(config.out) / 'coverage.png'}, session in {Path(config.out) / 'session.json'}")

@@ -1,10 +1,14 @@
 """Train the tokenizer on equilibrium pairs, without any force label; then a head that reads newtons in its latents."""
 
+from __future__ import annotations
+
 import logging
 import resource
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
+
+from tqdm import tqdm
 
 import uniforce_vtla.tokenizer
 from uniforce_cli.boundary import command
@@ -13,17 +17,21 @@ from uniforce_vtla.results_file import only_writer
 from uniforce_vtla.sensors import list_sensors
 from uniforce_vtla.tokenizer.settings import PretrainSettings
 
+if TYPE_CHECKING:
+    from uniforce_vtla.tokenizer.pair_cache import PairCache, RecordedPairs
+
 PRESETS = Path(uniforce_vtla.tokenizer.__file__).parent / "presets"  # one YAML file each
 Heads = Annotated[str, Names((*list_sensors(), "none"), many=True)]
 
 
 @dataclass
 class PretrainCommand:
-    """Draw the pairs once, then train; a killed run continues when started again.
+    """Draw the pairs once, or read recorded ones, then train; a killed run continues when started again.
 
     Without a preset the objective is the paper's but for the options' defaults named below.
 
     Example: uniforce pretrain preset=nano out=outputs/mine run.steps=3000
+    On pairs of your own sensors: uniforce pretrain preset=nano run.pairs=outputs/pairs/uniforce_pairs out=outputs/mine
     Then: uniforce view … tokenizer=outputs/mine/tokenizer and uniforce train … policy.touch.tokenizer_path=the same
     """
 
@@ -38,6 +46,22 @@ class PretrainCommand:
     threads: Workers = 1  # torch threads; a small model gains little from more
 
 
+def recorded_pairs(folder: str, side: int) -> RecordedPairs:
+    """Read the pairs that ``uniforce pairs`` recorded, shrunk to the model's side.
+
+    Raises DatasetError: as ``read_uniforce_pairs``.
+    """
+    from uniforce_datasets.readers.uniforce_pairs import read_uniforce_pairs
+    from uniforce_vtla.tokenizer.pair_cache import NAMES, RecordedPairs, shrink
+
+    found = []
+    for recording in tqdm(read_uniforce_pairs(folder), desc="reading pairs", unit="grasp"):
+        references = (shrink(i[None], side)[0] for i in (recording.left_reference, recording.right_reference))
+        currents = (shrink(images, side) for images in (recording.left_frames, recording.right_frames))
+        found.append(dict(zip(NAMES, (*references, *currents), strict=True)))
+    return RecordedPairs(found)
+
+
 @command(PretrainCommand, presets=PRESETS)
 def main(settings: PretrainCommand) -> None:
     import torch
@@ -50,7 +74,11 @@ def main(settings: PretrainCommand) -> None:
     logging.basicConfig(level=logging.INFO)
     torch.set_num_threads(settings.threads)
     starting_model(settings.run)  # refuses what does not fit before pairs are drawn
-    data = PairCache(Path(settings.cache), settings.run.data)  # drawn where it isn't yet
+    data: PairCache | RecordedPairs
+    if settings.run.pairs:
+        data = recorded_pairs(settings.run.pairs, settings.run.model.side)
+    else:
+        data = PairCache(Path(settings.cache), settings.run.data)  # drawn where it isn't yet
     with only_writer(Path(settings.out) / "log.csv"):
         tokenizer = Pretraining(settings.run, Path(settings.out), data).run()
         for kind in (kind for kind in split(settings.heads) if kind != "none"):

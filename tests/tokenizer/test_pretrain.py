@@ -10,7 +10,9 @@ import pytest
 import torch
 from accelerate.state import AcceleratorState
 
-from uniforce_cli.pretrain import PRESETS, PretrainCommand, main
+from uniforce_cli.pretrain import PRESETS, PretrainCommand, main, recorded_pairs
+from uniforce_datasets.readers.recording import PairRecording
+from uniforce_datasets.readers.uniforce_pairs import write_uniforce_pairs
 from uniforce_vtla.arguments import parse, read
 from uniforce_vtla.contact.virtual import VirtualSensor
 from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError
@@ -202,6 +204,29 @@ def test_command_trains_continues_and_leaves_a_loadable_tokenizer(tmp_path: Path
     with only_writer(tmp_path / "out" / "log.csv"):
         assert run_command(tmp_path, "run.steps=4") == 2
     assert len((tmp_path / "out" / "log.csv").read_text().splitlines()) == 4
+
+
+def test_command_trains_on_recorded_pairs_and_says_where_there_are_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A left finger whose marker moves right is seen mirrored by the right one: in the canonical frame both agree."""
+    free, moved = (np.zeros((480, 640), np.uint8) for _ in range(2))
+    free[200:280, 200:280], moved[200:280, 260:340] = 255, 255
+    seen = [image[:, ::-1] for image in (free, moved)]
+    for indenter, contacts in (("ball", 3), ("bar", 1)):
+        left, right = (np.repeat(image[None], contacts, axis=0) for image in (moved, seen[1]))
+        recording = PairRecording(("left", "right"), indenter, "", free, seen[0], left, right)
+        write_uniforce_pairs(tmp_path, recording, "own")
+    pairs = recorded_pairs(str(tmp_path), 32).draw(np.random.default_rng(0), units=3, pairs=2)
+    assert pairs.left_reference.shape == (3, 1, 32, 32) and pairs.right_current.shape == (6, 1, 32, 32)
+    assert torch.equal(pairs.left_current, pairs.right_current)
+    assert torch.equal(pairs.left_reference, pairs.right_reference)
+    assert not torch.equal(pairs.left_current[0], pairs.left_reference[0])
+    assert run_command(tmp_path / "run", "run.steps=2", f"run.pairs={tmp_path}") == 0
+    assert not (tmp_path / "run" / "pairs").exists()  # nothing is drawn
+    (tmp_path / "empty").mkdir()
+    assert run_command(tmp_path / "other", f"run.pairs={tmp_path / 'empty'}") == 2
+    assert "collection_log.txt, got none" in capsys.readouterr().err
 
 
 def test_command_leaves_a_head_beside_its_tokenizer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

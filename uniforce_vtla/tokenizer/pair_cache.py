@@ -5,6 +5,7 @@ of the cameras may be procedural instead (tokenizer/family.py), always paired by
 """
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -55,6 +56,29 @@ class PairCache:
         contact = np.stack([rng.permutation(self.pairs_per_unit)[:pairs] for _ in unit])  # (U, n)
         references = [self.arrays[name][unit] for name in NAMES[:2]]
         return _canonical(*references, *(self.arrays[name][unit[:, None], contact] for name in NAMES[2:]))
+
+
+class RecordedPairs:
+    """Recorded grasps in memory, each with its own references; draws training batches of some of them.
+
+    Args:
+        recordings: images of each by ``NAMES``, as the sensors saw them: references (S, S), currents (n, S, S) uint8.
+
+    Raises DatasetError: no recording.
+    """
+
+    def __init__(self, recordings: Sequence[dict[str, np.ndarray]]) -> None:
+        if not recordings:
+            raise DatasetError(expected("recorded pairs", "one grasp or more", "none", "Record some."))
+        self._recordings = recordings
+
+    def draw(self, rng: np.random.Generator, units: int, pairs: int) -> Pairs:
+        """Return ``units`` random grasps with ``pairs`` random moments each; some may come twice."""
+        chosen = [self._recordings[k] for k in rng.integers(len(self._recordings), size=units)]
+        moment = [rng.integers(len(recording["left_current"]), size=pairs) for recording in chosen]
+        references = [np.stack([recording[name] for recording in chosen]) for name in NAMES[:2]]
+        rows = list(zip(chosen, moment, strict=True))
+        return _canonical(*references, *(np.stack([r[name][row] for r, row in rows]) for name in NAMES[2:]))
 
 
 def build_cache(folder: Path, config: PairCacheConfig) -> None:

@@ -22,7 +22,7 @@ from uniforce_vtla.results_file import write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.losses import Side, objective
 from uniforce_vtla.tokenizer.model import ForceAutoencoder, Posterior, build_model
-from uniforce_vtla.tokenizer.pair_cache import PairCache, Pairs
+from uniforce_vtla.tokenizer.pair_cache import PairCache, Pairs, RecordedPairs
 from uniforce_vtla.tokenizer.settings import LossConfig, PretrainSettings
 from uniforce_vtla.tokenizer.weights import STATE, load_state, save_state
 
@@ -59,7 +59,7 @@ class Pretraining:
     Every step draws its batch and noise from (seed, step), so that a resumed run equals an uninterrupted one.
     """
 
-    def __init__(self, settings: PretrainSettings, folder: Path, data: PairCache) -> None:
+    def __init__(self, settings: PretrainSettings, folder: Path, data: PairCache | RecordedPairs) -> None:
         self.settings, self.folder, self.data = settings, folder, data
         self._check_recipe()
         self.accelerator = Accelerator(mixed_precision=settings.mixed_precision)

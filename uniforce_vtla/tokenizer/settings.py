@@ -5,7 +5,18 @@ from typing import Any, Literal
 
 from uniforce_vtla.contracts import check_count
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.options import Count, CountOrZero, NotNegative, Pixels, Positive, Rate, Seed, Share, TokenizerFolder
+from uniforce_vtla.options import (
+    Count,
+    CountOrZero,
+    FolderPath,
+    NotNegative,
+    Pixels,
+    Positive,
+    Rate,
+    Seed,
+    Share,
+    TokenizerFolder,
+)
 
 LATER = ("warp",)  # fields of TokenizerConfig that came after the first shipped checkpoint
 LIMITS = {  # of TokenizerConfig: far beyond what is ever trained, far below what fills a machine
@@ -117,6 +128,7 @@ class PretrainSettings:
     model: TokenizerConfig = field(default_factory=TokenizerConfig)
     loss: LossConfig = field(default_factory=LossConfig)
     data: PairCacheConfig = field(default_factory=PairCacheConfig)
+    pairs: FolderPath = ""  # recorded by `uniforce pairs`, its uniforce_pairs/; "" = drawn as data says
     steps: Count = 2600  # optimiser steps
     units_per_batch: Count = 4  # units (references) in a batch
     pairs_per_unit: Count = 8  # contacts of each: 4 × 8 = 32 pairs
