@@ -16,7 +16,8 @@ from benchmarks.real.readouts import RIDGES, head_reading, labels_mm, latent_fea
 from benchmarks.real.tactip_shear import TactipSet, read_tactip_shear
 from benchmarks.tokenizer_report import draw_sets
 from uniforce_cli.boundary import command, one_thread
-from uniforce_vtla.options import Count, FolderPath, FolderPaths, OutFile, OutFolder, split
+from uniforce_vtla.errors import require_one_of
+from uniforce_vtla.options import Count, FolderPath, FolderPaths, OutFile, OutFolder, Text, split
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead, HeadTrainingConfig, train_head
@@ -37,6 +38,11 @@ CHOICES: dict[str, tuple[PairCacheConfig, LossConfig]] = {
     "no held tools": (replace(FULL, flat_share=0.0), PER_UNIT),
     "latent's own unit": (FULL, ABSOLUTE),
     "patches alone": (FULL, replace(PER_UNIT, equilibrium="patch")),
+    # equilibrium broken while pairs are collected
+    "fingers 1.25 mm apart": (replace(FULL, misaligned_cells=1), ABSOLUTE),
+    "fingers 3.75 mm apart": (replace(FULL, misaligned_cells=3), ABSOLUTE),
+    "forces 10 % apart": (replace(FULL, imbalance=0.1), ABSOLUTE),
+    "forces 30 % apart": (replace(FULL, imbalance=0.3), ABSOLUTE),
 }
 
 
@@ -49,6 +55,7 @@ class PretrainingChoicesCommand:
     """
 
     real: FolderPaths = ""  # two folders of one real TacTip: a readout is fitted on the first, scored on the second
+    choices: Text = ""  # names, comma between them; "" = all
     seeds: Count = 3
     steps: Count = 1500  # of each run; nano itself takes 2,600
     units: Count = 512  # per rig
@@ -63,8 +70,10 @@ def pretrained(config: PretrainingChoicesCommand, name: str, seed: int) -> Token
     """Return the tokenizer of one run, trained where it isn't yet."""
     data, loss = CHOICES[name]
     data = replace(data, units=config.units)
-    work, slug = Path(config.work), name.replace(" ", "_").replace("'", "")
+    work, slug = Path(config.work), name.replace(" ", "_").replace("'", "").replace("%", "percent")
     pairs = f"pairs_{data.family_share}_{data.flat_share}"  # shared by choices that draw alike
+    if data.misaligned_cells or data.imbalance:
+        pairs += f"_{data.misaligned_cells}_{data.imbalance}"
     model = TokenizerConfig(width=64, embed_hidden=128, warp=True)
     settings = PretrainSettings(model, loss, data, steps=config.steps, seed=seed, strips_every=0)
     return Pretraining(settings, work / f"{slug}_{seed}", PairCache(work / pairs, settings.data)).run()
@@ -103,12 +112,15 @@ def main(config: PretrainingChoicesCommand) -> None:
     path = Path(config.out)
     found = json.loads(path.read_text())["runs"] if path.is_file() else {}
     real = [read_tactip_shear(Path(folder), config.frames) for folder in split(config.real)]
-    runs = [(name, seed) for seed in range(config.seeds) for name in CHOICES if f"{name}, seed {seed}" not in found]
+    names = split(config.choices) or list(CHOICES)
+    for name in names:
+        require_one_of("choice", name, list(CHOICES))
+    runs = [(name, seed) for seed in range(config.seeds) for name in names if f"{name}, seed {seed}" not in found]
     for name, seed in tqdm(runs, desc="runs"):
         found[f"{name}, seed {seed}"] = measure(config, pretrained(config, name, seed), seed, real)
         facts = {"set": SET, "steps": config.steps, "units": config.units, "runs": found}
         write_json(path, facts | provenance())
-    for name in CHOICES:
+    for name in names:
         own = [row for key, row in found.items() if key.startswith(f"{name}, ")]
         print(name, "  ".join(f"{key} {np.mean([row[key] for row in own]):.2f}" for key in own[0]))
 

@@ -112,7 +112,7 @@ class PairCacheConfig:
     family_share: Share = 0.0
     free_look: bool = False  # every camera with a pose, zoom and marker size of its own
     marker_loss: Share = 0.0  # chance per marker and frame, in half of the units
-    misaligned_cells: CountOrZero = 0  # fingers up to so many mm off each other; 0 = perfect equilibrium
+    misaligned_cells: CountOrZero = 0  # fingers up to so many cells of 1.25 mm off each other; 0 = they face
     imbalance: Share = 0.0  # the right finger's force is off by up to this share; 0 = perfect equilibrium
     flat_share: Share = 0.15  # flat faces, the side of a held tool, among the indenters
     # a kind that nothing is drawn of, nor of the family around it: what a tokenizer does with a kind it never saw
