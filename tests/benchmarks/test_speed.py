@@ -18,7 +18,7 @@ def test_a_tiny_call_takes_at_most_two_fifths_of_the_operations() -> None:
     report = bench_case(CASES["tiny"], "cpu", rounds=1, steps=10)
     assert report["operations_share"] <= 0.40
     assert report["max_abs_difference"] < 1e-4
-    assert min(report["floor_ms"], report["fast_ms"], *report["parts_ms"].values()) > 0
+    assert min(report["floor_ms"], report["fast_ms"]) > 0
 
 
 def test_the_command_writes_its_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
