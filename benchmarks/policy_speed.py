@@ -42,9 +42,9 @@ class BenchPolicyConfig:
     only: Cases = ""  # cases, comma between them; empty = all that fit the device
     rounds: Count = 9  # stock and fast once each per round; medians and the median of the ratios are reported
     steps: FlowSteps = 10  # flow steps
-    touch: Case = ""  # case on which two slots of touch are timed too, e.g. mid_3_cameras; "" = not
-    # a training step too: three networks with their optimisers at once, 94 GB for base
-    touch_train: bool = True
+    # case on which two slots of touch are timed too, e.g. mid_3_cameras; "" = not. Calls and training steps of three
+    # networks with their optimisers at once: 94 GB for base
+    touch: Case = ""
     training: Case = ""  # case of which 20 training steps are timed, gradient and tokenizer checked; "" = not
     # "base" loads a synthetic checkpoint of the real size (9 GB of RAM, no disk); "" = not
     memory: Literal["", "base"] = ""
@@ -66,7 +66,7 @@ def measure(config: BenchPolicyConfig) -> dict[str, Any]:
     more: dict[str, Any] = {}
     if config.touch:
         case = choose(CASES, config.touch)[config.touch]
-        more["touch"] = bench_touch(case, config.device, config.rounds, config.steps, config.touch_train)
+        more["touch"] = bench_touch(case, config.device, config.rounds, config.steps)
     if config.training:
         case = choose(CASES, config.training)[config.training]
         more["training"] = bench_training(case, config.device, TRAINING_STEPS)

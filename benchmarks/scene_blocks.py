@@ -9,7 +9,7 @@ BLOCKS: dict[str, range] = {
     "README path": range(10_000, 20_000),  # scored again with every release: no claim rests on it
     "development": range(20_000, 30_000),
     "what scripts of the gates learn from": range(30_000, 40_000),
-    "spent": range(50_000, 90_000),  # donors, leak check, descriptor heads, trials
+    "spent": range(50_000, 90_000),  # donors, a former leak check, descriptor heads, trials
     "gates": range(1_000_000, 1_010_000),
     "swap ladder": range(1_010_000, 1_020_000),
     "arms": range(1_020_000, 1_030_000),

@@ -1,16 +1,16 @@
 """Measure a family of settings, write chart_NAME.json and its picture."""
 
 import sys
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from benchmarks.charts.front import Point, draw_chart, front
 from benchmarks.charts.tokenizer import accuracies, latencies_ms, name_of
-from benchmarks.probes.labelled_set import ARRAYS, LabelledSet
+from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.report_sets import REPORT_SETS
 from uniforce_cli.boundary import command, one_thread
-from uniforce_vtla.options import Count, CountOrZero, OutFolder
+from uniforce_vtla.options import Count, OutFolder
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
 
@@ -26,21 +26,15 @@ class ChartCommand:
     """
 
     rounds: Count = 9  # of timing, all points in turns
-    sequences: CountOrZero = 0  # of each set and sensor, the first ones; 0 = all
     cache: OutFolder = "outputs/labelled"  # drawn sets
     out: OutFolder = "outputs/charts"
 
 
 def frozen_set(name: str, config: ChartCommand) -> dict[str, LabelledSet]:
-    """Return sensor → the first labelled sequences of a frozen set, all where ``config.sequences`` is 0."""
+    """Return sensor → the labelled sequences of a frozen set."""
     chosen = REPORT_SETS[name]
     side = Tokenizer.from_pretrained().config.side
-    drawn = chosen.draw(chosen.frozen, chosen.targets(), side, Path(config.cache))
-    return {sensor: first(labelled, config.sequences or None) for sensor, labelled in drawn.items()}
-
-
-def first(labelled: LabelledSet, count: int | None) -> LabelledSet:
-    return replace(labelled, **{name: getattr(labelled, name)[:count] for name in ARRAYS})
+    return chosen.draw(chosen.frozen, chosen.targets(), side, Path(config.cache))
 
 
 def points(times_ms: dict[str, float], scores: dict[str, dict[str, Any]]) -> list[Point]:

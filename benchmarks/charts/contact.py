@@ -5,7 +5,7 @@ The truth is finite elements with friction, step by step. It shares library and 
 
 import sys
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from benchmarks.charts.front import Point, draw_chart, front
+from benchmarks.charts.front import Point, publish
 from benchmarks.finite_elements.__main__ import SENSORS, agreement
 from benchmarks.finite_elements.contacts import Contact, solve_contacts
 from benchmarks.speed.contact import drawn_contact
@@ -85,20 +85,16 @@ def main(config: ContactChartCommand) -> None:
     """Entry of ``python -m benchmarks.charts.contact``."""
     one_thread()
     cost, score = "ms per marker image, one core", "motion of markers as by finite elements, pressed and sheared"
-    content: dict[str, Any] = {"family": "contact", "cost": cost, "score": score, "sensors": {}}
+    sensors: dict[str, Any] = {}
     path = Path(config.out) / "chart_contact.json"
     for name in tqdm(SENSORS, desc="sensors"):
         sensor = as_virtual(name)
         contacts = solve_contacts(np.random.default_rng(config.seed), sensor, config.contacts)
         shown, kept = points(sensor, contacts, config.rounds)
-        best = front(shown)
-        content["sensors"][name] = {"points": [asdict(p) for p in shown], "pareto_front": best, "compared": kept}
-        draw_chart(shown, path.with_name(f"chart_contact_{name}.png"), f"{name}, simulated", cost, score)
-        for point in shown:
-            star = "*" if point.name in best else " "
-            span = f"[{point.low:.3f}, {point.high:.3f}]"
-            print(f"{star} {name:9} {point.name:8} {point.cost:6.2f} ms  {point.score:.3f} {span}")
-    print(f"* on the front; written to {write_json(path, content | provenance())}")
+        picture = path.with_name(f"chart_contact_{name}.png")
+        sensors[name] = publish(shown, picture, f"{name}, simulated", cost, score) | {"compared": kept}
+    content = {"family": "contact", "sensors": sensors} | provenance()
+    print(f"* on the front; written to {write_json(path, content)}")
 
 
 if __name__ == "__main__":

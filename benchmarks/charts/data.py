@@ -8,14 +8,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import torch
 from tqdm import tqdm
 
-from benchmarks.charts.front import Point, draw_chart, front
+from benchmarks.charts.front import Point, publish
 from benchmarks.ledger import update
 from benchmarks.pretraining_choices import CHOICES, PretrainingChoicesCommand, measure, pretrained
 from uniforce_cli.boundary import command, one_thread
@@ -135,13 +135,9 @@ def main(config: DataChartCommand) -> None:
         if demos
         else ("pairs drawn", "zero-shot Fz R² on fe_dev_v1, mean and worst transfer")
     )
-    best = front(points)
-    content = {"cost": cost, "score": score, "points": [asdict(one) for one in points], "pareto_front": best}
-    path = update(Path(config.out) / "chart_data.json", config.part, content | {"rows": kept})
-    draw_chart(points, path.with_name(f"chart_data_{config.part}.png"), "simulated", cost, score)
-    for one in points:
-        print(f"{one.name:10} {one.cost:8.0f} {cost}: {one.score:.2f} [{one.low:.2f}, {one.high:.2f}]")
-    print(f"on the front: {', '.join(best)}; written to {path}")
+    path = Path(config.out) / "chart_data.json"
+    content = publish(points, path.with_name(f"chart_data_{config.part}.png"), "simulated", cost, score)
+    print(f"* on the front; written to {update(path, config.part, content | {'rows': kept})}")
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
 """Points of a chart, which of them no other one beats on both axes, and the picture."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from matplotlib.figure import Figure
 
@@ -31,6 +32,16 @@ def front(points: Sequence[Point]) -> list[str]:
 def _beats(other: Point, one: Point) -> bool:
     no_worse = other.cost <= one.cost and other.score >= one.score - TIE
     return no_worse and (other.cost < one.cost or other.score > one.score + TIE)
+
+
+def publish(points: Sequence[Point], path: Path, title: str, cost: str, score: str) -> dict[str, Any]:
+    """Draw the chart into ``path`` and print its points, a star on the front; return what a result file says of it."""
+    draw_chart(points, path, title, cost, score)
+    best = front(points)
+    for point in points:
+        star = "*" if point.name in best else " "
+        print(f"{star} {point.name:10} {point.cost:8.2f} {cost}: {point.score:.3f} [{point.low:.3f}, {point.high:.3f}]")
+    return {"cost": cost, "score": score, "points": [asdict(point) for point in points], "pareto_front": best}
 
 
 def draw_chart(points: Sequence[Point], path: Path, title: str, cost: str, score: str) -> Path:

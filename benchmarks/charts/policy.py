@@ -6,11 +6,11 @@ The scenes are development scenes: this chart chooses ``tiny``'s default.
 import json
 import shutil
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 
-from benchmarks.charts.front import Point, draw_chart, front
+from benchmarks.charts.front import Point, publish
 from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
 from uniforce_cli.boundary import Worn, command
 from uniforce_cli.score import score_arms
@@ -82,21 +82,11 @@ def main(config: PolicyChartCommand) -> None:
     first = shipped_checkpoint() if config.policy == "shipped" else Path(split(config.policy)[0])
     default = json.loads((first / "config.json").read_text())["n_action_steps"]
     points = [point(report, steps, default) for report, steps in zip(reports, EXECUTED, strict=True)]
-    best = front(points)
-    content = {
-        "family": "policy",
-        "cost": f"ms of one core per control step of {CONTROL_ms:.0f} ms",
-        "score": "clean, development scenes, 95 % interval",
-        "points": [asdict(one) for one in points],
-        "pareto_front": best,
-        "rows": {report.arm: report.as_dict() for report in reports},
-    }
-    path = write_json(Path(config.out) / "chart_policy.json", content | provenance())
-    title, cost = "steps executed of a chunk, simulated", "ms of a core per control step"
-    draw_chart(points, path.with_suffix(".png"), title, cost, "clean wipes")
-    for one in points:
-        print(f"{one.name:10} {one.cost:6.1f} ms a step  clean {one.score:.2f} [{one.low:.2f}, {one.high:.2f}]")
-    print(f"on the front: {', '.join(best)}; written to {path}")
+    path, title = Path(config.out) / "chart_policy.json", "steps executed of a chunk, simulated"
+    cost, score = f"ms of one core per control step of {CONTROL_ms:.0f} ms", "clean, development scenes, 95 % interval"
+    content = {"family": "policy"} | publish(points, path.with_suffix(".png"), title, cost, score)
+    content["rows"] = {report.arm: report.as_dict() for report in reports}
+    print(f"* on the front; written to {write_json(path, content | provenance())}")
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import numpy as np
 from joblib import Parallel, delayed
 from tqdm import tqdm
 
-from benchmarks.charts.front import Point, draw_chart, front
+from benchmarks.charts.front import Point, publish
 from benchmarks.ledger import Ledger
 from benchmarks.physics import SUBSTEPS, solvers
 from benchmarks.scene_blocks import BLOCKS
@@ -90,23 +90,13 @@ def main(config: SceneChartCommand) -> None:
     settings = solvers([SolverSettings(n) for n in SUBSTEPS], config.repeats)["settings"]
     shown, clean = points(settings), ranked(roll(config))
     cost, score = "ms of a core per simulated second", f"press as at {hertz(SUBSTEPS[-1])}, mean and worst depth"
-    content = {
-        "family": "scene",
-        "cost": cost,
-        "score": score,
-        "points": [asdict(point) for point in shown],
-        "pareto_front": front(shown),
-        "level": config.level,
-        "seeds": [config.first_seed, config.first_seed + config.rollouts - 1],
-        "clean": clean,
-    }
-    path = write_json(Path(config.out) / "chart_scene.json", content | provenance())
-    draw_chart(shown, path.with_suffix(".png"), "time step of the scene, simulated, no pictures", cost, score)
-    for point in shown:
-        print(f"{point.name:8} {point.cost:6.1f} ms a second  press {point.score:.4f}, worst {point.low:.4f}")
+    path, title = Path(config.out) / "chart_scene.json", "time step of the scene, simulated, no pictures"
+    content = {"family": "scene"} | publish(shown, path.with_suffix(".png"), title, cost, score)
+    content["level"], content["clean"] = config.level, clean
+    content["seeds"] = [config.first_seed, config.first_seed + config.rollouts - 1]
     for cell, share in clean.items():
         print(f"{cell:18} clean {share['k']} of {share['n']} [{share['low']:.2f}, {share['high']:.2f}]")
-    print(f"on the front: {', '.join(front(shown))}; written to {path}")
+    print(f"* on the front; written to {write_json(path, content | provenance())}")
 
 
 if __name__ == "__main__":

@@ -10,9 +10,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from benchmarks.ladder.__main__ import score_config
+from benchmarks.ladder.__main__ import CLEAN, codes, named_rows, score_config
 from benchmarks.ladder.plan import PARTS, Entry
-from benchmarks.ladder.report import CLEAN, codes, named_rows
 from uniforce_cli.boundary import command
 from uniforce_cli.score import score_arms
 from uniforce_vtla.errors import ContractError, expected

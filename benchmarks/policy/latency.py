@@ -27,8 +27,7 @@ from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import (
     TouchSettings,
 )
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
-from lerobot_policy_pi05_uniforce.sampler.layers import embed_cameras, linear
-from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, drop_dead
+from lerobot_policy_pi05_uniforce.sampler.layers import linear
 from uniforce_vtla.keys import ACTION, AXES, STATE
 
 Given = tuple[list, list, torch.Tensor, torch.Tensor]
@@ -148,30 +147,12 @@ def bench_case(case: BenchCase, device: str, rounds: int, steps: int) -> dict[st
         "floor_ms": 1000 * flops / statistics.median(gemm),
         "operations": operations,
         "operations_share": operations["fast"] / operations["stock"],
-        "parts_ms": _parts(network, given, noise, steps, device, rounds),
     }
     for name, values in times.items():
         report[f"{name}_ms"] = statistics.median(values)
         report[f"{name}_p95_ms"] = sorted(values)[min(len(values) - 1, round(0.95 * len(values)))]
     report["ratio"] = ratio(times["stock"], times["fast"])
     return report
-
-
-def _parts(
-    network: PI05UniforcePytorch, given: Given, noise: torch.Tensor, steps: int, device: str, rounds: int
-) -> dict[str, float]:
-    """Return medians of what a fast call is made of: cameras, the VLM's prefill (cameras included), one flow step."""
-    fast = network.fast
-    assert fast is not None, "the bench builds its networks with sampler=fast"
-    kept = drop_dead(Inputs(*given))
-    prefix = fast.encoder.encode(kept, noise.shape[1])
-    table = fast.prepared.tables(steps)[0]
-    parts = {
-        "cameras": lambda: embed_cameras(network.paligemma_with_expert.paligemma.model, torch.cat(kept[0])),
-        "prefix": lambda: fast.encoder.encode(kept, noise.shape[1]),
-        "step": lambda: fast.velocity(prefix, noise, table),
-    }
-    return {name: statistics.median(milliseconds(part, device) for _ in range(rounds)) for name, part in parts.items()}
 
 
 def milliseconds(call: Callable, device: str) -> float:

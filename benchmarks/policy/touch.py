@@ -36,20 +36,18 @@ def variants() -> dict[str, TouchSettings]:
     }
 
 
-def bench_touch(case: BenchCase, device: str, rounds: int, steps: int, train: bool = True) -> dict[str, Any]:
-    """Return medians [ms] and ratios to "none" of a whole call and (``train``) a training step."""
+def bench_touch(case: BenchCase, device: str, rounds: int, steps: int) -> dict[str, Any]:
+    """Return medians [ms] and ratios to "none" of a whole call and a training step."""
     calls: dict[str, Call] = {}
     trains: dict[str, Call] = {}
     for name, settings in variants().items():
         network = build(case, device, settings)
         given, noise = with_touch(network, *observe(case, network, device))
         calls[name] = partial(network.sample_actions, *given, noise=noise, num_steps=steps)
-        trains[name] = _training(network, given, noise)
+        trains[name] = _training(network, given, noise, 0.0)
     report: dict[str, Any] = {"config": case.name, "tokens": len(SLOTS) * 16, "rounds": rounds}
     with torch.no_grad():
         report |= _in_turns(calls, device, rounds, "call")
-    if not train:
-        return report
     return report | _in_turns(trains, device, max(3, rounds // 3), "train_step")
 
 
@@ -63,13 +61,22 @@ def with_touch(network: PI05UniforcePytorch, given: Given, noise: torch.Tensor) 
     return (images, masks, tokens[:, :used], text_mask[:, :used]), noise
 
 
-def _training(network: PI05UniforcePytorch, given: Given, noise: torch.Tensor) -> Call:
-    optimizer = torch.optim.AdamW([p for p in network.parameters() if p.requires_grad], lr=0.0)
+def _training(
+    network: PI05UniforcePytorch,
+    given: Given,
+    noise: torch.Tensor,
+    learning_rate: float,
+    look: Callable[[torch.Tensor], None] = lambda loss: None,
+) -> Call:
+    """Return a training step on one sample; ``look`` is given its loss while the gradients are there."""
+    optimizer = torch.optim.AdamW([p for p in network.parameters() if p.requires_grad], lr=learning_rate)
     actions, time = torch.zeros_like(noise), noise.new_full((1,), 0.5)
 
     def step() -> None:
-        with torch.enable_grad(), lerobots_layers(network):
-            network.forward(*given, actions, noise, time).mean().backward()
+        with lerobots_layers(network):
+            loss = network.forward(*given, actions, noise, time).mean()
+            loss.backward()
+        look(loss)
         optimizer.step()
         optimizer.zero_grad()
 
@@ -89,23 +96,17 @@ def bench_training(case: BenchCase, device: str, steps: int, learning_rate: floa
     """Return losses, gradient norms of touch at every step, the tokenizer's hash before and after, and times [ms]."""
     network = build(case, device, variants()["prefix"]).train()
     given, noise = with_touch(network, *observe(case, network, device))
-    optimizer = torch.optim.AdamW([p for p in network.parameters() if p.requires_grad], lr=learning_rate)
-    actions, time = torch.zeros_like(noise), noise.new_full((1,), 0.5)
     losses: list[float] = []
     norms: dict[str, list[float]] = {name: [] for name in TOUCH_MODULES}
 
-    def step() -> None:
-        with lerobots_layers(network):
-            loss = network.forward(*given, actions, noise, time).mean()
-            loss.backward()
+    def look(loss: torch.Tensor) -> None:
+        losses.append(float(loss.detach()))
         for name, rows in norms.items():
             grads = [p.grad.float() for p in getattr(network, name).parameters() if p.grad is not None]
             rows.append(float(torch.nn.utils.get_total_norm(grads)))
-        optimizer.step()
-        optimizer.zero_grad()
-        losses.append(float(loss.detach()))
 
     before = tokenizer_hash(network)
+    step = _training(network, given, noise, learning_rate, look)
     times = [milliseconds(step, device) for _ in range(steps)]
     return {
         "config": case.name,

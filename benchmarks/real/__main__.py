@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.real.grasps import balance, is_grasps
 from benchmarks.real.readouts import (
     RIDGES,
     Features,
@@ -17,23 +16,20 @@ from benchmarks.real.readouts import (
     latent_features,
     transfer,
 )
-from benchmarks.real.tactip_shear import TactipSet, is_tactip_shear, read_tactip_shear
+from benchmarks.real.tactip_shear import TactipSet, read_tactip_shear
 from uniforce_cli.boundary import command
-from uniforce_vtla.errors import DatasetError, expected
+from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import Count, FolderPaths, OutFile, TokenizerFolder, split
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 
-HEAD_SOURCES = {"grasps": "uskin", "tactip": "tactip"}
-
 
 @dataclass
 class RealCommand:
-    """Read real recordings as their authors store them.
+    """Read real TacTips with depth and shear labels as their authors store them; the recordings stay where they are.
 
-    TacTips with depth and shear labels: the first folder fits a linear readout, every other one is read with it.
+    The first folder fits a linear readout, every other one is read with it.
     Example: python -m benchmarks.real data=cr_tactip/…/train_data,cr_tactip/…/val_data
-    A folder of uSkin grasps (*/xela_sensor1.csv) gives the balance of both fingers. The recordings stay where they are.
     """
 
     data: FolderPaths = ""  # folders, comma between them
@@ -58,7 +54,7 @@ def tactip_rows(config: RealCommand, tokenizer: Tokenizer, sets: list[TactipSet]
             found[target.name][name] = {
                 str(ridge): [transfer(of[0], of[number], ridge) for of in seen] for ridge in RIDGES
             }
-    head = ForceHead.from_pretrained(HEAD_SOURCES["tactip"], config.tokenizer or None)
+    head = ForceHead.from_pretrained("tactip", config.tokenizer or None)
     for target in sets:
         found[target.name]["head_nothing_fitted"] = head_reading(tokenizer, head, target)
     return found
@@ -80,24 +76,13 @@ def lines_of(found: dict[str, Any]) -> list[str]:
 @command(RealCommand)
 def main(config: RealCommand) -> None:
     folders = [Path(name) for name in split(config.data)]
+    if not folders:
+        raise ContractError(expected("data", "folders of recordings", "none", "Name those that fit and are read."))
     tokenizer = Tokenizer.from_pretrained(config.tokenizer or None)
-    labelled = [folder for folder in folders if is_tactip_shear(folder)]
-    found: dict[str, Any] = {"what": "real recordings, read where they lie", "tokenizer_hash": tokenizer.hash}
-    if labelled:
-        found["tactip"] = tactip_rows(config, tokenizer, [read_tactip_shear(f, config.frames) for f in labelled])
-        print("\n".join(lines_of(found["tactip"])))
-    for folder in (f for f in folders if f not in labelled):
-        found[folder.name] = _unlabelled(config, tokenizer, folder)
-        print(folder.name, found[folder.name])
-    print(f"written to {write_json(Path(config.out), found | provenance())}")
-
-
-def _unlabelled(config: RealCommand, tokenizer: Tokenizer, folder: Path) -> dict[str, Any]:
-    if is_grasps(folder):
-        head = ForceHead.from_pretrained(HEAD_SOURCES["grasps"], config.tokenizer or None)
-        return balance(tokenizer, head, folder)
-    wanted = "targets_images.csv or */xela_sensor1.csv"
-    raise DatasetError(expected(str(folder), wanted, "none of them", "Name the folder that holds them."))
+    found = tactip_rows(config, tokenizer, [read_tactip_shear(folder, config.frames) for folder in folders])
+    print("\n".join(lines_of(found)))
+    content = {"what": "real recordings, read where they lie", "tokenizer_hash": tokenizer.hash, "tactip": found}
+    print(f"written to {write_json(Path(config.out), content | provenance())}")
 
 
 if __name__ == "__main__":

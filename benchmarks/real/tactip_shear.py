@@ -33,15 +33,13 @@ class TactipSet:
     shear_mm: np.ndarray  # (n, 2) slid along the mount's x and y
 
 
-def is_tactip_shear(folder: Path) -> bool:
-    return (folder / TARGETS).is_file()
-
-
 def read_tactip_shear(folder: Path, frames: int) -> TactipSet:
-    """Return ``frames`` of a recording, evenly spaced; DatasetError: a missing column, picture or parameter.
+    """Return ``frames`` of a recording, evenly spaced; DatasetError: a missing table, column, picture or parameter.
 
     Without a free-air picture the lightest contact with the least shear stands in for it.
     """
+    if not (folder / TARGETS).is_file():
+        raise DatasetError(expected(str(folder), TARGETS, "none", "Name the folder that holds it."))
     table = pd.read_csv(folder / TARGETS)
     if missing := {"sensor_image", DEPTH, *SHEAR} - set(table.columns):
         raise DatasetError(expected(f"columns of {folder / TARGETS}", "labels", f"no {sorted(missing)}", "Copy again."))

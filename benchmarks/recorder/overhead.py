@@ -1,21 +1,18 @@
-"""What recording costs: the robot's read, the recorder's processes in cores, and the taxels' rate and age."""
+"""What recording costs: the robot's read, and the taxels' rate and age."""
 
 import multiprocessing
 import time
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.ledger import Ledger
-from benchmarks.recorder.end_to_end import BEGUN, lateness_ms, observe_p95_ms
-from benchmarks.recorder.machine import CpuMeter, machine_facts
+from benchmarks.recorder.machine import machine_facts
 from benchmarks.recorder.plan import Plan, START_s
 from benchmarks.recorder.rig import Rig
 from benchmarks.recorder.session import TrialError
-from uniforce_datasets.source import read_source
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka.guards import GuardLimits
 from uniforce_robots.recorder.ticker import Ticker
@@ -23,10 +20,7 @@ from uniforce_robots.sensors.reader import ReaderLimits, SampleReader
 from uniforce_robots.sensors.uskin_slcan import SlcanUSkin
 from uniforce_robots.standins.process import StandIn
 from uniforce_vtla.errors import expected
-from uniforce_vtla.keys import STAMPS
 
-SETTLE_s = 2.0  # into the episode, before it is measured
-COUNTED = "the loop with its threads and the storing process with its encoders; stand-ins and harness are not"
 RATE_HZ = 30.0
 BOX = GuardLimits(low=(0.1, -0.3, 0.1, -np.pi, 0.0), high=(0.7, 0.3, 0.6, np.pi, 0.08))
 FIRST_MS = 30_000  # for the first scan, on a starved machine
@@ -37,8 +31,6 @@ def run(plan: Plan, ledger: Ledger) -> dict[str, Any]:
     plan.folder.mkdir(parents=True, exist_ok=True)
     parts: dict[str, Callable[[Plan], dict[str, Any]]] = {
         "observation_read": _read,
-        "recorder": _recorder,
-        "recorder_without_raw": partial(_recorder, keep_raw=False),
         "uskin": lambda plan: measure_rate(plan.uskin_s),
     }
     for name, part in parts.items():
@@ -55,35 +47,6 @@ def _read(plan: Plan) -> dict[str, Any]:
         except multiprocessing.TimeoutError as error:
             do = "See what it printed."
             raise TrialError(expected("observation_read", f"an end within {wait_s:g} s", "none", do)) from error
-
-
-def _recorder(plan: Plan, keep_raw: bool = True) -> dict[str, Any]:
-    folder = plan.folder / "overhead" / ("recorder" if keep_raw else "recorder_without_raw")
-    root = folder / f"data{len(list(folder.glob('data*')))}"
-    with Rig(plan, folder) as rig:
-        length_s = plan.overhead_s + 2 * SETTLE_s
-        with rig.session(root, episodes=1, episode_s=length_s, keep_raw=keep_raw) as session:
-            session.wait_for(BEGUN, START_s)
-            time.sleep(SETTLE_s)
-            loop, *children = session.processes()
-            meter = CpuMeter({"recording_loop": [loop], "storing_process": children})
-            time.sleep(plan.overhead_s)
-            cores = meter.read()
-            code = session.wait_end(START_s + plan.overhead_s)
-    whole = cores["recording_loop"] + cores["storing_process"]
-    return {"cores": round(whole, 3), "cores_by_process": cores, "counted": COUNTED, "exit_code": code} | _beat(root)
-
-
-def _beat(root: Any) -> dict[str, Any]:
-    source = read_source(root)
-    stamps_s = source.columns((STAMPS,))[STAMPS]
-    late_ms, missed = lateness_ms(stamps_s[:, 0], source.fps)
-    return {
-        "frames": source.num_frames,
-        "observation_with_images_p95_ms": round(observe_p95_ms(stamps_s), 2),
-        "tick_jitter_p99_ms": round(float(np.percentile(late_ms, 99)), 3),
-        "ticks_missed": missed,
-    }
 
 
 def measure(address: str, seconds: float, folder: Path) -> dict[str, float]:

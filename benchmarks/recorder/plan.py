@@ -30,7 +30,7 @@ class Plan:
     episode_s: Positive = 4.0  # s, each of them
     kills: Count = 20  # with kill -9
     times: Count = 10  # each fault is injected
-    overhead_s: Positive = 30.0  # s, how long cost is measured
+    overhead_s: Positive = 30.0  # s, how long the arm and hand are read
     uskin_s: Positive = 60.0  # s, how long the taxels' full rate is measured
     fps: Fps = 30  # ticks and camera frames per second; below 30 no bar is judged
     # what limits of age and waiting times are multiplied by; above 1 no bar is judged

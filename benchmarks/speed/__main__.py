@@ -10,7 +10,7 @@ from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.options import Names, OutFolder, Positive
 from uniforce_vtla.results_file import provenance, write_json
 
-Stage = Annotated[str, Names(("canonicalize", "contact", "encode", "cached", "stream", "env", "loader"))]
+Stage = Annotated[str, Names(("canonicalize", "contact", "encode", "env"))]
 
 
 @dataclass
@@ -21,25 +21,21 @@ class BenchConfig:
     """
 
     seconds: Positive = 2.0  # per measurement; timings on shared machines are noisy, longer is steadier
-    only: Stage = ""  # canonicalize | contact | encode | cached | stream | env | loader; empty = all
+    only: Stage = ""  # canonicalize | contact | encode | env; empty = all
     out: OutFolder = "outputs/bench"  # bench.json goes here
 
 
 def _benches() -> dict[str, Callable[[float], dict[str, Any]]]:
     from benchmarks.speed.canonicalizer import bench_canonicalizer
     from benchmarks.speed.contact import bench_contact
-    from benchmarks.speed.encode import bench_cached, bench_encode, bench_stream
+    from benchmarks.speed.encode import bench_encode
     from benchmarks.speed.env import bench_env
-    from benchmarks.speed.loader import bench_loader
 
     return {
         "canonicalize": bench_canonicalizer,
         "contact": bench_contact,
         "encode": bench_encode,
-        "cached": bench_cached,
-        "stream": bench_stream,
         "env": bench_env,
-        "loader": bench_loader,
     }
 
 

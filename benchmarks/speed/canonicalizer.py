@@ -25,16 +25,13 @@ WARM_UP = 3  # calls before the clock starts
 def bench_canonicalizer(seconds: float) -> dict[str, dict]:
     """Return canonicalisation rates and an anchor measured in the same run, Hz on one thread, in ``seconds`` in all.
 
-    ``canonicalize_hz``: median rate per sensor; ``first_frame_hz``: the same when the way to see the markers has to be
-    found in every frame (cameras only); ``anchors``: adaptiveThreshold + connectedComponents on a grey frame.
+    ``canonicalize_hz``: median rate per sensor; ``anchors``: adaptiveThreshold + connectedComponents on a grey frame.
     """
     cv2.setNumThreads(1)
-    rng, seconds_each = np.random.default_rng(0), seconds / (2 * len(list_sensors()))
+    rng, seconds_each = np.random.default_rng(0), seconds / (1 + len(list_sensors()))
     steady = {name: canonicalizer_rate(name, rng, seconds_each) for name in list_sensors()}
-    cameras = [name for name in list_sensors() if get_sensor(name).signal == "camera"]
-    first = {name: _rate(_first_frame_call(name), seconds_each) for name in cameras}
     anchor = _rate(_anchor_call(), seconds_each)
-    return {"canonicalize_hz": steady, "first_frame_hz": first, "anchors": {"adaptive_threshold_hz": anchor}}
+    return {"canonicalize_hz": steady, "anchors": {"adaptive_threshold_hz": anchor}}
 
 
 def canonicalizer_rate(name: str, rng: np.random.Generator, seconds: float) -> float:
@@ -53,11 +50,6 @@ def _pair_call(name: str, rng: np.random.Generator) -> Callable[[], object]:
     canon.set_reference(free)
     loaded = cycle(free + load for load in loads)
     return lambda: canon.marker_image(next(loaded))
-
-
-def _first_frame_call(name: str) -> Callable[[], object]:
-    frame = frame_cycle(name, ONE_PRESS, FRAMES_hz)[0]
-    return lambda: Canonicalizer(name).marker_image(frame)
 
 
 def _anchor_call() -> Callable[[], object]:

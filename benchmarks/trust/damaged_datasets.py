@@ -12,13 +12,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from benchmarks.speed.loader import BlockMeans
 from benchmarks.trust.injuries import Damage, cut, edit_json, flip_bit, overwrite, swap
 from uniforce_datasets.cards import card_path
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.raw_video import raw_path
 from uniforce_datasets.recorder import EpisodeRecorder
-from uniforce_datasets.synthetic import FPS, dots, synthetic_frame
+from uniforce_datasets.synthetic import FPS, BlockMeans, dots, synthetic_frame
 from uniforce_datasets.training_view import TrainingView, build_view
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import DatasetError

@@ -1,4 +1,4 @@
-"""A small dataset of moving dots: for the loader's bench and for tests, where no simulation is wanted."""
+"""A small dataset of moving dots and a stand-in for the tokenizer: for tests, where no simulation is wanted."""
 
 from pathlib import Path
 from typing import Any
@@ -9,7 +9,7 @@ import numpy as np
 from uniforce_datasets.features import CAMERA_SHAPE
 from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_vtla import keys
-from uniforce_vtla.contracts import FINGERS, MARKER_IMAGE_SHAPE
+from uniforce_vtla.contracts import FINGERS, MARKER_IMAGE_SHAPE, Finger
 
 FPS = 30
 DOT_PX = 12  # radius
@@ -50,3 +50,14 @@ def record_synthetic(root: Path, episodes: int, frames: int, seed: int = 0) -> P
                 recorder.add(synthetic_frame(step, rng), "wipe the dots")
             recorder.save(success=True, outcome="success", seed=number)
     return root
+
+
+class BlockMeans:
+    """Stands in for the tokenizer where only the latents' size matters."""
+
+    hash = "block means"
+
+    def __call__(self, reference: np.ndarray, current: np.ndarray, finger: Finger) -> np.ndarray:
+        """Return (B, 96): as many numbers as 4×4 pooled latents of 6."""
+        change = (current != reference).reshape(len(current), 96, -1)
+        return change.mean(axis=2, dtype=np.float32)

@@ -7,8 +7,17 @@ from pathlib import Path
 import pytest
 
 from benchmarks.ladder import replay
-from benchmarks.ladder import report as report_of
-from benchmarks.ladder.__main__ import LadderCommand, configured, joined, main, wanted
+from benchmarks.ladder.__main__ import (
+    LadderCommand,
+    add_best_blind,
+    added,
+    configured,
+    filed,
+    joined,
+    judged,
+    main,
+    wanted,
+)
 from benchmarks.ladder.plan import BETTER, CLAIMS, PARTS, Entry, claims
 from benchmarks.scene_blocks import BLOCKS
 from uniforce_cli.score_settings import ScoreConfig
@@ -76,60 +85,58 @@ def test_a_claim_holds_within_its_margin_and_bound() -> None:
 @pytest.mark.slow
 def test_the_expert_alone_is_scored_and_the_rest_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     given = ["part=arms", f"checkpoints={tmp_path}", "level=easy", "rollouts=1", "first_seed=20000", "workers=1"]
-    assert main([*given, f"work={tmp_path / 'work'}", f"out={tmp_path / 'arms.json'}"]) == 0
+    given += [f"work={tmp_path / 'work'}", f"out={tmp_path / 'wiping.json'}"]
+    assert main(given) == 0
     assert "not scored: V+T" in capsys.readouterr().out
-    assert json.loads((tmp_path / "arms.json").read_text())["rows"]["expert"]["clean"] == 1
+    first = json.loads((tmp_path / "wiping.json").read_text())
+    assert first["side_arms"]["expert"]["clean"] == 1 and (tmp_path / "wiping_arms.png").is_file()
+    assert main([*given, f"onto={tmp_path / 'wiping.json'}"]) == 0
+    again = json.loads((tmp_path / "wiping.json").read_text())
+    assert again["side_arms"] == first["side_arms"] and len(again["scored_by"]) == 2
     assert main(["part=ladder", f"checkpoints={tmp_path}", f"work={tmp_path / 'work'}"]) == 2
 
 
-def part_of(part: str, level_hash: str = "a", **counts: int) -> dict:
+def part_of(part: str, **counts: int) -> dict:
     rows = {
         name: {"n": n, "clean": n, "clean_by_training_seed": ["1/1"] * 3, "seeds": [0, n - 1], "by_seed": "C" * n}
         for name, n in counts.items()
     }
-    scored = {"command": part, "date": "today", "machine": "here"}
-    return {"part": part, "level": "touch", "level_hash": level_hash, "rows": rows} | scored
+    return filed(part, "touch", rows)
 
 
-def test_parts_become_one_table_and_small_arms_stand_aside(tmp_path: Path) -> None:
-    ladder, arms = part_of("ladder", **{"S2 uskin": 204}), part_of("arms", **{"V": 204, "V+T masked": 102})
-    found = report_of.joined([ladder, arms])
+def test_rows_stand_in_their_sections_and_small_arms_stand_aside() -> None:
+    arms = part_of("arms", **{"V": 204, "V+T masked": 102})
+    found = added(part_of("ladder", **{"S2 uskin": 204}), arms)
     assert list(found["ladder"]) == ["S2_uskin"] and list(found["arms"]) == ["V"]
     assert list(found["side_arms"]) == ["V+T masked"] and found["training_seeds"] == 3
-    with pytest.raises(ContractError, match="level of the parts"):
-        report_of.joined([ladder, part_of("arms", level_hash="b")])
-    file = tmp_path / "ladder.json"
-    file.write_text(json.dumps(ladder))
-    assert report_of.main([f"parts={file}", f"out={tmp_path / 'wiping.json'}"]) == 0
-    assert json.loads((tmp_path / "wiping.json").read_text())["ladder"]["S2_uskin"]["n"] == 204
-    more = report_of.added(report_of.joined([part_of("controls", **{"whole latents S0": 102})]), found)
+    more = added(part_of("controls", **{"whole latents S0": 102}), found)
     assert list(more["ladder_controls"]) == ["whole latents S0"] and more["arms"] == found["arms"]
     assert len(more["scored_by"]) == 3
     with pytest.raises(ContractError, match="level of the earlier report"):
-        report_of.added(found, found | {"level_hash": "b"})
+        added(found, found | {"level_hash": "b"})
 
 
 def test_claims_and_tests_are_of_rows_that_were_scored_in_different_parts() -> None:
-    parts = [part_of("ladder", **{"S0": 204, "S2 uskin": 204}), part_of("arms", **{"V+T": 204, "V+T masked": 102})]
-    parts[0]["rows"]["S2 uskin"]["by_seed"] = "r" * 204
-    found = report_of.judged(report_of.added(report_of.joined(parts[:1]), report_of.joined(parts[1:])))
+    ladder, arms = part_of("ladder", **{"S0": 204, "S2 uskin": 204}), part_of("arms", **{"V+T": 204, "V+T masked": 102})
+    ladder["ladder"]["S2_uskin"]["by_seed"] = "r" * 204
+    found = judged(added(ladder, arms))
     assert [(claim["arms"], claim["holds"]) for claim in found["within"]] == [(["S2 uskin", "S0"], False)]
     assert [(test["arms"], test["n"]) for test in found["tests"]] == [(["V+T", "V+T masked"], 102)]
-    again = report_of.added(report_of.joined([part_of("ladder", **{"S2 uskin": 68})]), found)
-    assert report_of.judged(again)["within"][0]["n"] == 68 and report_of.judged(again)["within"][0]["holds"]
+    again = judged(added(part_of("ladder", **{"S2 uskin": 68}), found))
+    assert again["within"][0]["n"] == 68 and again["within"][0]["holds"]
 
 
 def test_the_best_script_without_touch_stands_beside_the_arms() -> None:
-    found = report_of.joined([part_of("arms", **{"V+T": 204})])
+    found = part_of("arms", **{"V+T": 204})
     found["arms"]["V+T"] |= {"seeds": [10, 13], "by_seed": "CCCr"}
     blind = {"open loop": {"clean": 0, "by_seed": "rrrr"}, "plane known": {"clean": 1, "by_seed": "Crrr"}}
-    gates = {"level_hash": "a", "seeds": [10, 13], "must_fail": blind}
-    report_of.add_best_blind(found, gates)
+    gates = {"level_hash": found["level_hash"], "seeds": [10, 13], "must_fail": blind}
+    add_best_blind(found, gates)
     assert found["arms"]["best blind"]["script"] == "plane known"
-    (test,) = report_of.judged(found)["tests"]
+    (test,) = judged(found)["tests"]
     assert test["points"] == 50 and test["arms"] == ["V+T", "best blind"]
     with pytest.raises(ContractError, match="arms' scenes"):
-        report_of.add_best_blind(found, gates | {"seeds": [20, 23]})
+        add_best_blind(found, gates | {"seeds": [20, 23]})
 
 
 def test_a_replay_takes_the_scenes_of_the_shipped_policys_turn_and_compares(

@@ -3,16 +3,13 @@
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from benchmarks import policy_speed
 from benchmarks.policy.latency import CASES, BenchCase, bench_case
 from benchmarks.policy.touch import bench_touch, bench_training
 from benchmarks.policy_speed import main
-from benchmarks.speed import encode as bench
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings
-from uniforce_vtla.tokenizer.streaming import StreamingEncoder, StreamStep
 
 SMALL = {"tiny": TinySettings(width=64, depth=2, mlp_dim=32)}
 
@@ -21,7 +18,7 @@ def test_a_tiny_call_takes_at_most_two_fifths_of_the_operations() -> None:
     report = bench_case(CASES["tiny"], "cpu", rounds=1, steps=10)
     assert report["operations_share"] <= 0.40
     assert report["max_abs_difference"] < 1e-4
-    assert min(report["floor_ms"], report["fast_ms"], *report["parts_ms"].values()) > 0
+    assert min(report["floor_ms"], report["fast_ms"]) > 0
 
 
 def test_the_command_writes_its_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -57,26 +54,3 @@ def test_what_is_not_there_is_said(given: str, says: str, capsys: pytest.Capture
         pytest.skip("a CUDA device is here")
     assert main([given]) == 2
     assert says in capsys.readouterr().err
-
-
-def test_cache_answers_as_the_full_path_does() -> None:
-    found = bench.bench_cached(0.2)
-    assert found["cached_max_abs_difference"] <= 1e-5
-    assert found["cached_times_faster"] > 1
-
-
-def test_a_leak_shows(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bench, "SETTLING_FRAMES", 2)
-    kept = []
-    step = StreamingEncoder.step
-
-    def leaky(self: StreamingEncoder, image: np.ndarray) -> StreamStep:
-        if len(kept) < 10:
-            # 46 MB: too large for a hole that another test left in the heap
-            kept.append(np.ones((2400, 2400)))
-        return step(self, image)
-
-    assert bench.bench_stream(0.3)["stream"]["grown_MB"] < 50
-    monkeypatch.setattr(StreamingEncoder, "step", leaky)
-    found = bench.bench_stream(1.5)["stream"]
-    assert found["frames"] > 0 and found["grown_MB"] > 2 * 46

@@ -3,8 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.speed.loader import BlockMeans
-from uniforce_datasets.synthetic import record_synthetic
+from uniforce_datasets.synthetic import BlockMeans, record_synthetic
 from uniforce_datasets.training_view import build_view
 
 EPISODES, FRAMES = 3, 20

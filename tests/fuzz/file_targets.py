@@ -11,7 +11,6 @@ import numpy as np
 import torch
 from policy_samples import small_config
 
-from benchmarks.speed.loader import BlockMeans
 from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
 from lerobot_policy_pi05_uniforce import make_pi05_uniforce_pre_post_processors as make_processors
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TouchSettings
@@ -20,7 +19,7 @@ from uniforce_datasets import hashes as dataset_hashes
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.pooled_quantiles import write_pooled_stats
 from uniforce_datasets.source import episode_frames
-from uniforce_datasets.synthetic import record_synthetic
+from uniforce_datasets.synthetic import BlockMeans, record_synthetic
 from uniforce_datasets.training_view import TrainingView, build_view
 from uniforce_vtla.array_file import read_array, read_arrays
 from uniforce_vtla.errors import UniForceError

@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
-from benchmarks.real.grasps import read_uskin_csv
 from benchmarks.speed.canonicalizer import bench_canonicalizer
 from uniforce_robots.standins.scene import Scene, frame_cycle
 from uniforce_vtla.contact.simulator import TactileSimulator
@@ -88,15 +87,19 @@ DROPPED = ("data_sample_2022-02-22-08-10-01", "data_sample_2022-02-22-15-15-00")
 FREE_SCANS = 10  # the last ones, after the object has dropped
 
 
+def uskin_scans(path: Path) -> np.ndarray:
+    return np.loadtxt(path, delimiter=",", skiprows=1, dtype=np.int64).reshape(-1, 16, 3)
+
+
 @pytest.mark.real
 @pytest.mark.parametrize("log, finger", [("xela_sensor1.csv", "left"), ("xela_sensor2.csv", "right")])
 def test_all_real_trials_are_rendered(real_folder: Path, log: str, finger: str):
     trials = sorted((real_folder / "uskin_bilateral_slip" / "data_set").iterdir())
     assert len(trials) == 7
     lender = trials[0].parent / DROPPED[1]
-    borrowed = capture_taxel_reference(read_uskin_csv(lender / log)[-FREE_SCANS:])
+    borrowed = capture_taxel_reference(uskin_scans(lender / log)[-FREE_SCANS:])
     for trial in trials:
-        scans = read_uskin_csv(trial / log)
+        scans = uskin_scans(trial / log)
         own = trial.name in DROPPED
         reference = capture_taxel_reference(scans[-FREE_SCANS:]) if own else borrowed
         canon = Canonicalizer("uskin")
@@ -110,7 +113,7 @@ def test_all_real_trials_are_rendered(real_folder: Path, log: str, finger: str):
 
 @pytest.mark.real
 def test_free_air_and_held_scans_look_different(real_folder: Path):
-    scans = read_uskin_csv(real_folder / "uskin_bilateral_slip" / "data_set" / DROPPED[1] / "xela_sensor1.csv")
+    scans = uskin_scans(real_folder / "uskin_bilateral_slip" / "data_set" / DROPPED[1] / "xela_sensor1.csv")
     reference = capture_taxel_reference(scans[-FREE_SCANS:])
     canon = Canonicalizer("uskin")
     canon.set_reference(reference)

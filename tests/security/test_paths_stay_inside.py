@@ -12,13 +12,12 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from benchmarks.speed.loader import BlockMeans
 from uniforce_cli.pretrain import PRESETS, PretrainCommand
 from uniforce_cli.show import ShowDatasetConfig, show_dataset
 from uniforce_datasets import dataset_info
 from uniforce_datasets.lossless import open_dataset
 from uniforce_datasets.source import read_source
-from uniforce_datasets.synthetic import record_synthetic
+from uniforce_datasets.synthetic import BlockMeans, record_synthetic
 from uniforce_datasets.training_view import TrainingView, build_view, make_training_dataset
 from uniforce_vtla.arguments import parse
 from uniforce_vtla.errors import ContractError, DatasetError
