@@ -62,7 +62,6 @@ class MarkerPair:
     current: np.ndarray  # (480, 640) uint8 in {0, 255}
     finger: Finger  # which finger wears the sensor
     sensor: str  # registry name of the sensor; provenance only
-    reference_from: str = "own"  # "own", or where a borrowed reference came from
 
     def __post_init__(self) -> None:
         check_finger(self.finger)

@@ -23,7 +23,6 @@ from uniforce_vtla.sensors import list_sensors
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 from uniforce_vtla.tokenizer.descriptor_head import DescriptorHead
 from uniforce_vtla.tokenizer.plain_touch import descriptors
-from uniforce_vtla.tokenizer.streaming import StreamingEncoder
 
 PLACE = [AXES.index(axis) for axis in ("x.pos", "y.pos", "z.pos")]
 FILM = 12  # pictures in a film strip: square ones fill a line of it
@@ -105,9 +104,11 @@ def force_head(tokenizer: Tokenizer, head: ForceHead) -> ForceReader:
 
     def read(source: Source, episode: Episode, finger: Finger) -> np.ndarray:
         reference, current = marker_images(source, episode, finger)
-        stream = StreamingEncoder(tokenizer, finger, head)
-        stream.set_reference(reference)
-        return np.array([stream.step(image).force_N for image in current], np.float64)
+        forces, state = [], None
+        for image in current:
+            force_N, state = head.step(tokenizer.encode(reference[None], image[None], finger), state)
+            forces.append(force_N[0].numpy())
+        return np.array(forces, np.float64)
 
     return read
 
@@ -115,10 +116,8 @@ def force_head(tokenizer: Tokenizer, head: ForceHead) -> ForceReader:
 def latent_change(tokenizer: Tokenizer, source: Source, episode: Episode, finger: Finger) -> np.ndarray:
     """Return (n, g, g, L) float32: each patch's latent minus its free-air latent, as the sensor sees it."""
     reference, current = marker_images(source, episode, finger)
-    stream = StreamingEncoder(tokenizer, finger)
-    stream.set_reference(reference)
-    rest = stream.step(reference).latent
-    latents = torch.stack([stream.step(image).latent for image in current])  # (n, P, L)
+    rest = tokenizer.encode(reference[None], reference[None], finger)
+    latents = torch.cat([tokenizer.encode(reference[None], image[None], finger) for image in current])  # (n, P, L)
     side = math.isqrt(tokenizer.num_patches)
     maps = (latents - rest).unflatten(1, (side, side)).movedim(-1, 1)  # (n, L, g, g)
     return to_canonical(maps, finger).movedim(1, -1).numpy()  # undoes the encoder's mirror: its own inverse

@@ -15,7 +15,6 @@ from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.mirror import to_canonical, to_finger_frame
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
-from uniforce_vtla.tokenizer.streaming import StreamingEncoder
 
 WAIT_MS = 1000.0
 SHADES = " .:-=+*#%@"
@@ -47,19 +46,18 @@ def views(
     Raises CheckpointError: a head of another tokenizer; ContractError: a finger without reference; SensorError: no new
     sample.
     """
-    encoder = StreamingEncoder(tokenizer, side, head)
-    reference = finger.reference_image()[..., 0]
-    encoder.set_reference(reference)
-    free = encoder.step(reference).latent
-    encoder.set_reference(reference)  # the head forgets that look
+    reference, state = finger.reference_image()[None, ..., 0], None
+    free = tokenizer.encode(reference, reference, side)
     grid, index = math.isqrt(tokenizer.num_patches), -1
     while True:
         touch = finger.next_touch(index, WAIT_MS)
         index, raw, markers = touch.index, touch.raw, finger.marker_image(touch.raw)
-        step = encoder.step(markers)
+        latent, force_N = tokenizer.encode(reference, markers[None], side), None
         # undoes the mirror
-        norms = to_canonical((step.latent - free).norm(dim=-1).numpy().reshape(grid, grid), side)
-        force_N = None if step.force_N is None else to_finger_frame(step.force_N, side)
+        norms = to_canonical((latent - free).norm(dim=-1).numpy().reshape(grid, grid), side)
+        if head is not None:
+            read_N, state = head.step(latent, state)
+            force_N = to_finger_frame(read_N[0].numpy(), side)
         if raw.ndim == 2:  # counts mean little without their rest
             raw = raw.astype(np.int64) - finger.reference_raw
         yield TouchView(label, raw, markers, norms, force_N, touch.age_ms, finger.rate_hz, finger.counts.lost)

@@ -66,20 +66,6 @@ def test_pulling_leaves_the_smallest_disc(canon):
     assert np.array_equal(canon.marker_image(loaded(3, z=-200)), canon.marker_image(BASELINE))
 
 
-def test_saturation_is_counted(canon):
-    canon.marker_image(BASELINE)
-    canon.marker_image(loaded(2, z=5_900))
-    assert canon.saturation.frames_saturated == 0
-    canon.marker_image(loaded(2, z=5_901))
-    canon.marker_image(loaded(2, x=-1_601, y=1_601))
-    assert dataclasses.asdict(canon.saturation) == {
-        "frames": 4,
-        "frames_saturated": 2,
-        "taxels_radius": 1,
-        "taxels_xy": 1,
-    }
-
-
 @examples(60)
 @given(hnp.arrays(np.int64, (16, 3), elements=st.integers(-40_000, 40_000)))
 def test_any_counts_give_a_binary_image_inside_the_canvas(delta):

@@ -42,9 +42,7 @@ class PairSettings:
     pairs_per_unit: int = 64  # of the same two units; building one takes as long as some twenty images
     options: ContactOptions = field(default_factory=ContactOptions)  # friction and randomness
     look: Look | None = None  # how freely cameras differ; None leaves only the units' own tolerance
-    misaligned_cells: int = (
-        0  # fingers not facing each other: the right contact moves, up to so many cells of 1.25 mm
-    )
+    misaligned_cells: int = 0  # fingers not facing each other: the right contact moves, up to so many cells of 1.25 mm
     imbalance: float = 0.0  # broken equilibrium: the right force is off by up to this share of the normal force
 
     def objects(self, rng: np.random.Generator, n: int, indenters: Sequence[str]) -> sampling.Objects:

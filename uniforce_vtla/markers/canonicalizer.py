@@ -11,7 +11,6 @@ from uniforce_vtla.markers.point_render import check_points, is_pressed, place_p
 from uniforce_vtla.markers.reference import ReferenceMemory, refuse, refuse_pressed_reference
 from uniforce_vtla.markers.registration import find_view, points_to_nominal_scale, seen_from, to_nominal_scale
 from uniforce_vtla.markers.taxel_render import (
-    Saturation,
     TaxelDiscs,
     TaxelScales,
     check_alive,
@@ -41,7 +40,6 @@ class Canonicalizer:
 
     Attributes:
         match: how the latest camera frame read against a reference matches it; None before.
-        saturation: what taxel rendering had to clip so far; stays 0 for cameras.
     """
 
     def __init__(
@@ -55,7 +53,6 @@ class Canonicalizer:
         self.spec, self._register, self._warn_share = get_sensor(sensor), register, warn_share
         self.sensor = sensor
         self.match: MarkerMatch | None = None
-        self.saturation = Saturation()
         self._stream = stream
         self._hold: MarkerHold | None = None
         self._is_dome = self.spec.dome_radius_mm is not None
@@ -77,9 +74,7 @@ class Canonicalizer:
             (self._reference, self._view), self.match = self._remember(raw), None
             self._hold = MarkerHold(self._reference.spacing_px) if self._stream else None
 
-    def pair(
-        self, reference_raw: np.ndarray, current_raw: np.ndarray, finger: Finger, reference_from: str = "own"
-    ) -> MarkerPair:
+    def pair(self, reference_raw: np.ndarray, current_raw: np.ndarray, finger: Finger) -> MarkerPair:
         """Return the marker pair of two raw signals of one sensor; leaves ``set_reference`` as it was.
 
         Args:
@@ -87,7 +82,6 @@ class Canonicalizer:
                 N points.
             current_raw: the same, now.
             finger: the finger that wears the sensor.
-            reference_from: "own", or where a borrowed reference came from.
 
         Raises ContractError: shape, dtype or finger outside the contract, or frames of different size; SensorError: no
         markers, too few of the reference's, dark, dead, or a reference that was pressed.
@@ -95,7 +89,7 @@ class Canonicalizer:
         check_finger(finger)
         images = self._drawn_pair if self._is_drawn else self._camera_pair
         reference, current = images(reference_raw, current_raw)
-        return MarkerPair(reference, current, finger, self.sensor, reference_from)
+        return MarkerPair(reference, current, finger, self.sensor)
 
     def marker_image(self, raw: np.ndarray) -> np.ndarray:
         """Return the (480, 640) uint8 image in {0, 255} of a raw signal, in a form that ``pair`` takes.
@@ -105,9 +99,7 @@ class Canonicalizer:
         """
         if not self._is_drawn:
             return self._camera_image(raw, self._reference, self._view, self._hold)
-        discs = self._discs(raw, self._reference_rows)
-        self.saturation.add(discs)
-        return draw_discs(discs)
+        return draw_discs(self._discs(raw, self._reference_rows))
 
     def markers(self, raw: np.ndarray) -> np.ndarray:
         """Return (M, 2) float32 marker centres, x right and y down, in px of the canonical image.
@@ -160,7 +152,6 @@ class Canonicalizer:
         reference = self._checked(free, "reference")
         discs = self._discs(current, reference)
         self._refuse_pressed(current.astype(reference.dtype) - reference)
-        self.saturation.add(discs)
         return draw_discs(self._placed_discs(np.zeros_like(reference))), draw_discs(discs)
 
     def _refuse_pressed(self, change: np.ndarray) -> None:

@@ -48,9 +48,8 @@ def place_points(moved_mm: np.ndarray, spec: SensorSpec) -> TaxelDiscs:
     strain = stretch[0] @ moved_mm[:, 0] + stretch[1] @ moved_mm[:, 1]  # of the area that a marker covers
     growth = np.sqrt(np.clip(1 + strain, 0.25, 4.0)) * (1 + nearer)
     radii = spec.marker_size_mm * spec.px_per_mm[0] / 2 * growth
-    never = np.zeros(len(radii), bool)
     centres_px = CENTRE_PX + seen_mm * spec.px_per_mm
-    return TaxelDiscs(centres_px.astype(np.float32), radii.astype(np.float32), never, never)
+    return TaxelDiscs(centres_px.astype(np.float32), radii.astype(np.float32))
 
 
 @cache

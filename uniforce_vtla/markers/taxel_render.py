@@ -50,29 +50,10 @@ class TaxelScales:
 
 @dataclass(frozen=True)
 class TaxelDiscs:
-    """Where the discs are, and which were clipped."""
+    """Where the discs are."""
 
     centres_px: np.ndarray  # (M, 2) float32, x right and y down in the 480×640 image
     radii_px: np.ndarray  # (M,) float32
-    radius_saturated: np.ndarray  # (M,) bool, pressed beyond ``area_max_pt2``
-    xy_saturated: np.ndarray  # (M,) bool, sheared beyond ``shift_max_pitch``
-
-
-@dataclass
-class Saturation:
-    """Counts what rendering had to clip, since a clipped taxel hides force."""
-
-    frames: int = 0
-    frames_saturated: int = 0
-    taxels_radius: int = 0
-    taxels_xy: int = 0
-
-    def add(self, discs: TaxelDiscs) -> None:
-        """Count one rendered frame."""
-        self.frames += 1
-        self.frames_saturated += int((discs.radius_saturated | discs.xy_saturated).any())
-        self.taxels_radius += int(discs.radius_saturated.sum())
-        self.taxels_xy += int(discs.xy_saturated.sum())
 
 
 def check_counts(counts: np.ndarray, name: str = "uSkin counts", wanted: tuple[int, ...] = TAXEL_SHAPE) -> np.ndarray:
@@ -113,8 +94,6 @@ def place_discs(delta_counts: np.ndarray, spec: SensorSpec, scales: TaxelScales)
     return TaxelDiscs(
         centres_px=centres_px.astype(np.float32),
         radii_px=(radii * np.sqrt(cell_px.prod() / CELL_PX.prod())).astype(np.float32),
-        radius_saturated=area > scales.area_max_pt2,
-        xy_saturated=np.any(np.abs(shift) > limit, axis=1),
     )
 
 
