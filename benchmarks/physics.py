@@ -1,4 +1,4 @@
-"""Is the scene's physics right, and what does it cost?  One page of figures and the numbers behind it."""
+"""Is the scene's physics right?  One page of figures and the numbers behind it."""
 
 import itertools
 import sys
@@ -28,8 +28,7 @@ LOAD_SHARES = (0.2, 0.4, 0.6, 0.8, 0.9)  # of the slip load
 PRESSES_N = tuple(np.arange(0.0, 12.01, 0.5).tolist())
 DEPTHS_m = (0.008, 0.012, 0.014)  # target below first contact
 SUBSTEPS = (2, 3, 4, 8, 16, 32)  # the last one is the reference
-NOSLIP = (0, 1, 2, 3, 5, 8, 16)
-GREY, BLUE, ORANGE, RED, GREEN = "0.45", "#1f6fb2", "#d9822b", "#c23b3b", "#3f8f4f"
+GREY, BLUE, ORANGE, RED = "0.45", "#1f6fb2", "#d9822b", "#c23b3b"
 
 
 @dataclass
@@ -51,7 +50,6 @@ def measure(command: PhysicsCommand) -> dict[str, Any]:
         "creep": creep,
         "wear": lambda: wear(command.boards),
         "time_step": lambda: solvers([SolverSettings(substeps=n) for n in SUBSTEPS], command.repeats),
-        "noslip": lambda: solvers([SolverSettings(noslip_iterations=n) for n in NOSLIP], command.repeats),
     }
     return {name: panel() for name, panel in tqdm(panels.items(), desc="physics")}
 
@@ -109,16 +107,16 @@ def solvers(settings: list[SolverSettings], repeats: int) -> dict[str, Any]:
 
 
 def draw_page(panels: dict[str, Any], path: Path) -> Path:
-    """Draw six panels from the numbers of ``python -m benchmarks.physics`` and return the picture's path."""
+    """Draw five panels from the numbers of ``python -m benchmarks.physics`` and return the picture's path."""
     figure = Figure(figsize=(13, 7.4), layout="constrained")
     axes = figure.subplots(2, 3)
+    axes[1, 2].remove()
     _indentation(axes[0, 0], panels["indentation"])
     _slip(axes[0, 1], panels["slip"])
     _creep(axes[0, 2], panels["creep"])
     _wear(axes[1, 0], panels["wear"])
     _time_step(axes[1, 1], panels["time_step"])
-    _speed(axes[1, 2], panels["time_step"], panels["noslip"])
-    for axis in axes.flat:
+    for axis in figure.axes:
         axis.grid(alpha=0.25)
         axis.legend(fontsize=8)
     figure.suptitle("Physics of the wiping scene (simulated)")
@@ -174,25 +172,6 @@ def _time_step(axis: Axes, panel: dict[str, Any]) -> None:
     axis.minorticks_off()
     axis.axvline(SolverSettings().physics_hz, color=GREY, ls="--", lw=1, label="shipped")
     axis.set(xlabel="physics steps per second", ylabel="press, N", title="finer steps change nothing")
-
-
-def _speed(axis: Axes, time_step: dict[str, Any], noslip: dict[str, Any]) -> None:
-    """Press error against the finest time step, over speed: time step and no-slip passes as two paths."""
-    reference = np.array(time_step["settings"][-1]["press_N"])
-    shipped = SolverSettings()
-    for name, panel, key, colour in (
-        ("time step (Hz)", time_step, "physics_hz", BLUE),
-        ("no-slip passes", noslip, "noslip_iterations", ORANGE),
-    ):
-        settings = [s for s in panel["settings"] if s["press_N"] != time_step["settings"][-1]["press_N"]]
-        speed = [s["times_real_time"] for s in settings]
-        error = [np.abs(np.array(s["press_N"]) - reference).max() for s in settings]
-        axis.loglog(speed, error, "o-", ms=4, color=colour, label=name)
-        for s, x, y in zip(settings, speed, error, strict=True):
-            axis.annotate(f"{s[key]:g}", (x, y), fontsize=7, xytext=(3, 3), textcoords="offset points")
-            if (s["substeps"], s["noslip_iterations"]) == (shipped.substeps, shipped.noslip_iterations):
-                axis.plot(x, y, "*", ms=13, color=GREEN, label="shipped" if key == "physics_hz" else None)
-    axis.set(xlabel="simulated seconds per CPU second", ylabel="worst press error, N", title="speed, accuracy")
 
 
 @command(PhysicsCommand)

@@ -64,7 +64,7 @@ READS = 4  # force samples averaged over a control step
 
 @dataclass(frozen=True)
 class SolverSettings:
-    """Speed against accuracy of the physics; ``benchmarks.physics`` charts both (docs/results/physics.png)."""
+    """How finely the physics is solved; ``benchmarks.physics`` draws what that buys (docs/results/physics.png)."""
 
     substeps: int = 4  # physics steps per force sample: 480 Hz; at 240 Hz the pads' shear springs break loose
     noslip_iterations: int = 8  # without them a held eraser creeps out of the hand
