@@ -5,6 +5,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+import pytest
+
+from uniforce_vtla.results_file import write_json
+
 PRINTS = "import json\nfrom uniforce_vtla.results_file import provenance\nprint(json.dumps(provenance()))\n"
 
 
@@ -20,3 +25,11 @@ def test_a_module_is_named_as_it_is_run_and_a_script_by_its_file(tmp_path: Path)
     assert command("-m", "made") == "python -m made seeds=3"
     assert command("-m", "made.by") == "python -m made.by seeds=3"
     assert command("script.py") == "script.py seeds=3"
+
+
+def test_what_json_does_not_know_becomes_null(tmp_path: Path) -> None:
+    content = {"alarm_s": float("inf"), "rows": [{"recall": float("nan")}, (1.5, np.float64("-inf"))], "n": 3}
+    text = write_json(tmp_path / "found.json", content).read_text()
+    assert json.loads(text, parse_constant=pytest.fail) == {
+        "alarm_s": None, "rows": [{"recall": None}, [1.5, None]], "n": 3
+    }  # fmt: skip

@@ -3,6 +3,7 @@
 import datetime
 import importlib.metadata
 import json
+import math
 import os
 import platform
 import sys
@@ -34,12 +35,21 @@ def _program() -> str:
 
 
 def write_json(path: Path, content: dict[str, Any]) -> Path:
-    """Write ``content`` atomically, so that a killed process never leaves half a file."""
+    """Write ``content`` atomically, so that a killed process never leaves half a file; NaN and infinity as null."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False) as handle:
-        json.dump(content, handle, indent=1)
+        json.dump(_strict(content), handle, indent=1, allow_nan=False)
     Path(handle.name).replace(path)
     return path
+
+
+def _strict(content: Any) -> Any:
+    """Return content that every reader of JSON takes: it knows finite numbers alone."""
+    if isinstance(content, dict):
+        return {key: _strict(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [_strict(value) for value in content]
+    return None if isinstance(content, float) and not math.isfinite(content) else content
 
 
 def only_writer(path: Path) -> FileLock:

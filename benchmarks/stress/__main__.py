@@ -201,7 +201,10 @@ def _print_screen(rows: dict[str, Any]) -> None:
         print(f"{sensor}: 6 N are read as {operators['none']['press_read_at_6_N']:.2f} N; with the fault, N more:")
         for name, cells in operators.items():
             if name != "none":
-                said = "  ".join(f"{cell['dose']:g}: {cell['press_error_N']:+.2f}" for cell in cells[1:])
+                errors = {cell["dose"]: cell["press_error_N"] for cell in cells[1:]}
+                said = "  ".join(
+                    f"{dose:g}: " + ("refused" if N is None else f"{N:+.2f}") for dose, N in errors.items()
+                )
                 print(f"  {name:20} [{OPERATORS[name].unit}] {said}")
 
 

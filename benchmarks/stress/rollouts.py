@@ -70,7 +70,8 @@ def near_cliffs(screened: Mapping[str, Any], most: int = 3) -> dict[str, list[fl
     for name, cells in screened.items():
         if name == "none":
             continue
-        errors = {cell["dose"]: abs(cell["press_error_N"]) for cell in cells[1:]}
+        misread = {cell["dose"]: cell["press_error_N"] for cell in cells[1:]}
+        errors = {dose: math.inf if error is None else abs(error) for dose, error in misread.items()}  # None: refused
         near = [dose for dose, error in errors.items() if NEAR_N[0] <= error <= NEAR_N[1]] or list(errors)[-1:]
         wanted = {*near[:most], OPERATORS[name].named}
         found[name] = [dose for dose in errors if dose in wanted]

@@ -57,10 +57,10 @@ def _line(found: Readings, head: ForceHead, level: str) -> dict[str, float]:
     return {name: round(float(value), 3) for name, value in numbers.items()}
 
 
-def against(cell: dict[str, Any], usual: dict[str, Any]) -> float:
-    """Return by how much the press is misread beside the same sensor without the fault, N; infinite where refused."""
+def against(cell: dict[str, Any], usual: dict[str, Any]) -> float | None:
+    """Return by how much the press is misread beside the same sensor without the fault, N; None where refused."""
     if "press_read_at_6_N" not in cell or cell["refused_share"] > 0.05:
-        return float("inf")
+        return None
     return float(cell["press_read_at_6_N"] - usual["press_read_at_6_N"])
 
 

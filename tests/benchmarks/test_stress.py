@@ -75,8 +75,9 @@ def test_a_duller_sensor_is_read_as_less_press_and_a_benign_dose_as_the_same(tok
 
     usual, benign, dull = (cell(f"uskin:2{fault}") for fault in ("", "+gain=1", "+gain=0.55"))
     assert usual == benign and usual["refused_share"] == 0 and usual["press_slope"] > 0.5
-    assert against(benign, usual) == 0 and against(dull, usual) < -1
-    assert against({"refused_share": 1.0}, usual) == np.inf and others_against({"refused_share": 1.0}, usual) == {}
+    misread_N = against(dull, usual)
+    assert against(benign, usual) == 0 and misread_N is not None and misread_N < -1
+    assert against({"refused_share": 1.0}, usual) is None and others_against({"refused_share": 1.0}, usual) == {}
     others = others_against(dull, usual)
     assert set(others) == {"tokenizer", "untrained encoder", "hand descriptors"} and others["hand descriptors"] < 0
     assert set(others_against(benign, usual).values()) == {0.0}
