@@ -70,6 +70,16 @@ def test_cache_resumes_and_refuses_another_recipe(tmp_path: Path) -> None:
             build_cache(tmp_path, replace(SMALL_DATA, **other))
 
 
+def test_a_run_from_before_an_option_goes_on(data: PairCache, settings: PretrainSettings, tmp_path: Path) -> None:
+    Pretraining(settings, tmp_path, data).run(until=2)
+    recipe = json.loads((tmp_path / "recipe.json").read_text())
+    del recipe["pairs"]
+    (tmp_path / "recipe.json").write_text(json.dumps(recipe))
+    assert Pretraining(settings, tmp_path, data).step == 2
+    with pytest.raises(DatasetError, match="another"):
+        Pretraining(replace(settings, pairs="elsewhere"), tmp_path, data)
+
+
 def test_a_tiny_batch_is_overfitted(data: PairCache, tiny: TokenizerConfig) -> None:
     model = build_model(tiny, 0)
     pairs = data.draw(np.random.default_rng(0), units=2, pairs=4)

@@ -140,8 +140,9 @@ class Pretraining:
         path = self.folder / RECIPE
         if not path.exists():
             return
-        stored, asked = read_object(path, DatasetError), asdict(self.settings)
-        differs = sorted(k for k in asked if k not in MAY_CHANGE and stored.get(k) != asked[k])
+        # an option that came after the run was begun stands at its default
+        stored, asked = asdict(PretrainSettings()) | read_object(path, DatasetError), asdict(self.settings)
+        differs = sorted(k for k in asked if k not in MAY_CHANGE and stored[k] != asked[k])
         if differs:
             do = "Choose another out=."
             raise DatasetError(expected(str(path), "the recipe now asked for", f"another {differs}", do))
