@@ -84,7 +84,7 @@ def points(sensor: VirtualSensor, contacts: list[Contact], rounds: int) -> tuple
 def main(config: ContactChartCommand) -> None:
     """Entry of ``python -m benchmarks.charts.contact``."""
     one_thread()
-    cost, score = "ms per marker image, one core", "motion of markers as by finite elements, pressed and sheared"
+    cost, score = "ms per marker image, one core", "markers move as in finite elements"
     sensors: dict[str, Any] = {}
     path = Path(config.out) / "chart_contact.json"
     for name in tqdm(SENSORS, desc="sensors"):
