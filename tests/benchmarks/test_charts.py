@@ -110,12 +110,13 @@ def test_the_contact_chart_at_toy_size(tmp_path: Path, monkeypatch: pytest.Monke
     assert (tmp_path / "chart_contact_tactip.png").stat().st_size > 5000
 
 
-def test_the_scenes_points_are_named_by_the_rate_of_physics_and_compared_with_the_finest() -> None:
+def test_the_scenes_points_are_what_was_rolled_out_and_presses_are_over_the_finest() -> None:
     times = {2: 20.0, 4: 10.0, 32: 1.0}
     settings = [{"substeps": n, "times_real_time": x, "press_N": [6.0 + 3 / n, 6.0]} for n, x in times.items()]
-    coarse, usual = scene.points(settings)
-    assert (coarse.name, usual.name, usual.default, usual.cost) == ("240 Hz", "480 Hz", True, 100.0)
-    assert coarse.low < usual.low < usual.score < 1
+    clean = {"V+T, 480 Hz": {"k": 3, "n": 4, "low": 0.3, "high": 0.9}, "expert, 240 Hz": {"k": 0, "n": 4}}
+    assert scene.points(settings, clean) == [Point("480 Hz", 100.0, 0.75, 0.3, 0.9, True)]
+    coarse, usual, finest = scene.pressed(settings).values()
+    assert coarse[0] > usual[0] > finest[0] == 1 and coarse[1] == 1
 
 
 @pytest.mark.slow
