@@ -1,11 +1,15 @@
 """What trials found, a line each, so that a stopped run goes on where it was; and result files several of them fill."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from uniforce_vtla.results_file import append_line, provenance, read_lines, write_json
+from joblib import Parallel
+from tqdm import tqdm
+
+from uniforce_vtla.results_file import append_line, only_writer, provenance, read_lines, write_json
 
 
 class Ledger:
@@ -24,6 +28,20 @@ class Ledger:
 
     def read(self, name: str) -> list[dict[str, Any]]:
         return read_lines(self._folder / f"{name}.jsonl")
+
+
+def played(path: Path, episodes: Iterable[tuple[str, int, Any]], workers: int) -> list[dict[str, Any]]:
+    """Return the rows of the ledger ``path`` once it holds these episodes: cell, scene, and joblib's call for its Row.
+
+    What it holds is not played again. Raises ContractError: another process adds to it now.
+    """
+    ledger = Ledger(path.parent)
+    with only_writer(path):
+        done = {(row["cell"], row["seed"]) for row in ledger.read(path.stem)}
+        jobs = [job for cell, seed, job in episodes if (cell, seed) not in done]
+        for row in tqdm(Parallel(workers, return_as="generator")(jobs), total=len(jobs), desc="episodes", disable=None):
+            ledger.add(path.stem, asdict(row))
+    return ledger.read(path.stem)
 
 
 def update(path: Path, key: str, content: dict[str, Any]) -> Path:

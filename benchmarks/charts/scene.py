@@ -1,16 +1,16 @@
 """The scene by its time step: what a simulated second costs, how far presses are off, and who wipes clean in it."""
 
+import itertools
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from joblib import Parallel, delayed
-from tqdm import tqdm
+from joblib import delayed
 
 from benchmarks.charts.front import Point, publish
-from benchmarks.ledger import Ledger
+from benchmarks.ledger import played
 from benchmarks.physics import SUBSTEPS, solvers
 from benchmarks.scene_blocks import BLOCKS
 from benchmarks.stress.actors import Arm, disturbed
@@ -64,21 +64,15 @@ def pressed(settings: list[dict[str, Any]]) -> dict[str, list[float]]:
 
 def roll(config: SceneChartCommand) -> list[dict[str, Any]]:
     """Return a row per time step, arm and scene; those of an earlier run are kept."""
-    ledger, name = Ledger(Path(config.out)), f"chart_scene_{config.first_seed}"
-    done = {(row["cell"], row["seed"]) for row in ledger.read(name)}
     policies = tuple(split(config.policy))
     arms = Arm("expert", acts="expert"), Arm("V+T", policies=policies), Arm("V", policies=policies, masked=True)
-    jobs = []
-    for seed in range(config.first_seed, config.first_seed + config.rollouts):
-        for arm in arms:
-            for substeps in map(int, split(config.substeps)):
-                cell, physics = f"{arm.name}, {hertz(substeps)}", Disturbance(substeps=substeps)
-                if (cell, seed) not in done:
-                    job = delayed(disturbed)(arm, config.level, arm.sensor, physics, cell, seed, config.first_seed)
-                    jobs.append(job)
-    for row in tqdm(Parallel(config.workers, return_as="generator")(jobs), total=len(jobs), desc="episodes"):
-        ledger.add(name, asdict(row))
-    return [row for row in ledger.read(name) if row["seed"] < config.first_seed + config.rollouts]
+    first, steps, episodes = config.first_seed, [int(n) for n in split(config.substeps)], []
+    for seed, arm, substeps in itertools.product(range(first, first + config.rollouts), arms, steps):
+        cell, physics = f"{arm.name}, {hertz(substeps)}", Disturbance(substeps=substeps)
+        job = delayed(disturbed)(arm, config.level, arm.sensor, physics, cell, seed, first)
+        episodes.append((cell, seed, job))
+    rows = played(Path(config.out) / f"chart_scene_{first}.jsonl", episodes, config.workers)
+    return [row for row in rows if row["seed"] < first + config.rollouts]
 
 
 def ranked(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:

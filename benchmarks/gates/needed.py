@@ -3,18 +3,18 @@
 One of the two is changed at a time, the other stays as in the level. Scripts keep what they learnt at the level itself.
 """
 
+import itertools
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from joblib import Parallel, delayed
+from joblib import delayed
 from matplotlib.figure import Figure
-from tqdm import tqdm
 
 from benchmarks.gates.__main__ import GATES
 from benchmarks.gates.fitting import Fitted, fit
-from benchmarks.ledger import Ledger
+from benchmarks.ledger import played
 from benchmarks.scene_blocks import BLOCKS
 from benchmarks.stress.actors import Arm, play, row_of
 from benchmarks.stress.disturbed import SCENE_OPERATORS, DisturbedEnv
@@ -75,23 +75,17 @@ def _cell(name: str, operator: str, factor: float) -> str:
 
 def roll(config: NeededCommand, fitted: Fitted) -> list[dict[str, Any]]:
     """Return a row per actor, cell and scene; those of an earlier run are kept."""
-    folder, own = Path(config.work), f"needed_{config.first_seed}"
-    ledger = Ledger(folder)
-    done = {(row["cell"], row["seed"]) for row in ledger.read(own)}
-    policies = {"V+T": config.policy, "V": config.blind}
-    jobs = []
-    for seed in range(config.first_seed, config.first_seed + config.episodes):
-        for operator, factor in cells():
-            for name in SCRIPTS:
-                if (_cell(name, operator, factor), seed) not in done:
-                    jobs.append(delayed(_script)(name, operator, factor, seed, fitted, folder))
-            for name, given in policies.items():
-                if given and (cell := _cell(name, operator, factor), seed) not in done:
-                    arm = Arm(name, policies=tuple(split(given)))
-                    jobs.append(delayed(play)(arm, LEVEL, arm.sensor, operator, factor, cell, seed, config.first_seed))
-    for row in tqdm(Parallel(config.workers, return_as="generator")(jobs), total=len(jobs), desc="episodes"):
-        ledger.add(own, asdict(row))
-    return ledger.read(own)
+    folder, first = Path(config.work), config.first_seed
+    arms = [Arm(n, policies=tuple(split(given))) for n, given in (("V+T", config.policy), ("V", config.blind)) if given]
+    episodes = []
+    for seed, (operator, factor) in itertools.product(range(first, first + config.episodes), cells()):
+        for name in SCRIPTS:
+            job = delayed(_script)(name, operator, factor, seed, fitted, folder)
+            episodes.append((_cell(name, operator, factor), seed, job))
+        for arm in arms:
+            cell = _cell(arm.name, operator, factor)
+            episodes.append((cell, seed, delayed(play)(arm, LEVEL, arm.sensor, operator, factor, cell, seed, first)))
+    return played(folder / f"needed_{first}.jsonl", episodes, config.workers)
 
 
 def curves(rows: list[dict[str, Any]], seeds: range) -> dict[str, dict[str, dict[str, Any]]]:

@@ -6,20 +6,18 @@ sensor, for the scene's faults the one with the true wrench, so that an impossib
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from joblib import Parallel, delayed
-from tqdm import tqdm
+from joblib import delayed
 
-from benchmarks.ledger import Ledger
+from benchmarks.ledger import played
 from benchmarks.stress.actors import Arm, play
 from benchmarks.stress.disturbed import SCENE_OPERATORS
 from benchmarks.stress.operators import OPERATORS, Operator, worn_with
 from benchmarks.stress.row import Row
 from uniforce_vtla.evaluation.statistics import Proportion, non_inferior, wilson
-from uniforce_vtla.results_file import only_writer
 
 MARGIN = 0.10  # of clean success: what may be lost before a dose counts as breaking
 FEWEST = 25  # scenes: of fewer even a dose that costs nothing would have a bound beyond the margin
@@ -110,26 +108,14 @@ def roll(
 
     Raises ContractError: another process adds to ``path`` now.
     """
-    with only_writer(path):
-        _play_missing(cells, level, seeds, workers, path, benign, acting)
-    rows = [Row(**row) for row in Ledger(path.parent).read(path.stem)]
-    return by_cell(rows, cells, seeds)
-
-
-def _play_missing(
-    cells: Sequence[Cell], level: str, seeds: range, workers: int, path: Path, benign: int, acting: tuple[str, ...]
-) -> None:
-    ledger = Ledger(path.parent)
-    done = {(row["cell"], row["seed"]) for row in ledger.read(path.stem)}
-    jobs = [
-        delayed(play)(cell.arm, level, cell.words, cell.operator, cell.dose, cell.name, seed, seeds.start)
+    job = delayed(play)
+    episodes = (
+        (c.name, seed, job(c.arm, level, c.words, c.operator, c.dose, c.name, seed, seeds.start))
         for seed in seeds
-        for cell in cells
-        if cell.arm.name.startswith(acting)
-        if (cell.name, seed) not in done and (seed - seeds.start < benign or not (cell.benign or cell.arm.few))
-    ]
-    for row in tqdm(Parallel(workers, return_as="generator")(jobs), total=len(jobs), desc="episodes", disable=None):
-        ledger.add(path.stem, asdict(row))
+        for c in cells
+        if c.arm.name.startswith(acting) and (seed - seeds.start < benign or not (c.benign or c.arm.few))
+    )
+    return by_cell([Row(**row) for row in played(path, episodes, workers)], cells, seeds)
 
 
 def by_cell(rows: Iterable[Row], cells: Sequence[Cell], seeds: range) -> dict[str, dict[int, Row]]:

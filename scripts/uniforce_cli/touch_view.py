@@ -46,7 +46,7 @@ def views(
     Raises CheckpointError: a head of another tokenizer; ContractError: a finger without reference; SensorError: no new
     sample.
     """
-    reference, state = finger.reference_image()[None, ..., 0], None
+    reference, state = np.ascontiguousarray(finger.reference_image()[None, ..., 0]), None
     free = tokenizer.encode(reference, reference, side)
     grid, index = math.isqrt(tokenizer.num_patches), -1
     while True:

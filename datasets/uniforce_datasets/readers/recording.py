@@ -56,7 +56,7 @@ class PairRecording:
 
     @property
     def kinds(self) -> tuple[str, str]:
-        """Kinds of the left and the right sensor: two of one kind are told apart by _l and _r, as folders need it."""
+        """Kinds of the left and the right sensor: two of one kind are named apart by _l and _r, as folders need it."""
         return self.sensors[0].removesuffix("_l"), self.sensors[1].removesuffix("_r")
 
     def __str__(self) -> str:
