@@ -39,7 +39,7 @@ class CalibrateCommand:
     """Fit a map for the sensor ``new`` to paired grasps with the sensor ``anchor``; no force is measured.
 
     Two minutes: hold a small object from outside, let both fingers grasp it, squeeze, push and twist; after a minute
-    take a tool's flat handle. Record that with: uniforce pairs robot=franka indenters=small,tool
+    take a tool's flat handle. Record that with: uniforce pairs robot=franka rig=rig.yaml indenters=small,tool
     Example: uniforce calibrate new=gelsight anchor=tactip pairs=outputs/pairs/uniforce_pairs out=outputs/calibration
     In simulation: uniforce calibrate new=gelsight_stiff anchor=tactip, or a unit of them: new=tactip:7 anchor=tactip:1
     Use it: uniforce score … right_sensor=uskin right_calibration=outputs/calibration

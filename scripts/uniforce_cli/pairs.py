@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import numpy as np
 from tqdm import tqdm
 
 from uniforce_cli.boundary import Sensor, command, one_thread
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.options import OutFolder, Pattern, Positive, Range, Seed, Share, Text, split
+from uniforce_vtla.options import FilePath, OutFolder, Positive, Range, Seed, Share, Text, split
 from uniforce_vtla.results_file import provenance, write_json
 
 if TYPE_CHECKING:
+    from uniforce_robots.franka import UniforceFrankaConfig
     from uniforce_robots.pairs.recorder import SessionReport, Status
     from uniforce_robots.pairs.rehearsal import SimulatedRig
     from uniforce_robots.pairs.rig import PairRig, RobotRig
     from uniforce_robots.pairs.storage import PairStore
 
 Several = Annotated[int, Range(2, 1_000_000)]
-Address = Annotated[str, Pattern("a host", r"[\w.:-]{1,253}", "172.16.0.2")]
 Mass = Annotated[float, Range(0, 20, above=True)]
 Grip = Annotated[float, Range(0, 70, above=True)]
 FrameRate = Annotated[float, Range(0, 1000)]
@@ -35,11 +35,14 @@ class RecordPairsConfig:
 
     Example: uniforce pairs left_sensor=gelsight right_sensor=tactip out=outputs/pairs
     A short rehearsal: uniforce pairs pairs=60 indenters=sphere,line out=outputs/pairs_try
+    On a robot: uniforce pairs robot=franka rig=rig.yaml mass_kg=0.25 indenters=ball,bar out=outputs/pairs
+    ``robot.KEY=…`` and ``rig`` are as for ``uniforce record``; of its cameras only the two fingers are read.
     """
 
     robot: Literal["sim", "franka"] = "sim"  # sim rehearses in the simulator | franka (never run on hardware)
-    left_sensor: Sensor = "gelsight"  # of the left finger
-    right_sensor: Sensor = "tactip"  # of the right one
+    left_sensor: Sensor = "gelsight"  # sim: of the left finger; a robot's rig says it there
+    right_sensor: Sensor = "tactip"  # sim: of the right one
+    rig: FilePath = ""  # franka: YAML or JSON file with `robot: {address: …, guards: …, cameras: …}`
     indenters: Text = ""  # names, in order; any words for a robot; empty = all that pretraining knows
     pairs: Several = 1000  # per indenter, earlier sessions included
     chunk: Several = 50  # pairs saved at once: what a kill may cost
@@ -47,29 +50,31 @@ class RecordPairsConfig:
     acceleration_m_s2: Positive = 1.0  # nor those of a hand that is jerked
     crowded: Share = 0.25  # largest share of an indenter's pairs in one cell of force
     seed: Seed = 0  # sim: units, grasps and noise; a resumed session takes the next one
-    address: Address = "172.16.0.2"  # franka: of the controller, 127.0.0.N for the stand-in
-    left_source: Text = ""  # franka: device of the left finger, as for uniforce touch; or standin
-    right_source: Text = ""  # franka: of the right finger
     mass_kg: Mass = 0.2  # franka: of the object and what moves of its holder; weigh it
     grip_N: Grip = 6.0  # franka: the force the hand is asked to hold with
     rate_hz: FrameRate = 0.0  # frames per second; 0 = 15 in simulation, 30 on a robot
     out: OutFolder = "outputs/pairs"  # lerobot/, uniforce_pairs/, coverage.png, session.json
 
 
-def record_pairs(config: RecordPairsConfig) -> dict[str, Any]:
+def record_pairs(
+    config: RecordPairsConfig, robot_flags: Sequence[str] = (), given: Collection[str] = ()
+) -> dict[str, Any]:
     """Record what is missing and return the session's report.
 
-    Raises ContractError: an unknown robot or indenter, or impossible numbers; DatasetError: see ``PairStore`` and
-    ``PairRecorder``.
+    ``robot_flags`` are ``--robot.KEY=…``, ``given`` the settings that were named.
+
+    Raises ContractError: an unknown robot or indenter, impossible numbers, a rig without two fingers, or settings that
+    would change nothing; DatasetError: see ``PairStore`` and ``PairRecorder``.
     """
     from uniforce_robots.pairs.coverage import draw_coverage
     from uniforce_robots.pairs.storage import PairStore
 
-    names = _check(config)
+    names = _check(config, robot_flags, given)
+    robot = _robot(config, robot_flags) if config.robot == "franka" else None
     rate = config.rate_hz or (15.0 if config.robot == "sim" else 30.0)
     out = Path(config.out)
     with PairStore(out, config.left_sensor, config.right_sensor, names, round(rate)) as store:
-        rig, report = _run(config, store, rate)
+        rig, report = _run(config, robot, store, rate)
         content: dict[str, Any] = {
             "config": asdict(config),
             "pairs": dict(zip(store.indenters, store.counts.tolist(), strict=True)),
@@ -85,7 +90,9 @@ def record_pairs(config: RecordPairsConfig) -> dict[str, Any]:
     return content
 
 
-def _run(config: RecordPairsConfig, store: PairStore, rate_hz: float) -> tuple[PairRig, SessionReport]:
+def _run(
+    config: RecordPairsConfig, robot: UniforceFrankaConfig | None, store: PairStore, rate_hz: float
+) -> tuple[PairRig, SessionReport]:
     from uniforce_robots.pairs.recorder import PairRecorder, RecordingPlan
     from uniforce_robots.pairs.track import MotionLimits
 
@@ -96,15 +103,17 @@ def _run(config: RecordPairsConfig, store: PairStore, rate_hz: float) -> tuple[P
         return int(np.minimum(store.counts, config.pairs).sum())
 
     wanted = config.pairs * len(store.indenters)
-    with tqdm(total=wanted, initial=saved(), unit="pair") as bar, _rig(config, store, rate_hz) as rig:
+    with tqdm(total=wanted, initial=saved(), unit="pair") as bar, _rig(config, robot, store, rate_hz) as rig:
         report = PairRecorder(rig, store, plan, _status_shown(bar, store, config.pairs)).run()
         bar.update(saved() - bar.n)
     return rig, report
 
 
-def _rig(config: RecordPairsConfig, store: PairStore, rate_hz: float) -> AbstractContextManager[PairRig]:
-    if config.robot == "franka":
-        return _robot_rig(config, rate_hz)
+def _rig(
+    config: RecordPairsConfig, robot: UniforceFrankaConfig | None, store: PairStore, rate_hz: float
+) -> AbstractContextManager[PairRig]:
+    if robot is not None:
+        return _robot_rig(config, robot, rate_hz)
     from uniforce_robots.pairs.guided_grasp import GraspSettings
     from uniforce_robots.pairs.rehearsal import Rehearsal, SimulatedRig
 
@@ -113,23 +122,37 @@ def _rig(config: RecordPairsConfig, store: PairStore, rate_hz: float) -> Abstrac
     return nullcontext(SimulatedRig(Rehearsal(*sensors, seed, GraspSettings(rate_hz=rate_hz))))
 
 
+def _robot(config: RecordPairsConfig, flags: Sequence[str]) -> UniforceFrankaConfig:
+    """Read the rig, keep its fingers alone, and take their sensors' names from it."""
+    from uniforce_robots.recorder.build import read_devices
+    from uniforce_vtla.contracts import FINGERS
+
+    robot = cast("UniforceFrankaConfig", read_devices(flags, True, "hand_guide", config.rig)[0])
+    worn = {finger.finger: finger.sensor for finger in robot.fingers.values()}
+    if set(worn) != set(FINGERS) or len(robot.fingers) > len(worn):
+        came = [f"{name}: {finger.label}" for name, finger in robot.fingers.items()]
+        do = "Name both among robot.cameras of rig=FILE, see docs/recording.md."
+        raise ContractError(expected("tactile fingers of the rig", "a left and a right one", came, do))
+    config.left_sensor, config.right_sensor = worn["left"], worn["right"]
+    robot.cameras = {name: replace(finger, reference_on_connect=True) for name, finger in robot.fingers.items()}
+    robot.gripper = replace(robot.gripper, grip_force_N=config.grip_N)
+    return robot
+
+
 @contextmanager
-def _robot_rig(config: RecordPairsConfig, rate_hz: float) -> Iterator[RobotRig]:
-    """Connect fingers, keyboard and a soft Franka led by hand, in this order, and let go of them in the other.
+def _robot_rig(config: RecordPairsConfig, robot_config: UniforceFrankaConfig, rate_hz: float) -> Iterator[RobotRig]:
+    """Connect keyboard, fingers and a soft Franka led by hand, and let go of them in the end.
 
     Never run on hardware. The fingers' references are taken while connecting: keep them in free air.
     """
-    from uniforce_cli.touch import TouchConfig, opened
-    from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
-    from uniforce_robots.franka.limits import HandSettings
     from uniforce_robots.pairs.rig import RobotRig
+    from uniforce_robots.recorder.build import make_robot
+    from uniforce_robots.sensors.finger import TactileFinger
     from uniforce_robots.teleop import UniforceHandGuide, UniforceHandGuideConfig
     from uniforce_vtla.keys import AXES
 
     guide = UniforceHandGuide(UniforceHandGuideConfig())
-    gains, hand = UniforceHandGuide.wants_gains, HandSettings(grip_force_N=config.grip_N)
-    assert gains is not None
-    robot = UniforceFranka(UniforceFrankaConfig(address=config.address, gains=gains, gripper=hand))
+    robot = make_robot(robot_config, guide)
 
     def steer(measured: np.ndarray) -> None:
         """Let the soft arm follow the hand that leads it, frame by frame."""
@@ -137,16 +160,16 @@ def _robot_rig(config: RecordPairsConfig, rate_hz: float) -> Iterator[RobotRig]:
         robot.send_action(guide.get_action())
 
     with ExitStack() as stack:
-        left = stack.enter_context(opened(TouchConfig(config.left_sensor, config.left_source, "left")))
-        right = stack.enter_context(opened(TouchConfig(config.right_sensor, config.right_source, "right")))
         guide.connect()
         stack.callback(guide.disconnect)
         robot.connect()
         stack.callback(robot.disconnect)
-        fingers: dict[Any, object] = {"left": left, "right": right}
-        sensors: dict[Any, str] = {"left": config.left_sensor, "right": config.right_sensor}
         guide.start_from(robot.measured())
-        yield RobotRig(robot, fingers, sensors, rate_hz, config.mass_kg, config.grip_N, steer=steer)  # type: ignore[arg-type]
+        fingers: dict[Any, TactileFinger] = {
+            camera.config.finger: camera for camera in robot.cameras.values() if isinstance(camera, TactileFinger)
+        }
+        sensors: dict[Any, str] = {finger: camera.config.sensor for finger, camera in fingers.items()}
+        yield RobotRig(robot, fingers, sensors, rate_hz, config.mass_kg, config.grip_N, steer=steer)
 
 
 def _status_shown(bar: tqdm, store: PairStore, wanted: int) -> Callable[[Status], None]:
@@ -173,9 +196,18 @@ def _truth(rig: SimulatedRig, report: SessionReport) -> dict[str, Any]:
     return {"kept": len(error), "out_of_balance": bad, "median_error": median}
 
 
-def _check(config: RecordPairsConfig) -> tuple[str, ...]:
+IGNORED = {"sim": ("rig", "mass_kg", "grip_N"), "franka": ("left_sensor", "right_sensor", "seed")}
+
+
+def _check(config: RecordPairsConfig, robot_flags: Sequence[str], given: Collection[str]) -> tuple[str, ...]:
     from uniforce_vtla.contact.indenters import HEIGHTS, PRETRAIN
 
+    ignored = [name for name in IGNORED[config.robot] if name in given]
+    if config.robot == "sim":
+        ignored += robot_flags
+    if ignored:
+        settings, do = f"settings with robot={config.robot}", "Leave them out."
+        raise ContractError(expected(settings, "those it uses", ", ".join(ignored), do))
     names = tuple(split(config.indenters)) or PRETRAIN
     unknown = sorted(set(names) - set(HEIGHTS)) if config.robot == "sim" else []
     if unknown or len(set(names)) < len(names):
@@ -183,13 +215,13 @@ def _check(config: RecordPairsConfig) -> tuple[str, ...]:
     return names
 
 
-@command(RecordPairsConfig)
-def main(config: RecordPairsConfig) -> None:
+@command(RecordPairsConfig, others=("robot.",))
+def main(config: RecordPairsConfig, robot_flags: Sequence[str], given: Sequence[str]) -> None:
     import datasets
 
     one_thread()
     datasets.disable_progress_bars()  # LeRobot's own, one per saved chunk, would tear ours apart
-    content = record_pairs(config)
+    content = record_pairs(config, robot_flags, given)
     print(f"{sum(content['pairs'].values())} pairs in {content['dataset']} and {content['layout']}")
     if "truth" in content and content["truth"]["kept"]:
         truth = content["truth"]

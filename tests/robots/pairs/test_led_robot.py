@@ -1,0 +1,71 @@
+"""Pairs from a Franka that is led by hand: what its rig says is used, and it is let go of."""
+
+import itertools
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from recording_fakes import FakeRig
+
+from uniforce_cli.pairs import RecordPairsConfig, _robot, _robot_rig, main
+from uniforce_robots.recorder import build
+from uniforce_robots.teleop import UniforceHandGuide
+from uniforce_robots.teleop.keyboard import TerminalKeys
+
+RIG = """
+robot:
+  address: 127.0.0.7
+  guards: {low: [0.3, -0.2, 0.1, -0.5, 0.0]}
+  cameras:
+    front: {type: uniforce_scene, source: "http://x"}
+    tactile_left: {type: uniforce_uskin, finger: left, source: /dev/x, flip: true, reference_on_connect: false}
+    tactile_right: {type: uniforce_tactile, finger: right, sensor: tactip, source: /dev/y, rotation_deg: 180}
+"""
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> RecordPairsConfig:
+    (tmp_path / "rig.yaml").write_text(RIG)
+    return RecordPairsConfig("franka", rig=str(tmp_path / "rig.yaml"), out=str(tmp_path / "pairs"), grip_N=7.0)
+
+
+def test_mounts_and_box_come_from_the_rig(config: RecordPairsConfig) -> None:
+    robot = _robot(config, ["--robot.guards.step_m=0.02"])
+    assert (robot.address, robot.guards.low[0], robot.guards.step_m) == ("127.0.0.7", 0.3, 0.02)
+    assert set(robot.cameras) == {"tactile_left", "tactile_right"}  # nothing else is opened
+    assert robot.cameras["tactile_left"].flip and robot.cameras["tactile_right"].rotation_deg == 180  # type: ignore[attr-defined]
+    assert all(finger.reference_on_connect for finger in robot.fingers.values())
+    assert (config.left_sensor, config.right_sensor) == ("uskin", "tactip") and robot.gripper.grip_force_N == 7.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["robot=franka"], "tactile fingers of the rig"),
+        (["robot=franka", "left_sensor=gelsight"], "left_sensor"),
+        (["robot.address=127.0.0.7"], "robot.address"),
+        (["mass_kg=0.2"], "mass_kg"),
+    ],
+)
+def test_a_rig_without_fingers_and_settings_without_use_are_refused(
+    arguments: list[str], reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*arguments, f"out={tmp_path / 'pairs'}"]) == 2
+    assert reason in capsys.readouterr().err and not (tmp_path / "pairs").exists()
+
+
+def test_a_soft_robot_follows_and_gives_frames(
+    config: RecordPairsConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(TerminalKeys, "start", lambda keys: setattr(keys, "_listener", SimpleNamespace(stop=lambda: 0)))
+    monkeypatch.setattr(TerminalKeys, "rates", lambda keys: np.zeros(5))
+    fake = FakeRig(tmp_path / "calibration", monkeypatch)
+    wanted = []
+    monkeypatch.setattr(build, "make_robot", lambda robot, guide: wanted.append(guide.wants_gains) or fake.robot)
+    with _robot_rig(config, SimpleNamespace(), 30.0) as rig:  # type: ignore[arg-type]
+        assert rig.sensors == {"left": "gelsight", "right": "tactip"}
+        assert {image.shape for image in rig.references().values()} == {(480, 640)}
+        frames = list(itertools.islice(rig.frames("ball"), 5))
+    assert {frame.grip_N for frame in frames} == {7.0} and frames[-1].images["right"].any()
+    assert wanted == [UniforceHandGuide.wants_gains] and not fake.robot.is_connected
