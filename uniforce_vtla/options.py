@@ -188,7 +188,6 @@ Share = Annotated[float, Range(0, 1)]
 Rate = Annotated[float, Range(0, 1, above=True)]  # a learning rate
 Positive = Annotated[float, Range(0, 1e6, above=True)]
 NotNegative = Annotated[float, Range(0, 1e6)]
-Newtons = Annotated[list[float], Range(0, 100, above=True)]
 Text = Annotated[str, Plain()]
 Texts = Annotated[list[str], Plain()]
 FileName = Annotated[str, Pattern("a name without slashes", r"[\w+()×-][\w+()×. -]{0,99}", "my_table.json")]

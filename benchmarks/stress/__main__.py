@@ -10,6 +10,7 @@ from tqdm import tqdm
 
 from benchmarks.scene_blocks import BLOCKS
 from benchmarks.stress.actors import Arm
+from benchmarks.stress.balance import SCALE
 from benchmarks.stress.disturbed import EXCHANGED
 from benchmarks.stress.operators import OPERATORS, worn_with
 from benchmarks.stress.other_readers import Readers, fit_readers
@@ -74,8 +75,11 @@ class StressCommand:
 
 # what a new reference in free air can mend: also rolled out without the monitor that takes it
 MENDED = ("C2 shift", "C3 turn", "M2 flicker", "R1 stale reference")
-# whose dose a calibration can undo, and the dose of the bar for that
-CALIBRATED = {"G1 stiffer": 1.6, "G1 softer": 0.4, "G2 keener": 1.6, "G2 duller": 0.4}
+# whose dose a calibration with the fault can undo: how it was made → ending of its folder, and operator → doses
+CALIBRATED = {
+    "calibrated": ("", {"G1 stiffer": [1.6], "G1 softer": [0.4], "G2 keener": [1.6], "G2 duller": [0.4]}),
+    "weighed": ("-loads", {n: [*doses] for n, doses in zip(SCALE, ((1.3, 1.6), (0.7, 0.4)) * 2, strict=True)}),
+}
 PARTS, FACTS = ("rollouts", "screen"), ("monitor", "wiping")
 SCREENED_FROM = 39_700  # development scenes
 READERS_LEARN = range(39_790, 39_794)  # likewise; of the sensor without a fault
@@ -123,9 +127,15 @@ def arms(config: StressCommand) -> list[tuple[Arm, dict[str, list[float]]]]:
     found = [(Arm(f"policy on {own}", own, "policy", policies), doses[own] | scene)]
     unwatched = {name: near for name, near in doses[own].items() if name in MENDED}
     found.append((Arm("policy without monitor", own, "policy", policies, monitor="off"), unwatched))
-    if refitted := {name: [dose] for name, dose in CALIBRATED.items() if _calibration(config, own, name, dose)}:
-        fitted = Arm(f"policy on {own}, calibrated", own, "policy", policies, _calibration(config, own), refitted=True)
-        found.append((fitted, refitted))
+    for how, (ending, wanted_doses) in CALIBRATED.items():
+        there = {
+            name: found_doses
+            for name, many in wanted_doses.items()
+            if (found_doses := [dose for dose in many if _calibration(config, own + ending, name, dose)])
+        }
+        if there:
+            worn = _calibration(config, own + ending)
+            found.append((Arm(f"policy on {own}, {how}", own, "policy", policies, worn, refitted=True), there))
     for sensor in others:
         arm = Arm(f"policy on {sensor}", sensor, "policy", policies, _calibration(config, sensor))
         found.append((arm, doses[sensor] | {name: near for name, near in scene.items() if name != EXCHANGED}))

@@ -1,14 +1,25 @@
-"""Calibrate a new sensor without force labels, by grasping externally held objects with a known one."""
+"""Calibrate a new sensor: by grasping externally held objects with a known one, or by presses of known load."""
 
 from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.errors import ContractError, DatasetError, expected
-from uniforce_vtla.options import Count, FolderPath, OutFolder, Pattern, Seed, Text, TokenizerFolder, split
+from uniforce_vtla.options import (
+    Count,
+    FilePath,
+    FolderPath,
+    Numbers,
+    OutFolder,
+    Pattern,
+    Seed,
+    Text,
+    TokenizerFolder,
+    split,
+)
 from uniforce_vtla.tokenizer.settings import OBJECT_CLASSES, CalibrationConfig
 
 if TYPE_CHECKING:
@@ -16,6 +27,7 @@ if TYPE_CHECKING:
 
     import numpy as np
 
+    from uniforce_robots.sensors.finger import TactileFinger
     from uniforce_vtla.contact.worn import WornView
     from uniforce_vtla.contracts import ContactState, Finger
     from uniforce_vtla.tokenizer.api import Tokenizer
@@ -36,22 +48,27 @@ logger = logging.getLogger(__name__)
 
 @dataclass
 class CalibrateCommand:
-    """Fit a map for the sensor ``new`` to paired grasps with the sensor ``anchor``; no force is measured.
+    """Fit a map for the sensor ``new`` to paired grasps with the sensor ``anchor``, or one gain to known loads.
 
     Two minutes: hold a small object from outside, let both fingers grasp it, squeeze, push and twist; after a minute
     take a tool's flat handle. Record that with: uniforce pairs robot=franka rig=rig.yaml indenters=small,tool
     Example: uniforce calibrate new=gelsight anchor=tactip pairs=outputs/pairs/uniforce_pairs out=outputs/calibration
     In simulation: uniforce calibrate new=gelsight_stiff anchor=tactip, or a unit of them: new=tactip:7 anchor=tactip:1
+    With a kitchen scale, half a minute: uniforce calibrate new=tactip rig=rig.yaml finger=right loads_N=3,6,9
+    Its simulation: uniforce calibrate new=tactip:7 loads_N=3,6,9. For pads of the anchor's kind: a gain is all it fits.
     Use it: uniforce score … right_sensor=uskin right_calibration=outputs/calibration
     """
 
     # the sensor to fit; in simulation unit 1 of it, or uskin:7 | uskin:drawing | with a fault tactip:1+gain=1.6
     new: Unit = "gelsight_stiff"
-    anchor: Unit = "tactip"  # the sensor that is known; likewise
+    anchor: Unit = "tactip"  # the sensor that is known; likewise. Its force head reads both
     pairs: FolderPath = ""  # recorded pairs, as `uniforce pairs` writes them; empty = grasps are simulated
     tools: Text = "tool,flat"  # recorded objects that count as tools; all others are small
     task: Literal["both", "small", "tool"] = "both"  # which objects must agree, or the calibration is refused
     grasps: Count = 600  # simulated pairs
+    loads_N: Numbers = ""  # known loads instead of an anchor's grasps, three or more
+    rig: FilePath = ""  # loads_N: YAML file with `robot: {cameras: …}`; empty = presses are simulated
+    finger: Literal["left", "right"] = "right"  # loads_N: of the rig, whose sensor is pressed
     out: OutFolder = "outputs/calibration"  # the map's folder
     tokenizer: TokenizerFolder = ""  # checkpoint folder; empty = shipped
     fit: CalibrationConfig = field(default_factory=CalibrationConfig)  # what judges, and what is refused
@@ -78,6 +95,32 @@ def calibrate_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibrat
     grasps = recorded_grasps(config, tokenizer) if pairs else simulated_grasps(config, pooled_latents(tokenizer))
     head = ForceHead.from_pretrained(anchor_kind, config.tokenizer or None)
     return calibrate(grasps.new, grasps.anchor, grasps.classes, head, config.new, config.anchor, config.fit)
+
+
+def weigh_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
+    """Have loads pressed and fit the gain; raises as ``Calibration.of_loads`` and the presses do."""
+    from uniforce_cli.known_loads import finger_of, known_loads, presses_by_hand, simulated_presses
+    from uniforce_vtla.contact.worn_in_words import wear
+    from uniforce_vtla.tokenizer.calibration import Calibration
+    from uniforce_vtla.tokenizer.force_head import ForceHead
+
+    if config.pairs:
+        raise ContractError(expected("calibration", "pairs= or loads_N=", "both", "Leave one out."))
+    loads_N = known_loads(config.loads_N)
+    worn, anchor = (wear(words)(config.seed) for words in (config.new, config.anchor))
+    head, encode = ForceHead.from_pretrained(anchor.kind, config.tokenizer or None), pooled_latents(tokenizer)
+    if not config.rig:
+        return Calibration.of_loads(*simulated_presses(worn, loads_N, config.seed, encode), head, config.new)
+    from lerobot.cameras.utils import make_cameras_from_configs
+
+    wanted = finger_of(config.rig, config.finger)
+    if wanted.sensor != worn.kind:
+        raise ContractError(expected(f"new, as {config.rig} has it", wanted.sensor, config.new, "Name that sensor."))
+    wanted.reference_on_connect = True
+    finger = cast("TactileFinger", make_cameras_from_configs({"finger": wanted})["finger"])
+    print(f"{wanted.label}: taking the reference, keep it in free air")
+    with finger:
+        return Calibration.of_loads(*presses_by_hand(finger, loads_N, encode), head, config.new)
 
 
 def pooled_latents(tokenizer: Tokenizer) -> Encode:
@@ -170,6 +213,11 @@ def main(config: CalibrateCommand) -> None:
     from uniforce_vtla.tokenizer.calibration import AXES
 
     one_thread()
+    then = f"uniforce score policy=… right_sensor={config.new} right_calibration={config.out}"
+    if config.loads_N:
+        found = weigh_sensor(config, Tokenizer.from_pretrained(config.tokenizer or None))
+        print(f"{config.new}: gain {found.gain:.2f}; in {found.save(config.out)}. Next: {then}")
+        return
     found = calibrate_sensor(config, Tokenizer.from_pretrained(config.tokenizer or None))
     print(f"{config.new} against {config.anchor}, held-out grasps, R² (|r|) of the force read")
     for name, judged in found.agreement.items():
@@ -181,5 +229,4 @@ def main(config: CalibrateCommand) -> None:
     worst = check_agreement(found, config)
     if found.worst()[1] < config.fit.warn_below:
         logger.warning("%s: grasp again, more of them and all over the pad", worst)
-    then = f"uniforce score policy=… right_sensor={config.new} right_calibration={config.out}"
     print(f"{worst}; map in {found.save(config.out)}. Next: {then}")

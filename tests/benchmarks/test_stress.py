@@ -112,17 +112,20 @@ def test_the_middle_doses_of_a_scenes_fault_are_rolled_out() -> None:
 
 
 def test_a_calibration_with_the_fault_is_worn_where_there_is_one(tmp_path) -> None:
-    faulty = {name: {"dose": dose, "press_error_N": 9.0} for name, dose in CALIBRATED.items()}
+    faulty = {name: {"dose": dose, "press_error_N": 9.0} for name, (dose,) in CALIBRATED["calibrated"][1].items()}
     screened = {
         sensor: {"none": {}} | {n: [{}, cell] for n, cell in faulty.items()} for sensor in ("tactip:1", "uskin:2")
     }
     (tmp_path / "screen.json").write_text(json.dumps({"screened": screened}))
-    (tmp_path / "tactip-1+gain=1.6").mkdir()
+    for name in ("tactip-1+gain=1.6", "tactip-1-loads", "tactip-1-loads+gain=1.3", "tactip-1-loads+gain=1.6"):
+        (tmp_path / name).mkdir()
     found = {
         arm.name: (arm, doses) for arm, doses in arms_of(StressCommand(work=str(tmp_path), calibrations=str(tmp_path)))
     }
     arm, doses = found["policy on tactip:1, calibrated"]
     assert arm.refitted and doses == {"G2 keener": [1.6]}
+    arm, doses = found["policy on tactip:1, weighed"]
+    assert arm.calibration.endswith("tactip-1-loads") and doses == {"G2 keener": [1.3, 1.6]}
     assert EXCHANGED in found["policy on tactip:1"][1] and EXCHANGED not in found["policy on uskin:2"][1]
 
 

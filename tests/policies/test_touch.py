@@ -436,6 +436,36 @@ def test_a_calibration_of_another_kind_of_sensor_is_refused(tmp_path):
         load_calibrations(config, (config.tokens_per_slot, config.latent_size))
 
 
+def worn_gain(folder, head_hash, gain=2.0):
+    config = stored_config(shipped_checkpoint())
+    found = LatentMap(config.tokens_per_slot, config.latent_size)
+    names = config.tokenizer_hash, head_hash, "tactip:7", "tactip:7"
+    return str(Calibration(found, *names, 0.0, 0.0, {}, gain).save(folder))
+
+
+def test_newtons_are_scaled_by_the_gain_that_known_loads_gave(tmp_path):
+    read = {}
+    head_hash = stored_config(shipped_checkpoint()).touch.head_hash
+    folder = worn_gain(tmp_path / "gain", head_hash)
+    for worn in ("", folder):
+        config = stored_config(shipped_checkpoint())
+        config.right_sensor, config.right_calibration = "tactip", worn
+        policy = PI05UniforcePolicy.from_pretrained(shipped_checkpoint(), config=config)
+        env = WipeEnv("touch", right_sensor="tactip:7", drawn=("right",))
+        env.reset(seed=20_000)
+        keys = tactile_key("right", True), tactile_key("right")
+        pair = zip(keys, env.marker_pair("right"), strict=True)
+        batch = {key: torch.from_numpy(image)[None] / 255.0 for key, image in pair}
+        read[worn] = policy.touch.read(batch, "touch0", torch.device("cpu"))
+    assert read[folder].shape == (1, 1, 3) and torch.allclose(read[folder], 2 * read[""])
+    config.right_calibration = worn_gain(tmp_path / "other", "another")
+    with pytest.raises(CheckpointError, match="right_calibration: expected a gain of newtons that head"):
+        load_calibrations(config, (config.tokens_per_slot, config.latent_size))
+    config.touch.input = "latent"
+    with pytest.raises(CheckpointError, match="this policy feels no newtons"):
+        load_calibrations(config, (config.tokens_per_slot, config.latent_size))
+
+
 def watch_start(words, monitor="stop", drawn=("right",)):
     """Let the shipped policy begin in a scene whose right finger wears this; return what it watches."""
     env = WipeEnv("touch", right_sensor=words, drawn=drawn)

@@ -7,10 +7,16 @@ import numpy as np
 import pytest
 import torch
 
-from uniforce_cli.calibrate import CalibrateCommand, main, recorded_grasps
+from uniforce_cli.calibrate import CalibrateCommand, main, pooled_latents, recorded_grasps
+from uniforce_cli.known_loads import presses_by_hand
 from uniforce_datasets.readers.recording import PairRecording
 from uniforce_datasets.readers.uniforce_pairs import write_uniforce_pairs
-from uniforce_vtla.tokenizer import Latent, Tokenizer
+from uniforce_vtla.contact import TactileSimulator
+from uniforce_vtla.contact.indenters import flat_face_gap
+from uniforce_vtla.contracts import ContactState
+from uniforce_vtla.errors import ContractError
+from uniforce_vtla.markers.canonicalizer import Canonicalizer
+from uniforce_vtla.tokenizer import ForceHead, Latent, Tokenizer
 from uniforce_vtla.tokenizer.calibration import Calibration
 
 
@@ -57,3 +63,66 @@ def test_recorded_pairs_of_two_units_of_a_kind_are_kept_apart(
     grasps = recorded_grasps(config, tokenizer)  # type: ignore[arg-type]
     assert grasps.classes == ("tool",) * 3 and len(grasps.new) == 3
     assert float(grasps.new.mean()) == value[new_is] and float(grasps.anchor.mean()) != value[new_is]
+
+
+def test_simulated_loads_undo_a_pad_that_answers_less(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "gain"
+    assert main(["new=tactip:1+gain=0.7", "loads_N=3,6,9", f"out={out}"]) == 0
+    assert "tactip:1+gain=0.7: gain 1." in capsys.readouterr().out
+    found = Calibration.load(out, Tokenizer.from_pretrained().hash)
+    assert found.gain == pytest.approx(1 / 0.7, abs=0.12) and not found.map.weight.any()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["loads_N=3,3,3"], "3 or more different"),
+        (["loads_N=3,6,-9"], "0.5 to 50.0 N each"),
+        (["loads_N=300,600,900"], "100 g on a scale are 1 N"),
+        (["loads_N=3,6,9", "pairs={folder}"], "pairs= or loads_N="),
+        (["loads_N=3,6,9", "rig={folder}/rig.yaml", "finger=left"], "left finger"),
+        (["loads_N=3,6,9", "rig={folder}/rig.yaml"], "new, as"),
+    ],
+)
+def test_loads_that_can_not_be_pressed_are_refused(
+    arguments: list[str], reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    camera = "{type: uniforce_tactile, finger: right, sensor: tactip, source: /dev/x}"
+    (tmp_path / "rig.yaml").write_text(f"robot:\n  cameras:\n    tactile_right: {camera}\n")
+    given = [word.format(folder=tmp_path) for word in arguments]
+    sensor = "uskin" if reason.startswith("new") else "tactip"
+    assert main([f"new={sensor}", *given, f"out={tmp_path / 'gain'}"]) == 2
+    assert reason in capsys.readouterr().err and not (tmp_path / "gain").exists()
+
+
+class Pressed:
+    """A TacTip on the right finger that is pressed with what was asked for."""
+
+    config = SimpleNamespace(finger="right")
+
+    def __init__(self) -> None:
+        self.simulator, self.load_N, self.index = TactileSimulator("tactip", seed=1), 0.0, 0
+        self.canonicalizer = Canonicalizer("tactip", stream=True)
+        self.canonicalizer.set_reference(self.simulator.raw_reference())
+        self.marker_image = self.canonicalizer.marker_image
+
+    def ask(self, said: str) -> None:
+        self.load_N = float(said.partition("(")[2].partition(" N")[0])
+
+    def reference_image(self) -> np.ndarray:
+        return np.repeat(self.marker_image(self.simulator.raw_reference())[..., None], 3, axis=2)
+
+    def next_touch(self, index: int) -> SimpleNamespace:
+        face = flat_face_gap(np.zeros((1, 2)), np.full((1, 2), 20.0), np.zeros(1), np.zeros((1, 2)))
+        contact = ContactState(face, np.float32([[0, 0, self.load_N]]), np.zeros(1, np.float32))
+        return SimpleNamespace(index=index + 1, raw=self.simulator.raw_frames(contact)[0])
+
+
+def test_a_person_presses_each_load_and_frames_of_it_are_read() -> None:
+    finger, tokenizer = Pressed(), Tokenizer.from_pretrained()
+    z, load_N = presses_by_hand(finger, (3, 6, 9), pooled_latents(tokenizer), finger.ask)  # type: ignore[arg-type]
+    assert load_N.tolist() == [3] * 10 + [6] * 10 + [9] * 10 and len(z) == 30
+    found = Calibration.of_loads(z, load_N, ForceHead.from_pretrained(), "tactip")
+    assert 0.8 < found.gain < 1.25
+    with pytest.raises(ContractError, match="a terminal"):
+        presses_by_hand(finger, (3, 6, 9), pooled_latents(tokenizer))  # type: ignore[arg-type]

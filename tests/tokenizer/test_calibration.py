@@ -116,3 +116,33 @@ def test_who_judges_is_drawn_by_the_seed_alone(head: ForceHead) -> None:
     )
     assert one.agreement == two.agreement != three.agreement
     assert np.isfinite([*one.agreement["tool"].abs_r]).all()
+
+
+class Scale:
+    """Stands for a head: it reads .8 of the load that the first number of a latent holds."""
+
+    tokenizer_hash, hash = "abc", "def"
+
+    def __call__(self, z: torch.Tensor) -> torch.Tensor:
+        return torch.cat([z[:, 0, :2], 0.8 * z[:, 0, :1]], dim=1)
+
+
+def presses(*load_N: float) -> Latent:
+    z = torch.zeros(len(load_N), 16, 6)
+    z[:, 0, 0] = torch.tensor(load_N)
+    return Latent.of(z, "abc")
+
+
+def test_known_loads_give_a_gain_that_is_stored(tmp_path: Path) -> None:
+    found = Calibration.of_loads(presses(3, 6, 9), np.array([3, 6, 9]), Scale(), "tactip:7")  # type: ignore[arg-type]
+    assert found.gain == pytest.approx(1.25) and torch.equal(found(presses(3)), presses(3))
+    again = Calibration.load(found.save(tmp_path / "map"), "abc")
+    assert (again.gain, again.new, again.head_hash, again.hash) == (found.gain, "tactip:7", "def", found.hash)
+    plain = Calibration.of_loads(presses(3.75, 7.5, 11.25), np.array([3, 6, 9]), Scale(), "tactip:7")  # type: ignore[arg-type]
+    assert plain.gain == pytest.approx(1.0) and plain.hash != found.hash
+
+
+@pytest.mark.parametrize("load_N", [(3, 6), (0, 3, 6), (3, 6, np.nan), (300, 600, 900), (3, 6, 9, 9)])
+def test_loads_that_give_no_gain_are_refused(load_N: tuple[float, ...]) -> None:
+    with pytest.raises(ContractError, match=r"loads|presses"):
+        Calibration.of_loads(presses(3, 6, 9)[: len(load_N)], np.array(load_N), Scale(), "tactip:7")  # type: ignore[arg-type]

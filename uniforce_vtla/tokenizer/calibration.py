@@ -4,6 +4,8 @@ Both fingers grasp an externally held object for two minutes, half the time smal
 forces are equal, so their latents should be. What differs depends on the place on the pad: one linear map of the whole
 pooled latent, ridge-regressed towards the identity in closed form, is fitted to the pairs. No force is ever measured.
 It corrects what a reference image can't show: stiffness, thickness and gain.
+
+Who has a scale needs no known sensor: a few presses of known load give one gain of the newtons (``of_loads``).
 """
 
 from __future__ import annotations
@@ -28,6 +30,8 @@ MAX_NUMBERS = 4096  # of a pooled latent; larger maps are none of ours
 RIDGES = tuple(10.0**k for k in range(-4, 3))  # tried by cross-validation, in units of the latent's mean variance
 FOLDS = 5
 AXES = ("x", "y", "z")
+FEWEST_LOADS = 3
+GAINS = (0.2, 5.0)  # beyond, something else is wrong than the pad's stiffness
 
 
 class LatentMap(nn.Module):
@@ -61,7 +65,7 @@ class Agreement:
 
 @dataclass(frozen=True)
 class Calibration:
-    """A fitted map, the tokenizer and head it belongs to, and how well the fingers agree with it."""
+    """A fitted map or gain, the tokenizer and head it belongs to, and how well the fingers agree with it."""
 
     map: LatentMap
     tokenizer_hash: str  # whose latents it maps
@@ -71,6 +75,27 @@ class Calibration:
     ridge: float  # chosen by cross-validation
     turn_deg: float  # that brings the new sensor's shear, as read before, to the anchor's; x towards y
     agreement: dict[str, Agreement]  # by class of objects
+    gain: float = 1.0  # of the newtons that the head reads after the map
+
+    @classmethod
+    def of_loads(cls, z: torch.Tensor, load_N: np.ndarray, head: ForceHead, new: str) -> Calibration:
+        """Return the gain that brings what ``head`` reads of presses (n, P, latent) to their known loads (n,) in N.
+
+        The map is the identity. One gain serves all axes: a stiffer or duller pad answers less to any force.
+
+        Raises ContractError: fewer than three loads, none of them firm, or a gain that no pad explains.
+        """
+        known, read = np.asarray(load_N, float), head(z)[:, 2].numpy()  # type: ignore[arg-type]  # checks the origin
+        if len(known) != len(read) or len(set(known)) < FEWEST_LOADS or not (np.isfinite(known) & (known > 0)).all():
+            came, do = f"{known.tolist()} for {len(read)} frames", "Press with 3, 6 and 9 N."
+            raise ContractError(expected("loads", f"{FEWEST_LOADS} or more different ones, one a frame", came, do))
+        gain = float((known * read).sum() / max(float((read**2).sum()), 1e-9))
+        if not GAINS[0] <= gain <= GAINS[1]:
+            do = "Are loads in newtons, and was the reference taken in free air?"
+            came = f"{np.round(read, 1).tolist()} N read of {known.tolist()}"
+            raise ContractError(expected("presses", f"a gain of {GAINS[0]} to {GAINS[1]}", came, do))
+        same = LatentMap(*z.shape[1:]).eval()
+        return cls(same, head.tokenizer_hash, head.hash, new, new, 0.0, 0.0, {}, gain)
 
     @torch.no_grad()
     def __call__(self, z: Latent) -> Latent:
@@ -84,8 +109,9 @@ class Calibration:
 
     @property
     def hash(self) -> str:
-        """Content hash of the map and what it belongs to; a policy that wears it stores this."""
-        return content_hash(self.map, {"tokenizer_hash": self.tokenizer_hash})
+        """Content hash of map, gain and what they belong to; a policy that wears it stores this."""
+        gain = {} if self.gain == 1 else {"gain": self.gain}
+        return content_hash(self.map, {"tokenizer_hash": self.tokenizer_hash, **gain})
 
     def worst(self, classes: Sequence[str] = OBJECT_CLASSES) -> tuple[str, float]:
         """Return the class and R² of Fz that agrees least among ``classes``."""
@@ -94,7 +120,7 @@ class Calibration:
     def facts(self) -> dict[str, object]:
         """Return which sensors it matches, and how well."""
         judged = {name: asdict(found) for name, found in self.agreement.items()}
-        numbers = {"ridge": self.ridge, "turn_deg": self.turn_deg}
+        numbers = {"ridge": self.ridge, "turn_deg": self.turn_deg, "gain": self.gain}
         return {"new": self.new, "anchor": self.anchor, **numbers, "agreement": judged}
 
     def save(self, path: str | Path) -> Path:
@@ -118,13 +144,15 @@ class Calibration:
             patches, latent = (check_count(name, facts[name], MAX_NUMBERS) for name in ("patches", "latent"))
             check_count("numbers", patches * latent, MAX_NUMBERS)
             texts = str(facts["head_hash"]), str(facts["new"]), str(facts["anchor"])
-            ridge, turn = float(facts["ridge"]), float(facts["turn_deg"])
+            ridge, turn, gain = float(facts["ridge"]), float(facts["turn_deg"]), float(facts.get("gain", 1.0))
+            if not GAINS[0] <= gain <= GAINS[1]:
+                raise ValueError(f"gain {gain}")
             agreement = {name: _agreement(found) for name, found in facts["agreement"].items()}
         except (KeyError, TypeError, ValueError, AttributeError, ContractError) as error:
             wanted, do = "the facts of a calibration", "Calibrate again."
             raise CheckpointError(expected(f"config of {folder}", wanted, error, do)) from error
         found = load_model(folder, lambda: LatentMap(patches, latent))
-        return cls(found.eval(), tokenizer_hash, *texts, ridge, turn, agreement)
+        return cls(found.eval(), tokenizer_hash, *texts, ridge, turn, agreement, gain)
 
 
 def calibrate(

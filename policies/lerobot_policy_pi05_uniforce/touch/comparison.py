@@ -5,10 +5,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError
+from uniforce_vtla.tokenizer.calibration import Calibration
 from uniforce_vtla.tokenizer.finger_balance import EVERY, FingerBalance, imbalance
 
 logger = logging.getLogger(__name__)
@@ -19,12 +20,12 @@ class GripComparison:
 
     Args:
         encoder: TactileEncoder; nothing is compared where it has no head.
-        maps: finger → calibration that its sensor wears.
+        worn: finger → calibration of its sensor.
         steps: control steps between two looks of the policy.
     """
 
-    def __init__(self, encoder: Any, maps: Mapping[Finger, nn.Module], steps: int) -> None:
-        self._encoder, self._maps, self._every = encoder, maps, max(1, EVERY // steps)
+    def __init__(self, encoder: Any, worn: Mapping[Finger, Calibration], steps: int) -> None:
+        self._encoder, self._worn, self._every = encoder, worn, max(1, EVERY // steps)
         self._balance = FingerBalance()
         self.reset()
 
@@ -46,9 +47,12 @@ class GripComparison:
             beside = self._encoder(slot, other, *others_pair)
         except ContractError:  # it shows no markers: the policy does without it
             return
-        beside = self._maps[other](beside) if other in self._maps else beside
-        own_N, other_N = (float(self._encoder.head.step(latent, None)[0][:, 2].mean()) for latent in (own, beside))
-        times = self._balance.see(own_N, other_N)
+        beside = self._worn[other].map(beside) if other in self._worn else beside
+        times = self._balance.see(self._grip_N(finger, own), self._grip_N(other, beside))
         if times is not None and imbalance(times) > 1:
             message = "%s finger reads %.2f times the other one's grip: one of them is wrong in scale, calibrate it"
             logger.warning(message, finger, times)
+
+    def _grip_N(self, finger: Finger, latent: Tensor) -> float:  # noqa: N802  a unit
+        gain = self._worn[finger].gain if finger in self._worn else 1.0
+        return gain * float(self._encoder.head.step(latent, None)[0][:, 2].mean())

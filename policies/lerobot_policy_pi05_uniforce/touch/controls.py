@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.touch.tokens import ForceTokens
-from lerobot_policy_pi05_uniforce.touch.touch_input import TouchInput, load_calibrations, taken
+from lerobot_policy_pi05_uniforce.touch.touch_input import LATENT_KEYS, TouchInput, load_calibrations, taken
 from uniforce_vtla.keys import descriptor_key, marker_pair_key, wrench_key
 from uniforce_vtla.tokenizer.plain_touch import DESCRIPTOR_SIZE, PAIR_SIDE, descriptors, marker_pairs
 
@@ -50,9 +50,9 @@ class ControlInput(TouchInput):
         pair = ((i.detach().cpu() * 255).round().to(torch.uint8).numpy() for i in self.pair(batch, finger))
         rows = [compute(b, c[None], finger) for b, c in zip(*pair, strict=True)]
         found = torch.from_numpy(np.concatenate(rows))
-        if finger not in self.maps:
+        if finger not in self.worn:
             return found
-        return self.maps[finger](found.reshape(-1, *self.shape).to(self.config.device))
+        return self.worn[finger].map(found.reshape(-1, *self.shape).to(self.config.device))
 
 
 class NewtonInput(TouchInput):
@@ -69,7 +69,9 @@ class NewtonInput(TouchInput):
     def read(self, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor:
         """Return (B, 1, 3) N of a slot; RolloutError where its sensor is lost."""
         with torch.no_grad():
-            return self.encoder.head.step(self._latents.read(batch, slot, device), None)[0][:, None]
+            force_N = self.encoder.head.step(self._latents.read(batch, slot, device), None)[0][:, None]
+        worn = self._latents.worn.get(self.config.finger_by_slot()[slot])
+        return force_N if worn is None or LATENT_KEYS[slot] in batch else force_N * worn.gain
 
 
 class MarkerPairTokens(nn.Module):

@@ -39,7 +39,8 @@ def load_calibrations(
 
     ``made_for`` is a tokenizer's hash, "" the policy's own; or "descriptor".
 
-    Raises CheckpointError: made for another tokenizer or kind of sensor, or of other sizes than this policy's input.
+    Raises CheckpointError: made for another tokenizer, head or kind of sensor, of other sizes than this policy's input,
+    or a gain of newtons where it feels none.
     """
     found: dict[Finger, Calibration] = {}
     for finger in FINGERS:
@@ -53,10 +54,20 @@ def load_calibrations(
             if kind and made_of in list_sensors() and made_of != kind:
                 do = "Calibrate the sensor that the finger wears."
                 raise CheckpointError(expected(f"{finger}_calibration", f"one of a {kind}", f"one of {worn.new}", do))
+            _check_gain(config, finger, worn)
             logger.info("%s finger wears the calibration of %s against %s", finger, worn.new, worn.anchor)
             worn.map.to(config.device)
             found[finger] = worn
     return found
+
+
+def _check_gain(config: PI05UniforceConfig, finger: Finger, worn: Calibration) -> None:
+    """Refuse a gain of newtons that another head reads, or none."""
+    head = config.touch.head_hash if config.touch.input == "newtons" else ""
+    if worn.gain != 1 and worn.head_hash != head:
+        wanted = f"a gain of newtons that head {head[:12]} reads" if head else "a map: this policy feels no newtons"
+        came, do = f"a gain of those of head {worn.head_hash[:12]}", "Calibrate by pairs, or with this policy's head."
+        raise CheckpointError(expected(f"{finger}_calibration", wanted, came, do))
 
 
 def build_monitors(config: PI05UniforceConfig, calibrations: dict[Finger, Calibration]) -> dict[Finger, HealthMonitor]:
@@ -96,11 +107,10 @@ class TouchInput:
     ) -> None:
         self.config, self.shape = config, shape
         self.monitors = {} if monitors is None else monitors
-        self.maps = {
-            finger: worn.map for finger, worn in (calibrations or {}).items()
-        }  # of what is encoded now; cached latents are used as they are
+        # of what is encoded now; cached latents are used as they are
+        self.worn = calibrations or {}
         self.encoder: Any = encoder  # TactileEncoder; None where the input is a control's
-        self._grips = GripComparison(encoder, self.maps, config.n_action_steps)
+        self._grips = GripComparison(encoder, self.worn, config.n_action_steps)
         self._renewed: dict[Finger, Tensor] = {}  # references taken in this episode instead of those given
         self.masked = False  # every slot masked: the control that takes touch away from a trained policy
         self._logged: set[str] = set()
@@ -164,7 +174,7 @@ class TouchInput:
                 self.monitors[finger].see(latent)
             except FreeAirError as error:
                 latent = self._renew(batch, slot, current, error)
-        worn = self.maps[finger](latent) if finger in self.maps else latent
+        worn = self.worn[finger].map(latent) if finger in self.worn else latent
         if finger in self.monitors:
             self._compare(batch, slot, finger, worn)
         return worn

@@ -1,0 +1,99 @@
+"""Presses of known load on one sensor: simulated, or by hand on a kitchen scale. They give the gain of its newtons."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+
+from uniforce_vtla.errors import ContractError, SensorError, expected
+from uniforce_vtla.options import split
+
+if TYPE_CHECKING:
+    from uniforce_cli.calibrate import Encode
+    from uniforce_robots.franka import UniforceFrankaConfig
+    from uniforce_robots.sensors.config_uniforce import TactileFingerConfig
+    from uniforce_robots.sensors.finger import TactileFinger
+    from uniforce_vtla.contact.worn import WornSensor
+    from uniforce_vtla.contracts import Finger
+    from uniforce_vtla.tokenizer.latent import Latent
+
+PER_LOAD = 3  # simulated presses of each load, each of another face at another place
+FRAMES = 10  # read of each press by hand, a third of a second
+STANDARD_m_s2 = 9.80665  # newtons to what a scale shows
+
+LOADS_N = (0.5, 50.0)  # lighter a scale shows badly, firmer breaks a gel
+
+Presses = tuple["Latent", np.ndarray]  # (n, P, L) pooled latents, and their loads (n,) in N
+
+
+def known_loads(text: str) -> list[float]:
+    """Return the loads of a list with commas; ContractError: none a finger bears."""
+    found = [float(part) for part in split(text)]
+    if not all(LOADS_N[0] <= load_N <= LOADS_N[1] for load_N in found):
+        wanted, do = f"{LOADS_N[0]} to {LOADS_N[1]} N each", "100 g on a scale are 1 N."
+        raise ContractError(expected("loads_N", wanted, text, do))
+    return found
+
+
+def simulated_presses(worn: WornSensor, loads_N: Sequence[float], seed: int, encode: Encode) -> Presses:
+    """Press flat faces, as of a tool's handle, straight on the pad; what the canonicalizer refuses is left out.
+
+    Raises SensorError: it refuses all of them.
+    """
+    import torch
+
+    from uniforce_cli.calibrate import seen
+    from uniforce_vtla.contact.indenters import PRETRAIN
+    from uniforce_vtla.contact.sampling import sample_objects
+    from uniforce_vtla.contact.worn import WornView
+    from uniforce_vtla.contracts import ContactState
+
+    load_N = np.repeat(np.asarray(loads_N, np.float32), PER_LOAD)
+    objects = sample_objects(np.random.default_rng([seed, 77]), len(load_N), PRETRAIN, flat_share=1.0)
+    force = np.column_stack([0 * load_N, 0 * load_N, load_N])
+    contact = ContactState(objects.gap_mm, force, 0 * load_N)
+    found = seen(WornView(worn, seed), contact, "left", encode)
+    if not found:
+        do = "Use lighter loads."
+        raise SensorError(expected("presses", "frames the canonicalizer reads", f"none of {len(load_N)}", do))
+    rows = sorted(found)
+    return torch.stack([found[row] for row in rows]), load_N[rows]  # type: ignore[return-value]  # stack keeps the origin
+
+
+def finger_of(rig: str, finger: Finger) -> TactileFingerConfig:
+    """Return a finger's settings from a rig's file, as ``uniforce record`` reads it; ContractError: it has none."""
+    from uniforce_robots.recorder.build import read_devices
+
+    robot = cast("UniforceFrankaConfig", read_devices([], True, "keyboard", rig)[0])
+    if found := [worn for worn in robot.fingers.values() if worn.finger == finger]:
+        return found[0]
+    do = "Name it among robot.cameras, see docs/recording.md."
+    raise ContractError(expected(f"{finger} finger of {rig}", "a tactile sensor", list(robot.cameras), do))
+
+
+def presses_by_hand(
+    finger: TactileFinger, loads_N: Sequence[float], encode: Encode, ask: Callable[[str], object] = input
+) -> Presses:
+    """Ask for each load on a scale, and read some frames of it when Enter says that it is held.
+
+    Raises ContractError: nobody is at a terminal; SensorError: the sensor is lost.
+    """
+    import torch
+
+    if ask is input and not sys.stdin.isatty():
+        do = "Run it where somebody can press Enter."
+        raise ContractError(expected("presses by hand", "a terminal", "another input", do))
+    reference, latents = finger.reference_image()[..., 0], []
+    print("Lay a tool's handle on a kitchen scale, set it to zero, and press the pad straight down on the handle.")
+    for load_N in loads_N:
+        ask(f"until the scale shows {1000 * load_N / STANDARD_m_s2:.0f} g ({load_N:g} N); hold it and press Enter ")
+        images, index = [], -1
+        for _ in range(FRAMES):
+            touch = finger.next_touch(index)
+            index = touch.index
+            images.append(finger.marker_image(touch.raw))
+        latents.append(encode(reference, np.stack(images), cast("Finger", finger.config.finger)))
+    return torch.cat(latents), np.repeat(np.asarray(loads_N, np.float32), FRAMES)  # type: ignore[return-value]  # cat keeps the origin
