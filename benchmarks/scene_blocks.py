@@ -18,6 +18,7 @@ BLOCKS: dict[str, range] = {
     "kinds left out": range(1_060_000, 1_070_000),
     "kinds left out, felt in newtons": range(1_080_000, 1_090_000),
     "spent on maps fitted to tools alone, which buy nothing": range(1_090_000, 1_100_000),
+    "units weighed": range(1_100_000, 1_110_000),
     "stress, seen while a limit of the monitor was set": range(1_040_000, 1_041_000),
     "stress": range(1_041_000, 1_060_000),
 }

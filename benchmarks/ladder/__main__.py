@@ -28,7 +28,13 @@ from uniforce_vtla.results_file import provenance, write_json
 DEMONSTRATED = {"left_sensor": "gelsight", "right_sensor": "tactip"}
 CLEAN = "C"  # of EpisodeRow.code
 CLAIMABLE = 200  # an arm of fewer rollouts stands aside: no claim rests on it
-SECTIONS = {"ladder": "ladder", "left_out": "ladder", "controls": "ladder_controls", "arms": "arms"}
+SECTIONS = {
+    "ladder": "ladder",
+    "left_out": "ladder",
+    "weighed": "ladder",
+    "controls": "ladder_controls",
+    "arms": "arms",
+}
 ROWS = ("arms", "side_arms", "ladder", "ladder_controls")  # sections of wiping.json that hold rows
 
 
@@ -39,7 +45,7 @@ class LadderCommand:
     Example: python -m benchmarks.ladder part=ladder checkpoints=outputs/arms onto=docs/results/wiping.json
     """
 
-    part: Literal["ladder", "left_out", "controls", "arms"] = "ladder"
+    part: Literal["ladder", "left_out", "weighed", "controls", "arms"] = "ladder"
     checkpoints: FolderPath = "outputs/arms"  # ARM/seed0, ARM/seed1, …
     calibrations: FolderPath = ""  # of `uniforce calibrate`: shipped/uskin-2, …; "" = those rows wait
     rows: Text = ""  # names between commas: score these alone, the others wait; "" = all of the part

@@ -98,6 +98,15 @@ LEFT_OUT_IN_NEWTONS = tuple(
         ("S3 uskin newtons calibrated", _units("uskin"), True),
     )
 )  # fmt: skip
+# units whose scale was fitted to three known loads (`uniforce calibrate new=tactip:2 loads_N=3,6,9`), planned on
+# 2026-11-28 before a scene of it was rolled out; their gains lie in the calibrations' folder "weighed"
+WEIGHED = (
+    Entry("S0 beside weighed", "vt", block="units weighed", rollouts=96),
+    Entry("S1 beside weighed", "vt", _units("tactip"), block="units weighed", rollouts=96),
+    Entry(
+        "S1 weighed", "vt", _units("tactip"), calibrated=True, tokenizer="weighed", block="units weighed", rollouts=96
+    ),
+)
 # the same swap for other things to feel with, each with the same alignment
 RUNGS = ("S0", "S2 gelsight calibrated", "S2 uskin calibrated")
 # raw images get none: a linear map of two pictures is none of a sensor's. The random encoder has the shipped one's size
@@ -137,10 +146,17 @@ ARMS = (
     Entry("V+T shuffled", "vt", control="shuffled", block="arms", rollouts=102),
     Entry("V+T frozen", "vt", control="frozen", block="arms"),
 )
-PARTS = {"ladder": LADDER, "left_out": LEFT_OUT + LEFT_OUT_IN_NEWTONS, "controls": CONTROLS, "arms": ARMS}
+PARTS = {
+    "ladder": LADDER,
+    "left_out": LEFT_OUT + LEFT_OUT_IN_NEWTONS,
+    "weighed": WEIGHED,
+    "controls": CONTROLS,
+    "arms": ARMS,
+}
 
 CLAIMS = (
     AtMostWorse("another unit", "S1", "S0", 0.07),
+    AtMostWorse("another unit, weighed", "S1 weighed", "S0 beside weighed", 0.07),
     AtMostWorse("another kind", "S2 gelsight", "S0", 0.12),
     AtMostWorse("another kind", "S2 uskin", "S0", 0.12),
     AtMostWorse("stiffer or keener, calibrated", "S4 uskin calibrated", "S0", 0.15),
@@ -156,6 +172,7 @@ CLAIMS = (
 )
 SLACK = 0.05  # of the bound beyond a claim's margin
 BETTER = (
+    ("S1 weighed", "S1 beside weighed"),
     ("V+T", "V"),
     ("V+T", "V with history"),
     ("V+T", "V+T frozen"),
