@@ -209,4 +209,6 @@ def _alike(row: Row, other: Row | None) -> bool:
 
 def _lower_bound(faulty: Mapping[int, Row], usual: Mapping[int, Row]) -> float:
     seeds = sorted(faulty.keys() & usual.keys())
+    if not seeds:
+        return -1.0  # all may be lost
     return non_inferior([faulty[s].clean for s in seeds], [usual[s].clean for s in seeds], MARGIN).lower

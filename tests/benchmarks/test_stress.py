@@ -174,6 +174,8 @@ def test_the_first_dose_that_loses_more_than_the_margin_breaks() -> None:
     few = {name: {seed: one for seed, one in found.items() if seed < 20} for name, found in rows.items()}
     assert summarise(cells, few)["T1 lag"]["breaking_dose"] is None  # too few scenes to tell
     assert not summarise(cells, few)["T1 lag"]["judged"] and lag["judged"]
+    none = summarise(cells, {name: {} for name in rows})["T1 lag"]  # an arm that plays later
+    assert (none["n"], none["lower_bound"]) == ([0, 0], [-1.0, -1.0])
 
 
 def test_benign_doses_act_in_a_few_scenes_and_end_as_without_the_fault(tmp_path, monkeypatch) -> None:
