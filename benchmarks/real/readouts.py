@@ -10,10 +10,11 @@ from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
 from tqdm import tqdm
 
+from benchmarks.real.few_frames import ForceCorrection
 from benchmarks.real.tactip_shear import TactipSet
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
+from uniforce_vtla.tokenizer.calibration import in_plane_turn_rad
 from uniforce_vtla.tokenizer.descriptor import NATURAL_UNITS, describe
-from uniforce_vtla.tokenizer.few_frames import ForceCorrection, in_plane_turn_rad
 from uniforce_vtla.tokenizer.latent import POOL, pool_latent
 
 RIDGES = (1.0, 100.0)  # on standardised features; both are reported, neither is chosen

@@ -77,6 +77,7 @@ def main(settings: PretrainCommand) -> None:
     data: PairCache | RecordedPairs
     if settings.run.pairs:
         data = recorded_pairs(settings.run.pairs, settings.run.model.side)
+        print(f"training on pairs of {settings.run.pairs}: nothing is drawn, run.data and cache are not used")
     else:
         data = PairCache(Path(settings.cache), settings.run.data)  # drawn where it isn't yet
     with only_writer(Path(settings.out) / "log.csv"):

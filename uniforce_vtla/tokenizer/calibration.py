@@ -20,7 +20,6 @@ from torch import nn
 
 from uniforce_vtla.contracts import check_count
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
-from uniforce_vtla.tokenizer.few_frames import in_plane_turn_rad
 from uniforce_vtla.tokenizer.force_head import ForceHead
 from uniforce_vtla.tokenizer.latent import Latent, own_latent
 from uniforce_vtla.tokenizer.settings import OBJECT_CLASSES, CalibrationConfig
@@ -193,6 +192,12 @@ def calibrate(
         judged[kind] = Agreement(len(t), _r2(t, a), _abs_r(t, a), _r2(t, b))
     turn_deg = float(np.degrees(in_plane_turn_rad(before[:, :2], truth[:, :2])))
     return Calibration(found, origin, head.hash, new, anchor, ridge, turn_deg, judged)
+
+
+def in_plane_turn_rad(read: np.ndarray, known: np.ndarray) -> float:
+    """Return the turn, x towards y, that brings (n, 2) readings closest to (n, 2) known vectors (Procrustes)."""
+    a, b = (v - v.mean(axis=0) for v in (read, known))
+    return float(np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum()))
 
 
 def fit_map(z_new: torch.Tensor, z_anchor: torch.Tensor) -> tuple[LatentMap, float]:

@@ -1,26 +1,15 @@
-"""What ten frames with a known force say of a sensor: its angle on the mount, a gain and an offset per axis.
-
-Beside the label-free calibration, for people who have a scale or a force gauge for a minute.
-"""
+"""What ten frames with a known force say of a sensor: its angle on the mount, a gain and an offset per axis."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 
-from uniforce_vtla.errors import CheckpointError, ContractError, expected
-from uniforce_vtla.json_file import read_object
-from uniforce_vtla.results_file import write_json
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.tokenizer.calibration import in_plane_turn_rad
 
 FEWEST = 10  # seven numbers are fitted
-
-
-def in_plane_turn_rad(read: np.ndarray, known: np.ndarray) -> float:
-    """Return the turn, x towards y, that brings (n, 2) readings closest to (n, 2) known vectors (Procrustes)."""
-    a, b = (v - v.mean(axis=0) for v in (read, known))
-    return float(np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum()))
 
 
 @dataclass(frozen=True)
@@ -54,23 +43,6 @@ class ForceCorrection:
     def __call__(self, read_N: np.ndarray) -> np.ndarray:
         """Return corrected forces (n, 3) in N."""
         return _turned(read_N, self.turn_rad) * self.gain + self.offset_N
-
-    def save(self, path: str | Path) -> Path:
-        """Write it as JSON."""
-        return write_json(Path(path), asdict(self))
-
-    @classmethod
-    def load(cls, path: str | Path) -> ForceCorrection:
-        """Read what ``save`` wrote; CheckpointError: something else."""
-        stored = read_object(Path(path), CheckpointError)
-        try:
-            gain, offset = (tuple(float(v) for v in stored[name]) for name in ("gain", "offset_N"))
-            found = cls(float(stored["turn_rad"]), gain, offset)  # type: ignore[arg-type]
-        except (KeyError, TypeError, ValueError) as error:
-            raise CheckpointError(expected(str(path), "a force correction", error, "Fit it again.")) from error
-        if len(gain) != 3 or len(offset) != 3 or not np.isfinite([found.turn_rad, *gain, *offset]).all():
-            raise CheckpointError(expected(str(path), "seven finite numbers", stored, "Fit it again."))
-        return found
 
 
 def _turned(force_N: np.ndarray, turn_rad: float) -> np.ndarray:

@@ -1,10 +1,9 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from uniforce_vtla.errors import CheckpointError, ContractError
-from uniforce_vtla.tokenizer.few_frames import ForceCorrection, in_plane_turn_rad
+from benchmarks.real.few_frames import ForceCorrection
+from uniforce_vtla.errors import ContractError
+from uniforce_vtla.tokenizer.calibration import in_plane_turn_rad
 
 
 def frames(n: int = 12, noise_N: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -34,15 +33,6 @@ def test_the_turn_is_that_of_the_shear_plane_alone() -> None:
     v = np.random.default_rng(1).standard_normal((9, 2))
     assert in_plane_turn_rad(v, v + 5.0) == pytest.approx(0)
     assert in_plane_turn_rad(v, v[:, ::-1] * [-1, 1]) == pytest.approx(np.pi / 2)
-
-
-def test_saved_equals_loaded(tmp_path: Path) -> None:
-    found = ForceCorrection.fit(*frames())
-    assert ForceCorrection.load(found.save(tmp_path / "few.json")) == found
-    for text in ('{"turn_rad": 0}', '{"turn_rad": 0, "gain": [1, 1], "offset_N": [0, 0, 0]}'):
-        (tmp_path / "few.json").write_text(text)
-        with pytest.raises(CheckpointError, match="Fit it again"):
-            ForceCorrection.load(tmp_path / "few.json")
 
 
 @pytest.mark.parametrize(("change", "says"), [("short", "Record more"), ("nan", "finite"), ("still", "never loaded")])
