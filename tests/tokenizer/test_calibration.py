@@ -142,7 +142,7 @@ def test_known_loads_give_a_gain_that_is_stored(tmp_path: Path) -> None:
     assert plain.gain == pytest.approx(1.0) and plain.hash != found.hash
 
 
-@pytest.mark.parametrize("load_N", [(3, 6), (0, 3, 6), (3, 6, np.nan), (300, 600, 900), (3, 6, 9, 9)])
+@pytest.mark.parametrize("load_N", [(3, 6), (0, 3, 6), (3, 6, np.nan), (300, 600, 900), (9, 6, 3), (3, 6, 9, 9)])
 def test_loads_that_give_no_gain_are_refused(load_N: tuple[float, ...]) -> None:
     with pytest.raises(ContractError, match=r"loads|presses"):
         Calibration.of_loads(presses(3, 6, 9)[: len(load_N)], np.array(load_N), Scale(), "tactip:7")  # type: ignore[arg-type]
