@@ -8,7 +8,8 @@ import numpy as np
 import torch
 
 from uniforce_cli.boundary import command, one_thread
-from uniforce_cli.calibrate import CalibrateCommand, Unit, pooled_latents, simulated_grasps
+from uniforce_cli.calibrate import Unit
+from uniforce_cli.paired_grasps import pooled_latents, simulated_grasps
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.options import Count, OutFolder, Seed, TokenizerFolder
 from uniforce_vtla.tokenizer import Latent, Tokenizer
@@ -43,8 +44,7 @@ def main(config: AlignCommand) -> None:
     tokenizer = Tokenizer.from_pretrained(config.tokenizer or None) if config.feature == "latent" else None
     encode = pooled_latents(tokenizer) if tokenizer else described
     made_for = tokenizer.hash if tokenizer else config.feature
-    grasped = CalibrateCommand(config.new, config.anchor, grasps=config.grasps, seed=config.seed)
-    grasps = simulated_grasps(grasped, encode)
+    grasps = simulated_grasps(config.new, config.anchor, config.grasps, config.seed, encode)
     new, anchor = (z.as_subclass(torch.Tensor) for z in (grasps.new, grasps.anchor))
     order = torch.randperm(len(new), generator=torch.Generator().manual_seed(config.seed))
     fitted, ridge = fit_map(new[order], anchor[order])

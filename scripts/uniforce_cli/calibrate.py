@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 from uniforce_cli.boundary import command, one_thread
-from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_cli.paired_grasps import pooled_latents, recorded_grasps, simulated_grasps
+from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import (
     Count,
     FilePath,
@@ -18,30 +19,17 @@ from uniforce_vtla.options import (
     Seed,
     Text,
     TokenizerFolder,
-    split,
 )
 from uniforce_vtla.tokenizer.settings import OBJECT_CLASSES, CalibrationConfig
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    import numpy as np
-
     from uniforce_robots.sensors.finger import TactileFinger
-    from uniforce_vtla.contact.worn import WornView
-    from uniforce_vtla.contracts import ContactState, Finger
     from uniforce_vtla.tokenizer.api import Tokenizer
     from uniforce_vtla.tokenizer.calibration import Calibration
-    from uniforce_vtla.tokenizer.latent import Latent
-
-    # reference (480, 640), marker images (B, 480, 640), finger → (B, P, L)
-    Encode = Callable[[np.ndarray, np.ndarray, Finger], Latent]
 
 Unit = Annotated[
     str, Pattern("a sensor and which unit of it", r"\w+(:(drawing|\d{1,6}))?(\+[a-z]+=[\d.]+)*", "uskin:7")
 ]
-TOOL_TORSION_ARM_mm = 9.0  # a held tool twists flat pads so far
-BATCH = 32
 TURN_DEG = 10.0  # pairs tell the angle between two fingers to a few degrees
 logger = logging.getLogger(__name__)
 
@@ -75,15 +63,6 @@ class CalibrateCommand:
     seed: Seed = 0  # of the grasps
 
 
-@dataclass(frozen=True)
-class Grasps:
-    """Pooled latents (n, P, L) of both fingers on the same grasps, and what was grasped."""
-
-    new: Latent
-    anchor: Latent
-    classes: tuple[str, ...]
-
-
 def calibrate_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
     """Gather grasps and fit; raises as ``calibrate``, SensorError for an unknown sensor, DatasetError for bad pairs."""
     from uniforce_vtla.contact.worn_in_words import wear
@@ -91,8 +70,11 @@ def calibrate_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibrat
     from uniforce_vtla.tokenizer.force_head import ForceHead
 
     _, anchor_kind = (wear(words)(config.seed).kind for words in (config.new, config.anchor))
-    pairs = bool(config.pairs)
-    grasps = recorded_grasps(config, tokenizer) if pairs else simulated_grasps(config, pooled_latents(tokenizer))
+    sensors = config.new, config.anchor
+    if config.pairs:
+        grasps = recorded_grasps(config.pairs, *sensors, config.tools, tokenizer)
+    else:
+        grasps = simulated_grasps(*sensors, config.grasps, config.seed, pooled_latents(tokenizer))
     head = ForceHead.from_pretrained(anchor_kind, config.tokenizer or None)
     return calibrate(grasps.new, grasps.anchor, grasps.classes, head, config.new, config.anchor, config.fit)
 
@@ -121,79 +103,6 @@ def weigh_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
     print(f"{wanted.label}: taking the reference, keep it in free air")
     with finger:
         return Calibration.of_loads(*presses_by_hand(finger, loads_N, encode), head, config.new)
-
-
-def pooled_latents(tokenizer: Tokenizer) -> Encode:
-    """Return what encodes a finger's marker images as heads and policies read them, (n, POOL², L)."""
-    from uniforce_vtla.tokenizer.latent import POOL, pool_latent
-
-    return lambda reference, current, finger: pool_latent(tokenizer.encode(reference[None], current, finger), POOL)  # type: ignore[return-value]
-
-
-def simulated_grasps(config: CalibrateCommand, encode: Encode) -> Grasps:
-    """Grasp in simulation, the new sensor left and the anchor right: half small objects, half tools, at rest."""
-    import numpy as np
-    import torch
-
-    from uniforce_vtla.contact.indenters import PRETRAIN
-    from uniforce_vtla.contact.sampling import FLAT, ForceRange, sample_loads, sample_objects
-    from uniforce_vtla.contact.worn import WornView
-    from uniforce_vtla.contact.worn_in_words import wear
-    from uniforce_vtla.contracts import ContactState
-    from uniforce_vtla.markers.mirror import mirrored
-
-    new, anchor = (wear(words)(config.seed) for words in (config.new, config.anchor))
-    n, rng = config.grasps, np.random.default_rng([config.seed, 55])
-    objects = sample_objects(rng, n, PRETRAIN, flat_share=0.5)
-    force, torsion = sample_loads(rng, n, ForceRange(flat_torsion_arm_mm=TOOL_TORSION_ARM_mm), objects.names)
-    contact = ContactState(objects.gap_mm, force, torsion)
-    left = seen(WornView(new, config.seed), contact, "left", encode)
-    right = seen(WornView(anchor, config.seed + 1), mirrored(contact), "right", encode)
-    both = sorted(left.keys() & right.keys())
-    if len(both) < n:
-        logger.warning("%d of %d grasps are left out: a finger's frame was refused", n - len(both), n)
-    classes = tuple("tool" if objects.names[row] == FLAT else "small" for row in both)
-    of_new, of_anchor = (torch.stack([of[row] for row in both]) for of in (left, right))
-    return Grasps(of_new, of_anchor, classes)  # type: ignore[arg-type]  # stack keeps the origin
-
-
-def seen(view: WornView, contact: ContactState, finger: Finger, encode: Encode) -> dict[int, Latent]:
-    """Return row → what ``encode`` makes of a contact as a worn unit shows it, (P, L); refused frames are left out."""
-    import numpy as np
-
-    from uniforce_vtla.contact.simulator import rows_of, slices
-
-    found: dict[int, Latent] = {}
-    for part in slices(len(contact.gap_mm), BATCH):
-        if images := view.accepted(rows_of(contact, part)):
-            latents = encode(view.reference, np.stack(list(images.values())), finger)
-            found |= {part.start + row: latent for row, latent in zip(images, latents, strict=True)}
-    return found
-
-
-def recorded_grasps(config: CalibrateCommand, tokenizer: Tokenizer) -> Grasps:
-    """Read recorded pairs of the two sensors; either finger may wear the new one, of one kind it is the left.
-
-    Raises DatasetError: as ``read_uniforce_pairs``, or pairs of other sensors.
-    """
-    import torch
-
-    from uniforce_datasets.readers.uniforce_pairs import read_uniforce_pairs
-
-    new_name, anchor_name = (words.partition(":")[0] for words in (config.new, config.anchor))
-    encode, new, anchor, classes = pooled_latents(tokenizer), [], [], []
-    for recording in read_uniforce_pairs(config.pairs):
-        if set(recording.kinds) != {new_name, anchor_name}:
-            do = "Name them new= and anchor=."
-            raise DatasetError(expected(f"sensors of {recording}", [new_name, anchor_name], recording.kinds, do))
-        left = encode(recording.left_reference, recording.left_frames, "left")
-        right = encode(recording.right_reference, recording.right_frames, "right")
-        is_left = recording.kinds[0] == new_name
-        new.append(left if is_left else right)
-        anchor.append(right if is_left else left)
-        kind = "tool" if recording.indenter in split(config.tools) else "small"
-        classes += [kind] * len(recording.left_frames)
-    return Grasps(torch.cat(new), torch.cat(anchor), tuple(classes))  # type: ignore[arg-type]  # cat keeps the origin
 
 
 def check_agreement(found: Calibration, config: CalibrateCommand) -> str:

@@ -12,7 +12,7 @@ from uniforce_vtla.errors import ContractError, SensorError, expected
 from uniforce_vtla.options import split
 
 if TYPE_CHECKING:
-    from uniforce_cli.calibrate import Encode
+    from uniforce_cli.paired_grasps import Encode
     from uniforce_robots.franka import UniforceFrankaConfig
     from uniforce_robots.sensors.config_uniforce import TactileFingerConfig
     from uniforce_robots.sensors.finger import TactileFinger
@@ -45,7 +45,7 @@ def simulated_presses(worn: WornSensor, loads_N: Sequence[float], seed: int, enc
     """
     import torch
 
-    from uniforce_cli.calibrate import seen
+    from uniforce_cli.paired_grasps import seen
     from uniforce_vtla.contact.indenters import PRETRAIN
     from uniforce_vtla.contact.sampling import sample_objects
     from uniforce_vtla.contact.worn import WornView

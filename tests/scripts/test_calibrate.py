@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from uniforce_cli.calibrate import CalibrateCommand, main, pooled_latents, recorded_grasps
+from uniforce_cli.calibrate import main
 from uniforce_cli.known_loads import presses_by_hand
+from uniforce_cli.paired_grasps import pooled_latents, recorded_grasps
 from uniforce_datasets.readers.recording import PairRecording
 from uniforce_datasets.readers.uniforce_pairs import write_uniforce_pairs
 from uniforce_vtla.contact import TactileSimulator
@@ -59,8 +60,7 @@ def test_recorded_pairs_of_two_units_of_a_kind_are_kept_apart(
     value = {"left": 1.0, "right": 2.0}
     tokenizer = SimpleNamespace(encode=lambda ref, now, finger: Latent.of(torch.full((3, 64, 6), value[finger]), "abc"))
     anchor = "gelsight" if "gelsight" in sensors else "tactip:1"
-    config = CalibrateCommand(new="tactip:7", anchor=anchor, pairs=str(tmp_path))
-    grasps = recorded_grasps(config, tokenizer)  # type: ignore[arg-type]
+    grasps = recorded_grasps(str(tmp_path), "tactip:7", anchor, "tool,flat", tokenizer)  # type: ignore[arg-type]
     assert grasps.classes == ("tool",) * 3 and len(grasps.new) == 3
     assert float(grasps.new.mean()) == value[new_is] and float(grasps.anchor.mean()) != value[new_is]
 

@@ -1,0 +1,109 @@
+"""Paired grasps for a calibration: both fingers' latents of the same contacts, simulated or recorded."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from uniforce_vtla.errors import DatasetError, expected
+from uniforce_vtla.options import split
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import numpy as np
+
+    from uniforce_vtla.contact.worn import WornView
+    from uniforce_vtla.contracts import ContactState, Finger
+    from uniforce_vtla.tokenizer.api import Tokenizer
+    from uniforce_vtla.tokenizer.latent import Latent
+
+    # reference (480, 640), marker images (B, 480, 640), finger → (B, P, L)
+    Encode = Callable[[np.ndarray, np.ndarray, Finger], Latent]
+
+TOOL_TORSION_ARM_mm = 9.0  # a held tool twists flat pads so far
+BATCH = 32
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Grasps:
+    """Pooled latents (n, P, L) of both fingers on the same grasps, and what was grasped."""
+
+    new: Latent
+    anchor: Latent
+    classes: tuple[str, ...]
+
+
+def pooled_latents(tokenizer: Tokenizer) -> Encode:
+    """Return what encodes a finger's marker images as heads and policies read them, (n, POOL², L)."""
+    from uniforce_vtla.tokenizer.latent import POOL, pool_latent
+
+    return lambda reference, current, finger: pool_latent(tokenizer.encode(reference[None], current, finger), POOL)  # type: ignore[return-value]
+
+
+def simulated_grasps(new: str, anchor: str, count: int, seed: int, encode: Encode) -> Grasps:
+    """Grasp in simulation, the new sensor left and the anchor right: half small objects, half tools, at rest."""
+    import numpy as np
+    import torch
+
+    from uniforce_vtla.contact.indenters import PRETRAIN
+    from uniforce_vtla.contact.sampling import FLAT, ForceRange, sample_loads, sample_objects
+    from uniforce_vtla.contact.worn import WornView
+    from uniforce_vtla.contact.worn_in_words import wear
+    from uniforce_vtla.contracts import ContactState
+    from uniforce_vtla.markers.mirror import mirrored
+
+    worn_new, worn_anchor = (wear(words)(seed) for words in (new, anchor))
+    rng = np.random.default_rng([seed, 55])
+    objects = sample_objects(rng, count, PRETRAIN, flat_share=0.5)
+    force, torsion = sample_loads(rng, count, ForceRange(flat_torsion_arm_mm=TOOL_TORSION_ARM_mm), objects.names)
+    contact = ContactState(objects.gap_mm, force, torsion)
+    left = seen(WornView(worn_new, seed), contact, "left", encode)
+    right = seen(WornView(worn_anchor, seed + 1), mirrored(contact), "right", encode)
+    both = sorted(left.keys() & right.keys())
+    if left_out := count - len(both):
+        logger.warning("%d of %d grasps are left out: a finger's frame was refused", left_out, count)
+    classes = tuple("tool" if objects.names[row] == FLAT else "small" for row in both)
+    of_new, of_anchor = (torch.stack([of[row] for row in both]) for of in (left, right))
+    return Grasps(of_new, of_anchor, classes)  # type: ignore[arg-type]  # stack keeps the origin
+
+
+def seen(view: WornView, contact: ContactState, finger: Finger, encode: Encode) -> dict[int, Latent]:
+    """Return row → what ``encode`` makes of a contact as a worn unit shows it, (P, L); refused frames are left out."""
+    import numpy as np
+
+    from uniforce_vtla.contact.simulator import rows_of, slices
+
+    found: dict[int, Latent] = {}
+    for part in slices(len(contact.gap_mm), BATCH):
+        if images := view.accepted(rows_of(contact, part)):
+            latents = encode(view.reference, np.stack(list(images.values())), finger)
+            found |= {part.start + row: latent for row, latent in zip(images, latents, strict=True)}
+    return found
+
+
+def recorded_grasps(folder: str, new: str, anchor: str, tools: str, tokenizer: Tokenizer) -> Grasps:
+    """Read recorded pairs of the two sensors; either finger may wear the new one, of one kind it is the left.
+
+    Raises DatasetError: as ``read_uniforce_pairs``, or pairs of other sensors.
+    """
+    import torch
+
+    from uniforce_datasets.readers.uniforce_pairs import read_uniforce_pairs
+
+    new_name, anchor_name = (words.partition(":")[0] for words in (new, anchor))
+    encode, of_new, of_anchor, classes = pooled_latents(tokenizer), [], [], []
+    for recording in read_uniforce_pairs(folder):
+        if set(recording.kinds) != {new_name, anchor_name}:
+            do = "Name them new= and anchor=."
+            raise DatasetError(expected(f"sensors of {recording}", [new_name, anchor_name], recording.kinds, do))
+        left = encode(recording.left_reference, recording.left_frames, "left")
+        right = encode(recording.right_reference, recording.right_frames, "right")
+        is_left = recording.kinds[0] == new_name
+        of_new.append(left if is_left else right)
+        of_anchor.append(right if is_left else left)
+        kind = "tool" if recording.indenter in split(tools) else "small"
+        classes += [kind] * len(recording.left_frames)
+    return Grasps(torch.cat(of_new), torch.cat(of_anchor), tuple(classes))  # type: ignore[arg-type]  # cat keeps the origin
