@@ -101,7 +101,7 @@ LEFT_OUT_IN_NEWTONS = tuple(
 # units whose scale was fitted to three known loads (`uniforce calibrate new=tactip:2 loads_N=3,6,9`), planned on
 # 2026-11-28 before a scene of it was rolled out; their gains lie in the calibrations' folder "weighed".
 # The last row was added on the same day, before the result of any of them was seen: gains relative to TacTip 1, whose
-# readings the policies learnt as they are (`relative_to=`)
+# readings the policies learnt as they are (`relative_to=` of commit 3459784f; it bought nothing and left)
 WEIGHED = tuple(
     Entry(name, "vt", worn, calibrated=gains != "", tokenizer=gains or "shipped", block="units weighed", rollouts=96)
     for name, worn, gains in (

@@ -57,8 +57,6 @@ class CalibrateCommand:
     loads_N: Numbers = ""  # known loads instead of an anchor's grasps, three or more
     rig: FilePath = ""  # loads_N: YAML file with `robot: {cameras: …}`; empty = presses are simulated
     finger: Literal["left", "right"] = "right"  # loads_N: of the rig, whose sensor is pressed
-    # loads_N: folder of the demonstrations' sensor, weighed before; its own scale, which a policy learnt, is kept
-    relative_to: FolderPath = ""
     out: OutFolder = "outputs/calibration"  # the map's folder
     tokenizer: TokenizerFolder = ""  # checkpoint folder; empty = shipped
     fit: CalibrationConfig = field(default_factory=CalibrationConfig)  # what judges, and what is refused
@@ -93,10 +91,8 @@ def weigh_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
     loads_N = known_loads(config.loads_N)
     worn, anchor = (wear(words)(config.seed) for words in (config.new, config.anchor))
     head, encode = ForceHead.from_pretrained(anchor.kind, config.tokenizer or None), pooled_latents(tokenizer)
-    weighed = Calibration.load(config.relative_to, tokenizer.hash) if config.relative_to else None
     if not config.rig:
-        presses = simulated_presses(worn, loads_N, config.seed, encode)
-        return Calibration.of_loads(*presses, head, config.new, weighed)
+        return Calibration.of_loads(*simulated_presses(worn, loads_N, config.seed, encode), head, config.new)
     from lerobot.cameras.utils import make_cameras_from_configs
 
     wanted = finger_of(config.rig, config.finger)
@@ -106,7 +102,7 @@ def weigh_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
     finger = cast("TactileFinger", make_cameras_from_configs({"finger": wanted})["finger"])
     print(f"{wanted.label}: taking the reference, keep it in free air")
     with finger:
-        return Calibration.of_loads(*presses_by_hand(finger, loads_N, encode), head, config.new, weighed)
+        return Calibration.of_loads(*presses_by_hand(finger, loads_N, encode), head, config.new)
 
 
 def check_agreement(found: Calibration, config: CalibrateCommand) -> str:

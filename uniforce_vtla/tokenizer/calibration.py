@@ -78,13 +78,10 @@ class Calibration:
     gain: float = 1.0  # of the newtons that the head reads after the map
 
     @classmethod
-    def of_loads(
-        cls, z: torch.Tensor, load_N: np.ndarray, head: ForceHead, new: str, anchor: Calibration | None = None
-    ) -> Calibration:
+    def of_loads(cls, z: torch.Tensor, load_N: np.ndarray, head: ForceHead, new: str) -> Calibration:
         """Return the gain that brings what ``head`` reads of presses (n, P, latent) to their known loads (n,) in N.
 
-        The map is the identity. One gain serves all axes: a stiffer or duller pad answers less to any force. With
-        ``anchor``, of a sensor weighed likewise, it brings them to what that sensor is read as: a policy learnt so.
+        The map is the identity. One gain serves all axes: a stiffer or duller pad answers less to any force.
 
         Raises ContractError: fewer than three loads, or readings that don't follow them by a gain that a pad explains.
         """
@@ -100,12 +97,7 @@ class Calibration:
             wanted = f"readings that follow the loads, by a gain of {GAINS[0]} to {GAINS[1]}"
             raise ContractError(expected("presses", wanted, came, do))
         same = LatentMap(*z.shape[1:]).eval()
-        if anchor is not None:
-            if anchor.head_hash != head.hash:
-                do = "Weigh it again with this head."
-                raise ContractError(expected("anchor's force head", head.hash, anchor.head_hash, do))
-            gain /= anchor.gain
-        return cls(same, head.tokenizer_hash, head.hash, new, anchor.new if anchor else new, 0.0, 0.0, {}, gain)
+        return cls(same, head.tokenizer_hash, head.hash, new, new, 0.0, 0.0, {}, gain)
 
     @torch.no_grad()
     def __call__(self, z: Latent) -> Latent:
