@@ -13,7 +13,7 @@ help:
 	@echo "make docs    the pages of docs/ as a site in site/, every link checked, in seconds and without the network"
 	@echo "make properties  property tests with ten times as many examples, random ones"
 	@echo "make fuzz    100,000 injured inputs into each parser of bytes, 2,000 into each reader of files (half an hour)"
-	@echo "make faults  31 faults of the stand-in arm against both Franka clients, ten times each (20 minutes)"
+	@echo "make faults  31 faults of the stand-in arm against the Franka client, ten times each (10 minutes)"
 	@echo "make ci      make test, then the wheel in a fresh environment"
 
 setup: $(STAMP)

@@ -30,7 +30,7 @@ echo "set-up: uv $("$uv" --version | cut -d' ' -f2), python $(find_python)"
 "$uv" pip sync --quiet --python .venv/bin/python requirements.lock
 "$uv" pip install --quiet --python .venv/bin/python --no-deps --editable .
 "$uv" pip install --quiet --python .venv/bin/python --no-deps --only-binary :all: -r requirements-clients.lock ||
-  echo "set-up: no wheels of the Franka clients or of rerun for this machine; their tests will be skipped, saying so"
+  echo "set-up: no wheels of the Franka client or of rerun for this machine; their tests will be skipped, saying so"
 command -v chromium chromium-browser google-chrome google-chrome-stable >/dev/null ||
   echo "set-up: no Chromium on this machine; the tests of the page of \`uniforce show\` in a browser will be skipped"
 .venv/bin/python -c 'import cv2, mujoco, torch, lerobot; print("set-up: torch", torch.__version__, "mujoco", mujoco.__version__, "cv2", cv2.__version__)'

@@ -135,5 +135,5 @@ ABORT_CAUSES = (
     *(f"robot_{fault}" for fault in ("bad_state", "jump", "speed", "force", "frozen", "guard", "sensor")),
     *(f"robot_{fault}" for fault in ("communication", "discontinuity", "limit")),
     *(f"robot_hand_{fault}" for fault in ("connection", "stale", "deadline", "state")),
-    *("robot_grasp_lost", "late"),
+    *("robot_grasp_lost", "late", "robot_tilt", "robot_frame"),
 )

@@ -9,7 +9,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from uniforce_robots.fr3 import HAND_TO_FLANGE
 from uniforce_robots.franka.limits import FORCE_N, TORQUE_Nm, require_in_limits
 from uniforce_vtla.errors import ContractError, RobotError, expected
 
@@ -21,6 +23,8 @@ ROBOT_STOPS = (*STOPPED_MODES.values(), "communication", "discontinuity", "limit
 ERROR_WORDS = {"communication": "communication", "discontinuity": "discontinuity", "violation": "limit"}
 CLIENT_WORDS = {"incompatible": "version", "infinite or nan": "bad_state", "user stop": "user_stop"}
 CLIENT_WORDS |= {"reflex": "reflex"}
+CLIENT_ADVICE = {"realtime": "Set robot.realtime=ignore, or boot a PREEMPT_RT kernel."}
+FRAME_m, FRAME_rad, LOAD_kg = 0.002, 0.02, 0.05  # by so much the setup may differ from the assumed one
 CLIENT_WORDS |= dict.fromkeys(("timeout", "connection", "network", "tcp", "udp"), "connection")
 
 
@@ -39,6 +43,31 @@ class ArmState:
     mode: str  # idle, move, guiding, reflex, user_stopped, recovery or other
     success_rate: float  # share of the last 100 control commands that reached the robot in time; 0 without control
     errors: tuple[str, ...] = ()  # the robot's own names of what stopped it, as libfranka spells them
+
+
+@dataclass(frozen=True)
+class ArmSetup:
+    """How the robot was set up before this program: other programs and Desk leave such settings behind."""
+
+    flange_to_ee: np.ndarray  # (4, 4) end-effector frame in the flange's, m
+    load_kg: float  # payload beside the hand, which the arm's gravity compensation carries
+
+
+def require_setup(setup: ArmSetup, load_kg: float) -> None:
+    """Refuse an arm whose poses or weights mean something else than the guards assume.
+
+    Raises RobotError: ``frame``: the end effector is not the Franka Hand's, or the load is not ``load_kg``.
+    """
+    apart = np.linalg.inv(HAND_TO_FLANGE) @ setup.flange_to_ee
+    away_m = float(np.linalg.norm(apart[:3, 3]))
+    turned_rad = float(Rotation.from_matrix(apart[:3, :3]).magnitude())
+    if away_m > FRAME_m or turned_rad > FRAME_rad:
+        came = f"one {1000 * away_m:.0f} mm away and turned by {math.degrees(turned_rad):.0f}°"
+        do = "Choose the Franka Hand as end effector in Desk, or undo what another program has set."
+        raise RobotError(expected("end-effector frame", "the Franka Hand's", came, do), "frame")
+    if abs(setup.load_kg - load_kg) > LOAD_kg:
+        do = "Set it in Desk, or state what the hand carries: robot.load_kg."
+        raise RobotError(expected("load", f"{load_kg:g} kg", f"{setup.load_kg:g} kg", do), "frame")
 
 
 def refuse_stopped(state: ArmState) -> None:
@@ -60,7 +89,7 @@ def fault_of_errors(errors: Iterable[str]) -> str:
 
 
 def fault_of(fault: str, text: str, errors: Iterable[str] = ()) -> str:
-    """Return the ``RobotError.fault`` of a client's message; the clients share libfranka's wording.
+    """Return the ``RobotError.fault`` of a client's message; its words are libfranka's wording.
 
     Args:
         fault: what the child process knows of it: ``other`` where only the text says more.
@@ -70,6 +99,12 @@ def fault_of(fault: str, text: str, errors: Iterable[str] = ()) -> str:
     if fault == "other":
         fault = next((named for word, named in CLIENT_WORDS.items() if word in text.lower()), "other")
     return fault_of_errors((*errors, text)) if fault == "reflex" else fault
+
+
+def advised(text: str) -> str:
+    """Return a client's message with what to do about it, where its own words don't say."""
+    advice = [do for word, do in CLIENT_ADVICE.items() if word in text.lower()]
+    return " ".join((text, *advice))
 
 
 @dataclass(frozen=True)

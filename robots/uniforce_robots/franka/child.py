@@ -1,5 +1,6 @@
 """A child process that talks JSON lines: what may hang or hold the GIL lives there, and can be killed."""
 
+import atexit
 import json
 import logging
 import queue
@@ -10,7 +11,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from uniforce_robots.franka.arm import fault_of
+from uniforce_robots.franka.arm import advised, fault_of
 from uniforce_vtla.errors import RobotError, expected
 
 log = logging.getLogger(__name__)
@@ -35,8 +36,10 @@ class Child:
         self._process: subprocess.Popen[str] | None = None
         self._answers: queue.Queue[dict] = queue.Queue()
 
-    def connect(self, deadline_s: float) -> None:
+    def connect(self, deadline_s: float) -> dict:
         """Start the process, wait until the client is loaded, then for the connection within the deadline.
+
+        Returns what the child said when it was connected.
 
         Raises RobotError: as ``wait``; the process is gone then.
         """
@@ -44,13 +47,15 @@ class Child:
         self._answers = queue.Queue()
         pipe = subprocess.PIPE
         self._process = subprocess.Popen(self._command, stdin=pipe, stdout=pipe, text=True)
-        # A daemon, so that a program that forgets close() can end; it never is inside a C++ client.
+        # A daemon: a program that forgets close() can end.
         self._reader = threading.Thread(target=self._read, args=(self._process, self._answers), daemon=True)
         self._reader.start()
+        # A program that ends without close(): else its exit meets the reader thread in the middle of a line.
+        atexit.register(self.close)
         try:
             self.wait("loaded", LOAD_s)
             log.info("client loaded in %.1f s", time.monotonic() - begun)
-            self.wait("connected", deadline_s)
+            return self.wait("connected", deadline_s)
         except RobotError:
             self.close()
             raise
@@ -85,8 +90,8 @@ class Child:
             text = f"{self._what}: expected a client that runs, got a closed pipe. Connect again."
             raise RobotError(text, "ended") from error
 
-    def wait(self, word: str, deadline_s: float) -> None:
-        """Wait for the line that says ``word``; kill the process if it does not come in time.
+    def wait(self, word: str, deadline_s: float) -> dict:
+        """Wait for the line that says ``word`` and return it; kill the process if it does not come in time.
 
         Raises RobotError: an error came instead, the process ended, or the deadline passed.
         """
@@ -100,7 +105,7 @@ class Child:
                 came = f"none after {deadline_s:.1f} s"
                 raise RobotError(expected(self._what, "an answer", came, do), "connection") from None
             if self._sound(line)["say"] == word:
-                return
+                return line
 
     def poll(self) -> dict | None:
         """Return the next line that is no state, None when there is none.
@@ -124,7 +129,7 @@ class Child:
             return line
         text = line.get("text", "the client process ended; see its output. Connect again.")
         fault = fault_of(line.get("fault", "connection"), text, line.get("errors", ()))
-        raise RobotError(f"{self._what}: {text}", fault)
+        raise RobotError(f"{self._what}: {advised(text)}", fault)
 
     def _running(self) -> subprocess.Popen[str]:
         if self._process is None:
@@ -133,6 +138,7 @@ class Child:
 
     def close(self, grace_s: float = END_s) -> None:
         """Ask the process to end, and kill it if it has not after ``grace_s``. Safe to call twice."""
+        atexit.unregister(self.close)
         process, self._process = self._process, None
         if process is None or process.stdin is None or process.stdout is None:
             return

@@ -1,7 +1,7 @@
-"""Arm and hand through a vendor's client, franky or pylibfranka, each in a child process (``children/``).
+"""Arm and hand through the vendor's client, franky, each in a child process (``children/``).
 
-In this process a client would be dangerous: pylibfranka's calls hold the GIL, either hangs for ever on a server that
-does not answer, and the two can't be loaded together. A child is asked, and killed when it does not answer.
+In this process a client would be dangerous: it hangs for ever on a server that does not answer. A child is asked, and
+killed when it does not answer.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import psutil
 
-from uniforce_robots.franka.arm import ROBOT_STOPS, ArmState, refuse_stopped
-from uniforce_robots.franka.child import Child, END_s
+from uniforce_robots.franka.arm import ROBOT_STOPS, ArmSetup, ArmState, refuse_stopped, require_setup
+from uniforce_robots.franka.child import Child
 from uniforce_vtla.errors import RobotError, expected
 
 if TYPE_CHECKING:
     from uniforce_robots.franka.config import UniforceFrankaConfig
 
-EXTRAS = {"franky": "franka", "pylibfranka": "franka-official"}
+CLIENT, EXTRA = "franky", "franka"
 DISTRIBUTION = "lerobot_policy_pi05_uniforce"
 TURN_rad = 0.01  # the hand's turn after which the gains are expressed in the base frame anew
 STOP_s = 8.0  # braking takes a few tenths of a second, longer beside a busy machine
@@ -70,11 +70,11 @@ def make_backend(config: UniforceFrankaConfig) -> tuple[Arm, HandClient]:
     return Arm(config), HandClient(config)
 
 
-def require_installed(client: str) -> None:
-    """Refuse a client that is not there; raises RobotError: names the extra that brings it."""
-    if importlib.util.find_spec(client) is None:
-        do = f'Install it: pip install "{DISTRIBUTION}[{EXTRAS[client]}]" (Linux x86_64 only).'
-        raise RobotError(expected("Franka client", f"{client} installed", "none", do), "backend")
+def require_installed() -> None:
+    """Refuse to go on without the client; raises RobotError: names the extra that brings it."""
+    if importlib.util.find_spec(CLIENT) is None:
+        do = f'Install it: pip install "{DISTRIBUTION}[{EXTRA}]" (Linux x86_64 only).'
+        raise RobotError(expected("Franka client", f"{CLIENT} installed", "none", do), "backend")
 
 
 class Arm:
@@ -90,15 +90,21 @@ class Arm:
         self._fault: RobotError | None = None
         self._controls = False
         words = (config.address, config.realtime, str(config.reflex_torque_Nm), str(config.reflex_force_N))
-        script, what = f"{config.backend}_arm.py", f"robot at {config.address}"
-        self._child = Child(what, script, *words, listen=self._listen)
+        self._child = Child(f"robot at {config.address}", "franky_arm.py", *words, listen=self._listen)
+        self.setup: ArmSetup | None = None  # read when connecting
 
     def connect(self) -> None:
-        """Open the connection within the configured deadline and set the reflex thresholds. Nothing moves."""
-        require_installed(self._config.backend)
+        """Open the connection within the configured deadline and set the reflex thresholds. Nothing moves.
+
+        Raises RobotError: no answer, another version, or (``frame``) another tool than the guards are made for.
+        """
+        require_installed()
         self._state, self._fault, self._controls = None, None, False
-        self._child.connect(self._config.connect_deadline_s)
+        said = self._child.connect(self._config.connect_deadline_s)
         try:
+            flange_to_ee = np.array(said["flange_to_ee"]).reshape(4, 4).T
+            self.setup = ArmSetup(flange_to_ee, said["load_kg"])
+            require_setup(self.setup, self._config.load_kg)
             wait_for(lambda: self._state is not None or self._read_fault(), self._config.connect_deadline_s)
             self.state()
         except RobotError:
@@ -181,21 +187,23 @@ class Arm:
 
 
 class HandClient:
-    """A gripper's client; ``reads_while_busy`` says whether ``read`` gives new readings while a command runs."""
+    """A gripper's client."""
 
     def __init__(self, config: UniforceFrankaConfig) -> None:
         self._config, self._what = config, f"hand at {config.address}"
-        self.reads_while_busy = config.backend == "franky"
         self._reading: HandReading | None = None
         self._looked_s = 0.0
-        self._busy = False
-        self._child = Child(self._what, "hand.py", config.backend, config.address, listen=self._listen)
+        self._child = Child(self._what, "hand.py", config.address, listen=self._listen)
 
     def connect(self) -> None:
         """Open the connection and wait for a reading."""
-        require_installed(self._config.backend)
-        self._reading, self._busy = None, False
-        self._child.connect(self._config.connect_deadline_s)
+        require_installed()
+        self._reading = None
+        try:
+            self._child.connect(self._config.connect_deadline_s)
+        except RobotError as error:
+            do = "Is a Franka Hand mounted, chosen as end effector in Desk, and initialised?"
+            raise RobotError(f"{error} {do}", "hand_connection") from error
         wait_for(lambda: self._reading is not None, FIRST_READING_s)
 
     def _listen(self, **state: Any) -> None:
@@ -203,24 +211,28 @@ class HandClient:
 
     def begin(self, command: HandCommand) -> None:
         """Start a command; none is in flight."""
-        self._busy = True
         if command.force_N > 0:
             widths = {"width_m": command.grasp_width_m, "inner_m": command.inner_m, "outer_m": OUTER_m}
             self._child.send("grasp", speed_m_s=command.speed_m_s, force_N=command.force_N, **widths)
         else:
             self._child.send("move", width_m=command.width_m, speed_m_s=command.speed_m_s)
 
+    def stop(self) -> None:
+        """Stop the fingers where they are; a command in flight ends without success."""
+        self._child.send("stop")
+
     def poll(self) -> bool | None:
-        """Return how the command in flight ended (False: nothing grasped), None while it runs."""
+        """Return how the command in flight ended (False: not done, nothing grasped), None while it runs.
+
+        Call it often while one runs: the child stops the fingers when it hears nothing for 0.3 s.
+        """
         try:
+            self._child.send("go_on")
             line = self._child.poll()
         except RobotError as error:
             fault = "hand_connection" if error.fault == "connection" else error.fault
             raise RobotError(str(error), fault) from error
-        if line is None:
-            return None
-        self._busy = False
-        return bool(line["ok"])
+        return None if line is None else bool(line["ok"])
 
     def read(self) -> HandReading | None:
         """Return the newest reading, None before the first. Never blocks."""
@@ -229,7 +241,7 @@ class HandClient:
         return self._reading
 
     def refuse_closed(self) -> None:
-        """Raise when the hand has closed the connection: both clients wait on for an answer that never comes.
+        """Raise when the hand has closed the connection: the client waits on for an answer that never comes.
 
         Looks at most every ``LOOK_s``; called by any thread.
         """
@@ -242,11 +254,8 @@ class HandClient:
             raise RobotError(expected(self._what, "a connection", "one it has closed", do), "hand_connection")
 
     def close(self) -> None:
-        """Stop the fingers and hang up. Safe to call twice.
-
-        A client that takes no stop while the fingers move is killed: they stop when their client has gone.
-        """
-        self._child.close(0.0 if self._busy and not self.reads_while_busy else END_s)
+        """Stop the fingers and hang up. Safe to call twice."""
+        self._child.close()
 
 
 def wait_for(condition: Callable[[], object], deadline_s: float) -> None:

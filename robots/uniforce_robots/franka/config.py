@@ -21,7 +21,7 @@ class UniforceFrankaConfig(RobotConfig):
     """A Franka Research 3 with its hand; hard limits of every number in ``limits.HARD_LIMITS``."""
 
     address: str = "172.16.0.2"  # of the robot's controller, its default; 127.0.0.N for the stand-in
-    backend: Literal["franky", "pylibfranka"] = "franky"  # extra ``franka`` or ``franka-official``
+    backend: Literal["franky"] = "franky"  # the only client; kept, since rig files name it
     fps: float = 30.0  # actions per second; a target is reached within one period
     gains: Gains = field(default_factory=lambda: ROLLOUT)  # stiffness and clip; the force bound is their product
     guards: GuardLimits = field(default_factory=GuardLimits)  # limits every action passes
@@ -34,6 +34,7 @@ class UniforceFrankaConfig(RobotConfig):
     reflex_force_N: float = 40.0
     connect_deadline_s: float = 2.5  # for an answer, once the client is loaded; with its start a person waits 3 s
     realtime: Literal["ignore", "enforce"] = "ignore"  # enforce needs PREEMPT_RT
+    load_kg: float = 0.0  # payload beside the hand, as set in Desk; another one at connect is refused
     # By name; each is one image of the observation, and a tactile one two: its free-air reference is ``NAME_ref``.
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
     open_width_m: float = 0.06  # fingers so far apart count as open, as a free-air reference needs; 0.08 is the widest
@@ -43,7 +44,7 @@ class UniforceFrankaConfig(RobotConfig):
         require_in_limits(self)
         for name, kind in NESTED.items():
             require_kind(f"UniforceFrankaConfig.{name}", getattr(self, name), kind)
-        require_one_of("backend", self.backend, ("franky", "pylibfranka"))
+        require_one_of("backend", self.backend, ("franky",))
         require_one_of("realtime", self.realtime, ("ignore", "enforce"))
 
     @property

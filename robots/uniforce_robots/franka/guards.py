@@ -35,6 +35,8 @@ class GuardLimits:
     speed_rad_s: float = 1.5
     speed_width_m_s: float = 0.1
     longest_gap_s: float = 0.1  # a longer pause counts as this long, so that it does not buy a jump
+    # A hand that points farther from straight down is refused: no action names a tilt, so none could bring it back.
+    tilt_rad: float = 0.15
 
     def __post_init__(self) -> None:
         require_in_limits(self)
@@ -73,15 +75,14 @@ class GuardChain:
         Raises RobotError: a number that is not finite: nothing sensible can be made of it.
         """
         self._finite(action, measured)
-        limits, gap_s = self.limits, self.limits.longest_gap_s
+        gap_s = self.limits.longest_gap_s
         last, elapsed_s = measured, gap_s
         if self._last is not None:
             last, elapsed_s = self._last, min(max(now_s - self._last_s, 0.0), gap_s)
-        boxed = self._note("box", action, np.clip(action, limits.low, limits.high))
+        boxed = self._note("box", action, self._box(action, measured))
         stepped = self._note("step", boxed, self._step(boxed, measured))
         slowed = self._note("rate", stepped, self._rate(stepped, last, elapsed_s))
-        # A start outside the box comes back a step at a time, and never goes further out.
-        sent = np.clip(slowed, np.minimum(limits.low, last), np.maximum(limits.high, last))
+        sent = self._box(slowed, last)
         self._last, self._last_s = sent, now_s
         return sent
 
@@ -94,6 +95,10 @@ class GuardChain:
         self.counts["finite"] += 1
         do = "The policy or the teleoperator is broken; the robot stops."
         raise RobotError(expected("action", f"{len(AXES)} finite numbers", action.tolist(), do), "action")
+
+    def _box(self, action: np.ndarray, start: np.ndarray) -> np.ndarray:
+        """Clamp to the box; outside it an axis may stay where it starts from and come back, never go farther out."""
+        return np.clip(action, np.minimum(self.limits.low, start), np.maximum(self.limits.high, start))
 
     def _step(self, action: np.ndarray, measured: np.ndarray) -> np.ndarray:
         near = action.copy()

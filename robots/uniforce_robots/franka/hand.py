@@ -1,7 +1,7 @@
-"""The gripper: one command in flight, never interrupted, its state never waited for.
+"""The gripper: one command in flight, every closing with a bounded force, and a stop that forgets what was wished.
 
-The real hand answers a command when its fingers have arrived, gives its state about ten times a second and takes an
-interruption badly; a control loop at 30 Hz can wait for none of that.
+The real hand answers a command when its fingers have arrived and gives its state about ten times a second; a control
+loop at 30 Hz can wait for neither.
 """
 
 import logging
@@ -15,19 +15,23 @@ from uniforce_vtla.errors import RobotError, SensorError, expected
 log = logging.getLogger(__name__)
 GRACE_s = 0.5  # a command may take its travel at the set speed and this much more: the hand begins slowly
 LOST_s = 0.3  # three readings without hold, by the hand's own word: what was grasped counts as lost
+TRIES = 2  # of a command that did not succeed while its width is still wished
 WIDEST_m = 0.12  # no hand opens so far
+UNHOMED_m = 0.01  # a hand that was never homed gives no larger opening than this
 
 
-def next_command(target_m: float, last: HandCommand | None, settings: HandSettings) -> HandCommand | None:
-    """Return the command a target width asks for, None where the last one will do.
+def next_command(
+    wish_m: float, reading: HandReading, holds: bool, settings: HandSettings
+) -> HandCommand | None:
+    """Return the command that brings the fingers to a wished width, None where they are there.
 
-    Closing on something by position would press with all the motor has, so what may touch is a grasp.
+    Closing by position would press with all the motor has, so every closing is a grasp with a bounded force. Fingers
+    that hold something are as close as they can be: only a wider wish asks for anything.
     """
-    if last is not None and abs(target_m - last.width_m) < settings.hysteresis_m:
+    opens = wish_m > reading.width_m
+    if abs(wish_m - reading.width_m) < settings.hysteresis_m or (holds and not opens):
         return None
-    closes = last is None or target_m < last.width_m
-    grasps = closes and target_m < settings.grasp_below_m
-    return HandCommand(target_m, settings.speed_m_s, settings.grip_force_N if grasps else 0.0)
+    return HandCommand(wish_m, settings.speed_m_s, 0.0 if opens else settings.grip_force_N)
 
 
 def require_open(reading: HandReading, open_width_m: float) -> None:
@@ -42,7 +46,7 @@ def require_open(reading: HandReading, open_width_m: float) -> None:
 
 
 class Hand:
-    """What is wanted of a hand, one command at a time: ``start``, ``submit`` widths, ``tick``, read ``reading``.
+    """The width wished of a hand, one command at a time: ``start``, ``submit``, ``tick``, read ``reading``, ``stop``.
 
     No call but ``start`` waits. The arm's stream ticks it, so that what is wrong with the hand stops the arm.
     """
@@ -51,26 +55,33 @@ class Hand:
         self, client: HandClient, settings: HandSettings | None = None, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self.settings = settings or HandSettings()
-        self.failed_grasps = 0
+        self.failed_commands = 0
         self._client, self._clock = client, clock
         self._reading: HandReading | None = None
-        self._target_m: float | None = None
-        self._last: HandCommand | None = None
+        self._wish_m: float | None = None  # None: nothing was wished since the last stop
+        self._last: HandCommand | None = None  # None: nothing was asked for since the last stop
+        self._tries, self._succeeded = 0, False  # of the last command
         self.is_busy = False  # a command is in flight
+        self._stop_wanted = self._interrupted = False
         self._deadline_s = self._ended_s = 0.0  # of the command in flight; when the last one ended
+        self._holds = False  # the last command was a grasp that succeeded
         self._held_s: float | None = None  # when it last said that it holds something; None: nothing to lose
         self._fault: RobotError | None = None
 
     def start(self) -> None:
-        """Connect and read the hand once; raises RobotError: no connection, or no first reading."""
+        """Connect and read the hand once; raises RobotError: no connection, no first reading, or it was never homed."""
         self._client.connect()
         self._take_reading()
         if self._reading is None:
             raise RobotError("hand: expected a first reading, got none. Is the hand initialised?", "hand_connection")
+        widest_m = self._reading.max_width_m
+        if widest_m < UNHOMED_m:
+            came, do = f"a largest opening of {1000 * widest_m:.0f} mm", "Home the hand in Desk, then connect again."
+            raise RobotError(expected("hand", "one that was homed", came, do), "hand_state")
 
     @property
     def reading(self) -> HandReading:
-        """The newest reading, whatever its age: while a command runs some clients give none.
+        """The newest reading, whatever its age.
 
         Raises RobotError: the hand has a fault.
         """
@@ -81,7 +92,7 @@ class Hand:
         return self._reading
 
     def submit(self, width_m: float) -> None:
-        """Want a width from now on; the newest one counts once the hand is free.
+        """Wish a width from now on; the newest one counts once the hand is free.
 
         Raises RobotError: the hand has a fault; ``guard``: a width that no layer above should have let through.
         """
@@ -90,7 +101,22 @@ class Hand:
         if not -THINNEST_m <= width_m <= WIDEST_m:
             do = "Not sent; please report it."
             raise RobotError(expected("width to send", f"0 to {WIDEST_m} m", width_m, do), "guard")
-        self._target_m = width_m
+        self._wish_m = width_m
+
+    def stop(self) -> None:
+        """Stop the fingers at the next tick and forget what was wished; what is held stays held. From any thread."""
+        self._wish_m = None
+        self._stop_wanted = True
+
+    def halt(self) -> None:
+        """Stop the fingers at once, for the end of the ticks; only in the thread that ticks.
+
+        Raises RobotError: the client has gone, and the fingers stop with it.
+        """
+        self._wish_m = self._last = None
+        self._interrupted = True
+        if self.is_busy or not (self._reading and self._reading.is_grasped):
+            self._client.stop()  # not where something is held: the hand might let go of it
 
     def tick(self) -> None:
         """Take the newest reading and outcome, begin the next command, and check; one thread at a time.
@@ -103,6 +129,7 @@ class Hand:
                 self._finish(self._client.poll())
             else:
                 self._begin()
+            self._stop_if_due()
         except RobotError as fault:
             self._fault = self._fault or fault
         self.check()
@@ -126,8 +153,8 @@ class Hand:
             raise RobotError(expected("hand", "what was grasped", "nothing any more", do), "grasp_lost")
 
     def _refuse_old(self) -> None:
-        if self._reading is None or (self.is_busy and not self._client.reads_while_busy):
-            return  # the deadline of the command bounds the time without readings
+        if self._reading is None:
+            return
         age_s = self._clock() - max(self._reading.time_s, self._ended_s)
         if age_s > self.settings.reading_age_s:
             wanted = f"a reading younger than {self.settings.reading_age_s} s"
@@ -135,8 +162,10 @@ class Hand:
             raise RobotError(expected("hand", wanted, f"{age_s:.2f} s", do), "hand_stale")
 
     def recover(self) -> None:
-        """Forget a lost grasp on an operator's word; raises RobotError: anything else is wrong still."""
-        self._held_s = None
+        """Forget a lost grasp on an operator's word, begin nothing; raises RobotError: anything else is wrong still."""
+        self._wish_m = self._held_s = None
+        if self._reading is None or not self._reading.is_grasped:
+            self._last, self._holds = None, False
         self.tick()
 
     def _take_reading(self) -> None:
@@ -147,26 +176,62 @@ class Hand:
         if not all(-THINNEST_m <= width <= WIDEST_m for width in widths):  # NaN is not, either
             came, do = f"{widths[0]} of {widths[1]} m", "Home the hand, then connect again."
             raise RobotError(expected("hand", f"widths of 0 to {WIDEST_m} m", came, do), "hand_state")
-        grasps = self._last is not None and self._last.force_N > 0 and not self.is_busy
-        if grasps and reading.is_grasped:
+        if self._holds and reading.is_grasped:
             self._held_s = reading.time_s
         self._reading = reading
 
-    def _finish(self, outcome: bool | None) -> None:
-        if outcome is None:
+    def _finish(self, succeeded: bool | None) -> None:
+        if succeeded is None:
             return
         self._ended_s = self._clock()  # first: another thread may check in between
         self.is_busy = False
-        if not outcome:
-            self.failed_grasps += 1
-            log.warning("hand: %s did not succeed", self._last)
+        self._succeeded = succeeded or self._interrupted
+        self._holds = succeeded and self._last is not None and self._last.force_N > 0
+        if not self._succeeded:
+            self.failed_commands += 1
+            log.warning("hand: %s did not succeed, try %d of %d", self._last, self._tries, TRIES)
 
     def _begin(self) -> None:
-        command = None if self._target_m is None else next_command(self._target_m, self._last, self.settings)
-        if command is None or self._reading is None:
+        wish_m, reading = self._wished(), self._reading
+        if wish_m is None or reading is None:
+            return
+        is_same = self._last is not None and abs(wish_m - self._last.width_m) < self.settings.hysteresis_m
+        if is_same and (self._succeeded or self._tries >= TRIES):
+            return
+        command = next_command(wish_m, reading, self._holds, self.settings)
+        if command is None:
             return
         end_m = 0.0 if command.force_N > 0 else command.width_m  # a grasp of nothing closes fully
-        travel_s = abs(self._reading.width_m - end_m) / command.speed_m_s
+        travel_s = abs(reading.width_m - end_m) / command.speed_m_s
         self._client.begin(command)
         self._deadline_s = self._clock() + travel_s + GRACE_s
+        self._tries = self._tries + 1 if is_same else 1
         self._held_s, self._last, self.is_busy = None, command, True
+        self._holds = self._interrupted = False
+
+    def _wished(self) -> float | None:
+        """Return the wished width, no wider than this hand opens."""
+        if self._wish_m is None or self._reading is None:
+            return None
+        return min(self._wish_m, self._reading.max_width_m)
+
+    def _stop_if_due(self) -> None:
+        """Stop the fingers where a stop was asked for, or where they have come as far as is wished now."""
+        wanted, self._stop_wanted = self._stop_wanted, False
+        if not self.is_busy or self._interrupted or not (wanted or self._is_there()):
+            return
+        self._client.stop()
+        self._interrupted = True
+        self._deadline_s = self._clock() + GRACE_s
+        if wanted:
+            self._last = None
+
+    def _is_there(self) -> bool:
+        """Return whether a command in flight has brought the fingers to the newest wish, or past it."""
+        wish_m, reading, command = self._wished(), self._reading, self._last
+        if wish_m is None or reading is None or command is None:
+            return False
+        if command.force_N > 0:
+            return reading.width_m <= wish_m
+        # a move ends by itself at its own width
+        return wish_m < command.width_m - self.settings.hysteresis_m and reading.width_m >= wish_m

@@ -30,6 +30,7 @@ HARD_LIMITS: dict[str, dict[str, Range | tuple[Range, ...]]] = {
         "speed_rad_s": Range(0, 2.5, above=True),
         "speed_width_m_s": Range(0, 0.2, above=True),
         "longest_gap_s": Range(0, 0.2, above=True),
+        "tilt_rad": Range(0, 0.35, above=True),
     },
     "StreamSettings": {
         "rate_hz": Range(50, 1000),
@@ -40,7 +41,6 @@ HARD_LIMITS: dict[str, dict[str, Range | tuple[Range, ...]]] = {
     "HandSettings": {
         "speed_m_s": Range(0.005, 0.1),  # a slower command's deadline would be minutes away
         "grip_force_N": Range(0, 40, above=True),  # the hand's own limit is 70
-        "grasp_below_m": Range(0, 0.08),
         "hysteresis_m": Range(0, 0.02),
         "reading_age_s": Range(0.05, 1.0),
     },
@@ -56,6 +56,7 @@ HARD_LIMITS: dict[str, dict[str, Range | tuple[Range, ...]]] = {
         "reflex_torque_Nm": Range(0, 100, above=True),
         "reflex_force_N": Range(0, 100, above=True),
         "open_width_m": Range(0.01, 0.08),
+        "load_kg": Range(0, 3),  # the arm's own limit
     },
 }
 
@@ -109,10 +110,9 @@ class HandSettings:
     """How widths become commands; hard limits in ``limits.HARD_LIMITS``."""
 
     speed_m_s: float = 0.05  # of the fingers
-    # of a grasp; gels and domes are rated for about 11 N; the real hand's smallest force is unverified
+    # of every closing; gels and domes are rated for about 11 N; the real hand's smallest force is unverified
     grip_force_N: float = 10.0
-    grasp_below_m: float = 0.04  # a closing target below this is a grasp (force-bound), above it a move (position)
-    hysteresis_m: float = 0.003  # a smaller change of the target is no new command
+    hysteresis_m: float = 0.003  # a smaller change of the wished width is no new command
     reading_age_s: float = 0.5  # an older reading stops the arm; the hand gives about ten a second
 
     def __post_init__(self) -> None:

@@ -6,34 +6,56 @@ frame closes along x, the Franka Hand along y: a quarter turn about z lies betwe
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 TOOL_DOWN = np.diag([1.0, -1.0, -1.0])  # tool frame in the base frame at yaw 0
+STRAIGHT = 1e-9
 TOOL_TO_EE = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # tool x is the hand's y
 
 
 @dataclass(frozen=True)
 class ToolPose:
-    """Where the tool is or shall be: ``position_m`` (3,) in the base frame, ``yaw_rad`` about the base's z."""
+    """Where the tool is or shall be: ``position_m`` (3,) in the base frame, ``yaw_rad`` about the base's z.
+
+    ``tilt_rad`` (3,) is the rotation vector, base frame, by which the hand points away from straight down. No action
+    names it: it is measured, bounded, and levelled only along a wished motion.
+    """
 
     position_m: np.ndarray
     yaw_rad: float
+    tilt_rad: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     def ee_to_base(self) -> np.ndarray:
-        """(4, 4) pose of the hand, pointing straight down."""
+        """(4, 4) pose of the hand."""
         c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
+        upright = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ TOOL_DOWN @ TOOL_TO_EE.T
         pose = np.eye(4)
-        pose[:3, :3] = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ TOOL_DOWN @ TOOL_TO_EE.T
+        pose[:3, :3] = Rotation.from_rotvec(self.tilt_rad).as_matrix() @ upright
         pose[:3, 3] = self.position_m
         return pose
 
     @classmethod
     def from_ee(cls, ee_to_base: np.ndarray) -> ToolPose:
-        """Read the pose of a hand; a tilt, which no policy knows of, is dropped."""
-        tool = ee_to_base[:3, :3] @ TOOL_TO_EE
-        return cls(ee_to_base[:3, 3].copy(), float(np.arctan2(tool[1, 0], tool[0, 0])))
+        """Read the pose of a hand."""
+        rotation = ee_to_base[:3, :3]
+        tilt_rad = _tilt(rotation)
+        tool = Rotation.from_rotvec(-tilt_rad).as_matrix() @ rotation @ TOOL_TO_EE
+        yaw_rad = float(np.arctan2(tool[1, 0], tool[0, 0]))
+        return cls(ee_to_base[:3, 3].copy(), yaw_rad, tilt_rad)
+
+
+def _tilt(rotation: np.ndarray) -> np.ndarray:
+    """Return the shortest rotation (3,) that takes straight down to where the hand points, its z axis."""
+    points_x, points_y, points_z = rotation[:, 2]
+    axis = np.array([points_y, -points_x, 0.0])  # down × pointing; its length is the angle's sine
+    sine = float(np.hypot(points_x, points_y))
+    angle_rad = float(np.arctan2(sine, -points_z))
+    if sine < STRAIGHT:  # straight down, or straight up, where any level axis will do
+        return np.array([angle_rad, 0.0, 0.0])
+    return axis * angle_rad / sine
 
 
 def shortest_turn(from_rad: float, to_rad: float) -> float:
@@ -42,6 +64,7 @@ def shortest_turn(from_rad: float, to_rad: float) -> float:
 
 
 def between(start: ToolPose, end: ToolPose, share: float) -> ToolPose:
-    """Return the pose a share in [0, 1] of the way along, turning the shorter way."""
+    """Return the pose a share in [0, 1] of the way along, turning the shorter way, tilted as at the start."""
     position = start.position_m + share * (end.position_m - start.position_m)
-    return ToolPose(position, start.yaw_rad + share * shortest_turn(start.yaw_rad, end.yaw_rad))
+    yaw_rad = start.yaw_rad + share * shortest_turn(start.yaw_rad, end.yaw_rad)
+    return replace(start, position_m=position, yaw_rad=yaw_rad)

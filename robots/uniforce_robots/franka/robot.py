@@ -48,8 +48,8 @@ class UniforceFranka(Robot):
     """A Franka arm under Cartesian impedance control, with its hand and cameras.
 
     Actions are absolute targets in the robot's base frame, axes as in ``keys.AXES``: x, y, z m, yaw rad, width m. Each
-    passes the guards, becomes a ramp at 100 Hz, and pulls through a clipped spring. Any fault ends motion; only
-    ``recover`` allows it again. No call but ``connect``, ``recover`` and ``disconnect`` waits for anything.
+    passes the guards, becomes a ramp at 100 Hz, and pulls through a clipped spring. Any fault ends the motion of arm
+    and hand; only ``recover`` allows it again. No call but ``connect``, ``recover`` and ``disconnect`` waits.
     """
 
     config_class = UniforceFrankaConfig
@@ -121,7 +121,7 @@ class UniforceFranka(Robot):
 
     def _start_stream(self, hand: Hand) -> None:
         settings = replace(self.config.stream, action_period_s=1 / self.config.fps)
-        stream = ArmStream(self._arm, settings, self.config.guards, hand.tick, self._clock)
+        stream = ArmStream(self._arm, settings, self.config.guards, hand, self._clock)
         stream.start()
         self._stream = stream
         self._fault = None
@@ -210,7 +210,7 @@ class UniforceFranka(Robot):
         return image
 
     def hold(self) -> None:
-        """Let the arm rest where it is, at once; nothing is refused afterwards. Does nothing once it has stopped."""
+        """Let arm and hand rest where they are, at once; nothing is refused afterwards, old wishes are forgotten."""
         if self._stream is not None:
             self._stream.hold()
         self.guards.reset()

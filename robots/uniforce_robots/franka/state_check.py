@@ -101,6 +101,15 @@ def _wrong(what: str, wanted: str, came: object, fault: str, do: str = "") -> Ro
     return RobotError(expected(what, wanted, came, do or f"Nothing it reports can be used; {RESTART}"), fault)
 
 
+def require_upright(state: ArmState, limit_rad: float) -> None:
+    """Refuse a hand that points too far from straight down; raises RobotError: ``tilt``."""
+    tilt_rad = float(np.linalg.norm(ToolPose.from_ee(state.ee_to_base).tilt_rad))
+    if tilt_rad > limit_rad:
+        wanted = f"a hand within {np.degrees(limit_rad):.0f}° of straight down"
+        do = "Lead it upright by hand with the guiding buttons, then recover or connect."
+        raise RobotError(expected("tilt", wanted, f"{np.degrees(tilt_rad):.0f}°", do), "tilt")
+
+
 HERE_m, HERE_rad = 1e-3, 1e-2  # closer to the measured pose than this a target pulls at nothing
 ROUNDING = 1e-6
 
@@ -109,7 +118,8 @@ class SendCheck:
     """Keep what was sent last and refuse what is no small step from it.
 
     A pose passes when it is finite; inside the box, or not further out of it than the last one or the arm itself;
-    within speed × time of the last one, unless it is where the arm is; and near the arm.
+    tilted no further than the limit, the last one or the arm; within speed × time of the last one, unless it is where
+    the arm is; and near the arm.
     """
 
     def __init__(self, limits: GuardLimits) -> None:
@@ -127,15 +137,21 @@ class SendCheck:
         if not np.isfinite(target).all():
             raise _refused("finite numbers", target)
         self._require_box(target, last, here)
+        self._require_tilt(target, last, here)
         self._require_rate(target, last, here, elapsed_s)
         self._require_near(target, here)
         self._last, self._last_s = target, now_s
 
     def _require_box(self, target: np.ndarray, last: np.ndarray, here: np.ndarray) -> None:
-        low = np.minimum(np.minimum(last, here), self._low) - ROUNDING
-        high = np.maximum(np.maximum(last, here), self._high) + ROUNDING
-        if not ((low <= target) & (target <= high)).all():
+        low = np.minimum(np.minimum(last, here)[:4], self._low) - ROUNDING
+        high = np.maximum(np.maximum(last, here)[:4], self._high) + ROUNDING
+        if not ((low <= target[:4]) & (target[:4] <= high)).all():
             raise _refused(f"inside the box {self._low.tolist()} … {self._high.tolist()}", target)
+
+    def _require_tilt(self, target: np.ndarray, last: np.ndarray, here: np.ndarray) -> None:
+        allowed_rad = max(self._limits.tilt_rad, _tilt_of(last), _tilt_of(here))
+        if _tilt_of(target) > allowed_rad + ROUNDING:
+            raise _refused(f"a tilt of at most {allowed_rad:.3f} rad", target)
 
     def _require_rate(self, target: np.ndarray, last: np.ndarray, here: np.ndarray, elapsed_s: float) -> None:
         if _distance(target, here) <= HERE_m and _turn(target, here) <= HERE_rad:
@@ -156,8 +172,8 @@ class SendCheck:
 
 
 def _axes(pose: ToolPose) -> np.ndarray:
-    """(4,) x, y, z m, yaw rad."""
-    return np.array([*pose.position_m, pose.yaw_rad], dtype=float)
+    """(7,) x, y, z m, yaw rad, tilt as a rotation vector rad."""
+    return np.array([*pose.position_m, pose.yaw_rad, *pose.tilt_rad], dtype=float)
 
 
 def _distance(a: np.ndarray, b: np.ndarray) -> float:
@@ -165,7 +181,12 @@ def _distance(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def _turn(a: np.ndarray, b: np.ndarray) -> float:
-    return abs(shortest_turn(float(a[3]), float(b[3])))
+    turn_rad = shortest_turn(float(a[3]), float(b[3]))
+    return float(np.linalg.norm([turn_rad, *(a[4:] - b[4:])]))
+
+
+def _tilt_of(axes: np.ndarray) -> float:
+    return float(np.linalg.norm(axes[4:]))
 
 
 def _refused(wanted: str, target: np.ndarray, do: str = "Not sent; please report it.") -> RobotError:

@@ -1,8 +1,8 @@
 """The one thread that owns the arm: reads it and streams targets to it at 100 Hz, between actions that come at 30 Hz.
 
 A policy's steps become ramps; when actions stop coming the target becomes the measured pose, so that a spring that
-pressed lets go; a fault ends the stream and nothing moves until the arm is recovered. Each reading is checked
-before it is used, and each pose before it is sent.
+pressed lets go; a fault ends the stream and nothing moves until the arm is recovered. Whatever stops the arm stops
+the hand with it. Each reading is checked before it is used, and each pose before it is sent.
 """
 
 import logging
@@ -11,16 +11,21 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from uniforce_robots.franka.arm import UNBELIEVED, ArmState, refuse_stopped
 from uniforce_robots.franka.clients import Arm
 from uniforce_robots.franka.guards import GuardLimits, towards, turn_towards
+from uniforce_robots.franka.hand import Hand
 from uniforce_robots.franka.limits import StreamSettings
 from uniforce_robots.franka.poses import ToolPose, between
-from uniforce_robots.franka.state_check import SendCheck, StateCheck
+from uniforce_robots.franka.state_check import SendCheck, StateCheck, require_upright
 from uniforce_vtla.errors import RobotError, expected
 
 log = logging.getLogger(__name__)
 JOIN_s = 10.0  # a backend's own deadlines are shorter
+LEVEL_rad_m = 1.0  # a tilted hand turns upright by so much along each metre of a wished way, and never without one
+TOLD_rad = 0.02  # a smaller tilt is not worth a line in the log
 GOOD_RATE = 0.9  # share of commands in time, below which someone should look at the computer
 
 
@@ -46,7 +51,7 @@ class ArmStream:
         arm: a connected backend; no other thread may call it until ``stop`` has returned.
         settings: rhythm.
         limits: what is sent obeys them, whatever was submitted.
-        watch: called each tick; what it raises ends the stream. For what else has to be well while the arm moves.
+        hand: ticked with the arm: what it raises ends the stream, and it stops when the arm does. None: no hand.
         clock: seconds, monotonic, the one that stamps the arm's readings.
     """
 
@@ -55,13 +60,13 @@ class ArmStream:
         arm: Arm,
         settings: StreamSettings | None = None,
         limits: GuardLimits | None = None,
-        watch: Callable[[], None] | None = None,
+        hand: Hand | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.settings = settings or StreamSettings()
         self.stale_count = 0  # how often the watchdog took the target away
         self._limits = limits or GuardLimits()
-        self._arm, self._watch, self._clock = arm, watch or (lambda: None), clock
+        self._arm, self._hand, self._clock = arm, hand, clock
         self._check_state, self._check_sent = StateCheck(), SendCheck(self._limits)
         self._lock = threading.Lock()
         self._state: ArmState | None = None
@@ -76,7 +81,10 @@ class ArmStream:
         self._thread = threading.Thread(target=self._run, name="arm-stream")
 
     def start(self) -> None:
-        """Read the arm once, so that a state is there, and begin; RobotError: no reading, or one that can't be."""
+        """Read the arm once, so that a state is there, and begin.
+
+        Raises RobotError: no reading, one that can't be, or a hand that doesn't point down (``tilt``).
+        """
         self.read_first()
         self._thread.start()
 
@@ -84,7 +92,12 @@ class ArmStream:
         """Read the arm once without starting the thread; raises as ``start``."""
         state = self._arm.state()
         self._check_state(state)
+        require_upright(state, self._limits.tilt_rad)
         self._state = state
+        tilt_rad = float(np.linalg.norm(self._measured().tilt_rad))
+        if tilt_rad > TOLD_rad:
+            way_m = tilt_rad / LEVEL_rad_m
+            log.warning("hand tilted by %.0f°: levelled along its first %.2f m", np.degrees(tilt_rad), way_m)
         self._robot_time_s, self._advanced_s = state.robot_time_s, self._clock()
 
     def stop(self) -> None:
@@ -139,8 +152,10 @@ class ArmStream:
             self._submitted_s, self._rest_wanted, self._holding = now, False, False
 
     def hold(self) -> None:
-        """Pull towards where the arm is, from the next tick on. Does nothing before the first action."""
+        """Pull towards where the arm is and stop the hand, from the next tick on."""
         self._rest_wanted = True
+        if self._hand is not None:
+            self._hand.stop()
 
     def _check(self) -> None:
         if self.fault is not None:
@@ -172,7 +187,8 @@ class ArmStream:
         Raises RobotError: nothing may be sent any more.
         """
         state = self._read()
-        self._watch()
+        if self._hand is not None:
+            self._hand.tick()
         with self._lock:
             self._state = state
             target = self._target(self._clock())
@@ -186,6 +202,7 @@ class ArmStream:
         self._check_state(state)
         self._refuse_silent(state)
         refuse_stopped(state)
+        require_upright(state, self._limits.tilt_rad)
         self._warn_of_late_commands(state)
         return state
 
@@ -220,7 +237,7 @@ class ArmStream:
             return None
         if not self._holding and now_s - self._submitted_s > self.settings.stale_s:
             self.stale_count += 1
-            self._rest_wanted = True
+            self.hold()
             log.warning("no action for %.0f ms: holding the measured pose", 1000 * self.settings.stale_s)
         if self._rest_wanted:
             self._rest_here(now_s)
@@ -232,10 +249,11 @@ class ArmStream:
             return self._measured()
         limits = self._limits
         elapsed_s = min(now_s - self._sent_s, limits.longest_gap_s)
-        return ToolPose(
-            towards(self._sent.position_m, goal.position_m, limits.speed_m_s * elapsed_s),
-            turn_towards(self._sent.yaw_rad, goal.yaw_rad, limits.speed_rad_s * elapsed_s),
-        )
+        position_m = towards(self._sent.position_m, goal.position_m, limits.speed_m_s * elapsed_s)
+        yaw_rad = turn_towards(self._sent.yaw_rad, goal.yaw_rad, limits.speed_rad_s * elapsed_s)
+        way_m = float(np.linalg.norm(position_m - self._sent.position_m))
+        tilt_rad = towards(self._sent.tilt_rad, np.zeros(3), LEVEL_rad_m * way_m)
+        return ToolPose(position_m, yaw_rad, tilt_rad)
 
     def _rest_here(self, now_s: float) -> None:
         """Take the measured pose as target, once: followed for ever it would let the arm sink under any load."""
@@ -245,10 +263,15 @@ class ArmStream:
 
     def _let_go(self) -> None:
         unbelieved = self.fault is not None and self.fault.fault in UNBELIEVED
+        if self._hand is not None:
+            self._stop_one("hand", self._hand.halt)  # first: it waits for nothing
+        self._stop_one("arm", lambda: self._arm.stop(at_once=unbelieved))
+
+    def _stop_one(self, what: str, stop: Callable[[], None]) -> None:
         try:
-            self._arm.stop(at_once=unbelieved)
+            stop()
         except RobotError as error:
-            log.error("arm did not stop in order: %s", error)
+            log.error("%s did not stop in order: %s", what, error)
             self.fault = self.fault or error
 
 

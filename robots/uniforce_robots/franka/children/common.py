@@ -37,9 +37,8 @@ def orders(wait_s: float = 0.0) -> list[dict] | None:
 
 
 def client_errors(client: Any) -> tuple[type[Exception], ...]:
-    """Return all that a client raises: its own, and what becomes of the standard library's errors in its C++."""
-    own = [getattr(client, n, None) for n in ("Exception", "FrankaException", "GripperException")]
-    return (*filter(None, own), RuntimeError, ValueError)
+    """Return all that the client raises: its own, and what becomes of the standard library's errors in its C++."""
+    return client.Exception, client.GripperException, RuntimeError, ValueError
 
 
 def connect(client: Any, kind: str, *arguments: Any, **options: Any) -> Any:
@@ -55,9 +54,11 @@ def connect(client: Any, kind: str, *arguments: Any, **options: Any) -> Any:
 def serve(name: str, run: Callable[[Any], None]) -> None:
     """Say ``loaded`` once the client is imported, then run with it; ``error`` when the connection has failed.
 
-    Ctrl-C at a terminal reaches every process of the program: when the arm is to stop is the parent's to say.
+    Ctrl-C, a closed terminal and a service's end reach every process of the program: when and how the robot is to stop
+    is the parent's to say, by a stop or by the end of the pipe.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
     client = importlib.import_module(name)
     say("loaded")
     try:

@@ -111,8 +111,14 @@ class Loop:
     def report(self) -> Any:
         """Pass the newest state on; about 0.3 ms, up to 1 s when the robot has died."""
         self.reported_s, state = time.monotonic(), self.robot.state
-        common.report(state, np.array(state.O_T_EE.matrix).T.ravel().tolist())
+        common.report(state, columns(state.O_T_EE))
         return state
+
+
+def columns(pose: Any) -> list[float]:
+    """Return the 16 numbers of a pose, column by column."""
+    numbers: list[float] = np.array(pose.matrix).T.ravel().tolist()
+    return numbers
 
 
 def run(client: Any) -> None:
@@ -123,7 +129,8 @@ def run(client: Any) -> None:
     robot = common.connect(client, "Robot", address, relative_dynamics_factor=0.05, realtime_config=mode)
     robot.set_collision_behavior(float(torque_Nm), float(force_N))
     _ = robot.state  # a queued one may be from before
-    common.say("connected")
+    state = robot.state
+    common.say("connected", flange_to_ee=columns(state.F_T_EE), load_kg=float(state.m_load))
     Loop(client, robot).run()
 
 

@@ -1,69 +1,96 @@
-"""Serve a hand to the parent: ``hand.py franky|pylibfranka address``. One command at a time.
+"""Serve a hand to the parent: ``hand.py address``. One command at a time, until it ends or is stopped.
 
-franky's commands are futures, and states go on while the fingers move. pylibfranka's hold this process until they end.
+States come from a thread of their own: each takes a tenth of a second, and a stop can't wait for one.
 """
 
 import os
 import sys
+import threading
 import time
 from typing import Any
 
-from common import connect, orders, say, serve
+import common
 
+POLL_s = 0.005
 END_s = 2.0  # for the answer to a command that was stopped
 
 
-def exchange(client: Any, gripper: Any) -> None:
-    """Report states and outcomes until the parent closes the pipe; then stop the fingers."""
-    future = None
-    while (todo := orders()) is not None:
-        for order in todo:
-            future = begin(client, gripper, order)
-        if future is not None and (outcome := ended(client, future)) is not None:
-            future = None
-            say("outcome", ok=outcome)
-        report(gripper)
-    if future is not None:
-        gripper.stop()
-        future.wait(END_s)
+class Loop:
+    """The child's life: idle while ``future`` is None, else a command is under way."""
 
+    def __init__(self, client: Any, gripper: Any) -> None:
+        self.client, self.gripper = client, gripper
+        self.future: Any = None
+        self.ordered_s = 0.0
 
-def begin(client: Any, gripper: Any, order: dict) -> Any:
-    """Begin a command; return franky's future of its success, or success itself."""
-    name, keys = order["do"], ("width_m", "speed_m_s", "force_N", "inner_m", "outer_m")  # a move has two of them
-    try:
-        command = getattr(gripper, f"{name}_async", getattr(gripper, name))
-        return command(*(order[key] for key in keys if key in order))
-    except client.CommandException:
-        return False
+    def run(self) -> None:
+        """Serve until the parent closes the pipe; then stop the fingers."""
+        threading.Thread(target=self.report, daemon=True).start()
+        while (todo := common.orders(POLL_s)) is not None:
+            for order in todo:
+                self.ordered_s = time.monotonic()
+                self.obey(order)
+            self.stop_when_alone()
+            self.say_outcome()
+        if self.future is not None:
+            self.stop()
+            self.future.wait(END_s)
 
+    def obey(self, order: dict) -> None:
+        """Take one order: a grasp, a move, a stop, or a sign that the parent is there."""
+        match order["do"]:
+            case "grasp":
+                widths = order["inner_m"], order["outer_m"]
+                speed_and_force = order["speed_m_s"], order["force_N"]
+                self.future = self.gripper.grasp_async(order["width_m"], *speed_and_force, *widths)
+            case "move":
+                self.future = self.gripper.move_async(order["width_m"], order["speed_m_s"])
+            case "stop":
+                self.stop()
 
-def ended(client: Any, future: Any) -> bool | None:
-    """Return whether a command has succeeded, None while it runs; one that is refused or aborted has not."""
-    if isinstance(future, bool):
-        return future
-    if not future.wait(0):
-        return None
-    try:
-        return bool(future.get())
-    except client.CommandException:
-        return False
+    def stop(self) -> None:
+        """Stop the fingers where they are; a hand that refuses says so in the command's outcome."""
+        try:
+            self.gripper.stop()
+        except self.client.CommandException as error:
+            print(f"hand: stop refused: {error}", file=sys.stderr)
 
+    def stop_when_alone(self) -> None:
+        """Stop the fingers, once, when the parent has fallen silent while they move."""
+        if self.future is not None and time.monotonic() - self.ordered_s > common.SILENCE_s:
+            self.ordered_s = float("inf")
+            self.stop()
 
-def report(gripper: Any) -> None:
-    """Wait for the hand's next state, a tenth of a second, and pass it on."""
-    s = gripper.state if hasattr(type(gripper), "state") else gripper.read_once()
-    reading = {"width_m": s.width, "max_width_m": s.max_width, "is_grasped": bool(s.is_grasped)}
-    say("state", state={"time_s": time.monotonic(), **reading})
+    def say_outcome(self) -> None:
+        """Report how the command ended; one that is refused or stopped has not succeeded."""
+        if self.future is None or not self.future.wait(0):
+            return
+        future, self.future = self.future, None
+        try:
+            succeeded = bool(future.get())
+        except self.client.CommandException:
+            succeeded = False
+        common.say("outcome", ok=succeeded)
+
+    def report(self) -> None:
+        """Pass on each state of the hand, about ten a second; end the child when none comes any more."""
+        try:
+            while True:
+                s = self.gripper.state
+                reading = {"width_m": s.width, "max_width_m": s.max_width, "is_grasped": bool(s.is_grasped)}
+                common.say("state", state={"time_s": time.monotonic(), **reading})
+        except common.client_errors(self.client) as error:
+            common.say("error", fault="connection", text=str(error))
+            os._exit(1)  # the main thread may wait in the client for ever
 
 
 def run(client: Any) -> None:
     """Say ``connected``, then states and outcomes until the parent closes the pipe."""
-    gripper = connect(client, "Gripper", sys.argv[2])
-    say("connected")
-    exchange(client, gripper)
+    gripper = common.connect(client, "Gripper", sys.argv[1])
+    common.say("connected")
+    Loop(client, gripper).run()
 
 
 if __name__ == "__main__":
-    serve(sys.argv[1], run)
-    os._exit(0)  # a client's destructor may wait for an answer that never comes
+    common.serve("franky", run)
+    os._exit(0)  # the client's destructor may wait for an answer that never comes
