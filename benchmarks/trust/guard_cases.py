@@ -122,7 +122,7 @@ class ScriptedHand:
     def check(self) -> None:
         """Nothing is wrong."""
 
-    tick = recover = close = check
+    tick = recover = close = stop = halt = check
 
     @property
     def reading(self) -> HandReading:

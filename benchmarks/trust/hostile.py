@@ -1,4 +1,4 @@
-"""Both clients against every fault of the stand-in, side by side; what is there already isn't tried again."""
+"""The robot against every fault of the stand-in; a trial that is there already isn't run again."""
 
 import os
 import signal
@@ -7,7 +7,6 @@ import sys
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -16,53 +15,54 @@ from typing import Any
 from tqdm import tqdm
 
 from benchmarks.ledger import Ledger, update
-from benchmarks.trust.hostile_trials import RIGHT_NAMES, HOLD_s, Trial, is_right
+from benchmarks.trust.hostile_trials import RIGHT_NAMES, ROWS, HOLD_s, STILL_m, Trial, is_right
 from uniforce_cli.boundary import command
 from uniforce_vtla.arguments import choose
 
-CLIENTS = ("pylibfranka", "franky")
 HANG_s = 180.0  # without a new row; a trial takes 4 to 15 s, on a starved machine up to five times
 POLL_s = 0.5
 
 
 @dataclass
 class HostileConfig:
-    """Break the stand-in of the arm in every named way while each client moves it; see when the arm rests.
+    """Break the stand-in of the arm in every named way while it moves; see when arm and hand rest.
 
     Example: python -m benchmarks.trust.hostile times=10 out=docs/results/trust.json
     """
 
-    times: int = 10  # trials of each fault with each client
+    times: int = 10  # trials of each fault
     only: str = ""  # faults, comma between them; all when empty
     rows: str = "outputs/hostile"  # folder of the single trials; a run that was ended goes on from there
     out: str = "outputs/trust.json"  # the result file; only its key ``hostile_faults`` changes
 
 
-def try_client(client: str, faults: list[str], times: int, folder: Path, bar: tqdm) -> list[dict[str, Any]]:
-    """Run what a client lacks; a trial that hangs is a row too, and the next one gets a new process."""
-    address = f"127.{os.getpid() % 250 + 1}.{os.getpid() // 250 % 250}.{CLIENTS.index(client) + 2}"
-    rows, log = Ledger(folder), folder / f"{client}.log"
-    while lacks := _lacking(rows.read(client), faults, times):
-        flags = [client, ",".join(lacks), str(times), address, str(folder)]
-        program = [sys.executable, "-m", "benchmarks.trust.hostile_trials", *flags]
-        # a group of its own: a trial that is killed must not leave its stand-in holding the address
-        with (
-            log.open("a") as said,
-            subprocess.Popen(program, stdout=said, stderr=said, start_new_session=True) as child,
-        ):
-            if not _watch(child, partial(rows.read, client), bar):
-                hung = _lacking(rows.read(client), faults, times)[0]
-                what = f"no end within {HANG_s} s"
-                rows.add(client, asdict(Trial(client, hung, "hang", what, float("inf"), HANG_s, 0, time.time())))
-        if child.returncode > 0:
-            last = log.read_text().rstrip().rpartition("\n")[2]
-            raise RuntimeError(f"{client}: expected trials, got exit code {child.returncode}: {last} Read {log}.")
-    return rows.read(client)
+def attack(faults: list[str], times: int, folder: Path) -> list[dict[str, Any]]:
+    """Run what is lacking and return all rows; a trial that hangs is a row too, and the next gets a new process."""
+    address = f"127.{os.getpid() % 250 + 1}.{os.getpid() // 250 % 250}.2"
+    rows, log = Ledger(folder), folder / "trials.log"
+    with tqdm(total=len(_lacking(rows.read(ROWS), faults, times)), desc="trials") as bar:
+        while lacks := _lacking(rows.read(ROWS), faults, times):
+            flags = [",".join(dict.fromkeys(lacks)), str(times), address, str(folder)]
+            program = [sys.executable, "-m", "benchmarks.trust.hostile_trials", *flags]
+            # a group of its own: a trial that is killed must not leave its stand-in holding the address
+            with (
+                log.open("a") as said,
+                subprocess.Popen(program, stdout=said, stderr=said, start_new_session=True) as child,
+            ):
+                if not _watch(child, partial(rows.read, ROWS), bar):
+                    hung = _lacking(rows.read(ROWS), faults, times)[0]
+                    what = f"no end within {HANG_s} s"
+                    rows.add(ROWS, asdict(Trial(hung, "hang", what, float("inf"), HANG_s, 0, time.time())))
+            if child.returncode > 0:
+                last = log.read_text().rstrip().rpartition("\n")[2]
+                raise RuntimeError(f"expected trials, got exit code {child.returncode}: {last} Read {log}.")
+    return rows.read(ROWS)
 
 
 def _lacking(rows: list[dict[str, Any]], faults: list[str], times: int) -> list[str]:
+    """Return the fault of each trial that is still to be run."""
     done = Counter(row["fault"] for row in rows)
-    return [fault for fault in faults if done[fault] < times]
+    return [fault for fault in faults for _ in range(times - done[fault])]
 
 
 def _watch(child: subprocess.Popen, rows: Callable[[], list[dict[str, Any]]], bar: tqdm) -> bool:
@@ -83,27 +83,20 @@ def _watch(child: subprocess.Popen, rows: Callable[[], list[dict[str, Any]]], ba
 def summarise(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     groups = defaultdict[str, list[dict[str, Any]]](list)
     for row in rows:
-        groups[f"{row['fault']} {row['client']}"].append(row)
+        groups[row["fault"]].append(row)
     return {
         name: {
             "trials": len(own),
-            "named_right": sum(row["named"] in RIGHT_NAMES[row["fault"]] for row in own),
-            "held": sum(row["hold_s"] <= HOLD_s for row in own),
+            "named_right": sum(row["named"] in RIGHT_NAMES[name] for row in own),
+            "held": sum(row["hold_s"] <= HOLD_s and row["fingers_m"] <= STILL_m for row in own),
             "worst_hold_s": max(row["hold_s"] for row in own),
             "worst_learnt_s": max(row["learnt_s"] for row in own),
+            "worst_fingers_mm": round(1000 * max(row["fingers_m"] for row in own), 2),
             "sent_after": sum(row["sent_after"] for row in own),
             "starved": sum(row.get("starved", 0) for row in own),
         }
         for name, own in sorted(groups.items())
     }
-
-
-def attack(faults: list[str], times: int, folder: Path) -> list[dict[str, Any]]:
-    done = {client: Counter(row["fault"] for row in Ledger(folder).read(client)) for client in CLIENTS}
-    left = sum(max(times - done[client][fault], 0) for client in CLIENTS for fault in faults)
-    with tqdm(total=left, desc="trials") as bar, ThreadPoolExecutor(len(CLIENTS)) as pool:
-        jobs = [pool.submit(try_client, client, faults, times, folder, bar) for client in CLIENTS]
-        return [row for job in jobs for row in job.result()]
 
 
 @command(HostileConfig)
@@ -114,7 +107,7 @@ def main(config: HostileConfig) -> int:
     path = update(Path(config.out), "hostile_faults", summarise(rows))
     for row in wrong:
         came = f"{row['named'] or 'nothing'}, held after {row['hold_s']} s, known after {row['learnt_s']} s"
-        print(f"{row['client']} {row['fault']}: {came}. {row['message']}")
+        print(f"{row['fault']}: {came}, fingers {1000 * row['fingers_m']:.1f} mm. {row['message']}")
     print(
         f"{len(rows) - len(wrong)} of {len(rows)} trials right (named, held and known ≤ {HOLD_s} s); written to {path}"
     )

@@ -1,7 +1,7 @@
-"""One client against faults of the stand-in: ``hostile_trials.py franky|pylibfranka FAULT,… TIMES ADDRESS OUT``.
+"""The robot against faults of the stand-in: ``hostile_trials.py FAULT,… TIMES ADDRESS OUT``.
 
-A program of its own: both clients in one process fail to import. Adds a row per trial to the ledger in the folder
-OUT, and skips what is there, so it can be begun again. Nothing here was ever run on hardware.
+A program of its own, since a client may hang. Adds a row per trial to the ledger in the folder OUT, and skips what is
+there, so it can be begun again. Nothing here was ever run on hardware.
 """
 
 import contextlib
@@ -28,12 +28,14 @@ from uniforce_robots.franka.hand import LOST_s
 from uniforce_vtla.errors import RobotError
 from uniforce_vtla.keys import AXES
 
+ROWS = "trials"  # the ledger's file
 PERIOD_s = 1 / 30
 UNDER_WAY_s, NOTICE_s = 0.6, 15.0
 AFTER_s = 0.7  # of the robot's own time, in which the arm is looked at
 STUCK_s = 45.0  # no trial takes so long
 STARTS = 5
 HOLD_s = LEARN_s = 0.5  # the bars
+STILL_m = 0.001  # how far the fingers may go from then on
 NAP_s, STARVED_s = 0.005, 0.06  # a sleeper that wakes so late was on a machine that ran others meanwhile
 SWAY_m, SWAY_s = 0.015, 1.0  # up to 0.09 m/s
 BOX = GuardLimits(low=(0.2, -0.3, 0.1, -np.pi, 0.0), high=(0.7, 0.3, 0.6, np.pi, 0.08))
@@ -85,7 +87,6 @@ AT_NEXT_ANSWER = ("arm_garbage_reply",)
 class Trial:
     """What came of one fault."""
 
-    client: str
     fault: str
     named: str  # the fault the caller was given, "" for none
     message: str
@@ -96,6 +97,7 @@ class Trial:
     learnt_s: float
     sent_after: int  # actions that were taken after the caller had learnt
     ended_s: float
+    fingers_m: float = 0.0  # way of the fingers from ``HOLD_s`` after the caller knew
     starved: int = 0  # how often it was begun in vain: a busy machine stopped the arm before, or for another reason
     late_s: float = 0.0  # by how much a sleeper beside it woke too late, at most
 
@@ -122,9 +124,9 @@ class Sleeper(threading.Thread):
         self._runs = False
 
 
-def connect(client: str, fci: HostileStandIn, folder: Path) -> UniforceFranka:
+def connect(fci: HostileStandIn, folder: Path) -> UniforceFranka:
     """Return a robot whose arm moves and whose hand is still."""
-    settings: dict[str, Any] = {"address": fci.address, "backend": client, "guards": BOX}
+    settings: dict[str, Any] = {"address": fci.address, "guards": BOX}
     robot = UniforceFranka(UniforceFrankaConfig(id="hostile", calibration_dir=folder, **settings))
     robot.connect()
     return robot
@@ -140,24 +142,24 @@ def drive(robot: UniforceFranka, start: dict[str, float], begun_s: float, width_
         time.sleep(PERIOD_s)
 
 
-def trial(client: str, fault: str, address: str, folder: Path) -> Trial:
+def trial(fault: str, address: str, folder: Path) -> Trial:
     """Begin a fault while the arm moves, go on until the caller learns, then look at what the arm did."""
     with HostileStandIn(address) as fci:
-        robot = connect(client, fci, folder)
+        robot = connect(fci, folder)
         try:
             begun_s, start = time.monotonic(), robot.get_observation()
             width_m = HELD_m - 0.01 if fault in GRASPING else start[AXES[4]]
             fci.do("object", width_m=HELD_m)
             drive(robot, start, begun_s, width_m, UNDER_WAY_s + 2.0 * (fault in GRASPING))
             if fault in AT_NEXT_ANSWER:
-                return _stop_and_recover(robot, fci, client, fault, start)
-            return _break(robot, fci, client, fault, start, begun_s, width_m)
+                return _stop_and_recover(robot, fci, fault, start)
+            return _break(robot, fci, fault, start, begun_s, width_m)
         finally:
             with contextlib.suppress(RobotError):  # a client that hangs says so within 10 s
                 robot.disconnect()
 
 
-def begun_trial(client: str, fault: str, address: str, folder: Path) -> Trial:
+def begun_trial(fault: str, address: str, folder: Path) -> Trial:
     """Return a trial; what a starved machine stopped, before the fault or for another reason, is tried again, counted.
 
     The last of ``STARTS`` counts, whatever came of it; RobotError: it never began.
@@ -165,16 +167,16 @@ def begun_trial(client: str, fault: str, address: str, folder: Path) -> Trial:
     for starved in range(STARTS):
         with Sleeper() as sleeper:
             try:
-                found = trial(client, fault, address, folder)
+                found = trial(fault, address, folder)
             except RobotError as error:  # a fault's own error is caught where it is awaited
-                print(f"{client} {fault}: not begun: {error}", file=sys.stderr)
+                print(f"{fault}: not begun: {error}", file=sys.stderr)
                 if starved == STARTS - 1:
                     raise
                 continue
         found = replace(found, starved=starved, late_s=round(sleeper.late_s, 3))
         if is_right(asdict(found)) or found.late_s < STARVED_s:
             break
-        print(f"{client} {fault}: a starved machine, late by {found.late_s} s: {found.message}", file=sys.stderr)
+        print(f"{fault}: a starved machine, late by {found.late_s} s: {found.message}", file=sys.stderr)
     return found
 
 
@@ -182,28 +184,40 @@ def is_right(row: dict[str, Any]) -> bool:
     """Return whether the fault was named, the arm held and the fault known in time, and no action taken afterwards."""
     in_time = row["learnt_s"] <= LEARN_s or row["fault"] in AT_NEXT_ANSWER  # there ``recover`` waits
     named = row["named"] in RIGHT_NAMES[row["fault"]]
-    return named and in_time and row["hold_s"] <= HOLD_s and not row["sent_after"]
+    is_held = row["hold_s"] <= HOLD_s and row["fingers_m"] <= STILL_m
+    return named and in_time and is_held and not row["sent_after"]
 
 
 def _break(
-    robot: UniforceFranka, fci: HostileStandIn, client: str, fault: str, start: dict, begun_s: float, width_m: float
+    robot: UniforceFranka, fci: HostileStandIn, fault: str, start: dict, begun_s: float, width_m: float
 ) -> Trial:
     ordered_s = time.monotonic()
     _order(fci, fault)
-    width_m = 0.05 if fault in MIDWAY else width_m
+    width_m = width_m if fault in GRASPING else 0.05  # the fingers are on their way when the fault strikes
     named, message = _told(lambda: drive(robot, start, begun_s, width_m, NOTICE_s))
     learnt_s = time.monotonic()
     sent_after = _sends(robot, start)
+    fingers_m = 0.0
     if fault == "server_death":
         hold_s = took_s = max(learnt_s - ordered_s, 0.0)
     else:
+        fingers_m = _fingers_m(fci, learnt_s)
         known_s = knowable_s(robot, fci, fault, ordered_s)
         hold_s, rate = _hold_s(fci, known_s)
         took_s = rate * max(learnt_s - known_s, 0.0)
-    return Trial(client, fault, named, message, round(hold_s, 4), round(took_s, 4), sent_after, time.time())
+    times_s = round(hold_s, 4), round(took_s, 4)
+    return Trial(fault, named, message, *times_s, sent_after, time.time(), round(fingers_m, 5))
 
 
-def _stop_and_recover(robot: UniforceFranka, fci: HostileStandIn, client: str, fault: str, start: dict) -> Trial:
+def _fingers_m(fci: HostileStandIn, learnt_s: float) -> float:
+    """Return how far the fingers go from ``HOLD_s`` after the caller knew."""
+    time.sleep(max(learnt_s + HOLD_s - time.monotonic(), 0.0))
+    before_m = fci.do("look")["hand"]["width_m"]
+    time.sleep(AFTER_s)
+    return abs(float(fci.do("look")["hand"]["width_m"]) - before_m)
+
+
+def _stop_and_recover(robot: UniforceFranka, fci: HostileStandIn, fault: str, start: dict) -> Trial:
     """Break what is read only with the next answer, stop the arm, and ask for recovery."""
     fci.do("fault", name=fault)
     stopped_s = time.monotonic()
@@ -213,7 +227,7 @@ def _stop_and_recover(robot: UniforceFranka, fci: HostileStandIn, client: str, f
     begun_s = time.monotonic()
     named, message = _told(robot.recover)
     learnt_s = time.monotonic() - begun_s
-    return Trial(client, fault, named, message, round(hold_s, 4), round(learnt_s, 4), _sends(robot, start), time.time())
+    return Trial(fault, named, message, round(hold_s, 4), round(learnt_s, 4), _sends(robot, start), time.time())
 
 
 def _told(call: Callable[[], object]) -> tuple[str, str]:
@@ -267,18 +281,18 @@ def _hold_s(fci: HostileStandIn, known_s: float) -> tuple[float, float]:
 
 def main() -> None:
     """Run what OUT lacks; ends early after a fault that leaves a client hanging."""
-    client, faults, times, address, out = sys.argv[1:6]
+    faults, times, address, out = sys.argv[1:5]
     logging.disable(logging.WARNING)
     rows = Ledger(Path(out))
-    there = Counter(row["fault"] for row in rows.read(client))
+    there = Counter(row["fault"] for row in rows.read(ROWS))
     with tempfile.TemporaryDirectory() as folder:
         for fault in faults.split(","):
             for _ in range(there[fault], int(times)):
                 # into the log; works also where a client keeps the GIL
                 faulthandler.dump_traceback_later(STUCK_s)
-                row = begun_trial(client, fault, address, Path(folder))
+                row = begun_trial(fault, address, Path(folder))
                 faulthandler.cancel_dump_traceback_later()
-                rows.add(client, asdict(row))
+                rows.add(ROWS, asdict(row))
                 if fault in AT_NEXT_ANSWER:
                     return  # the client hangs, and takes memory without end: the next trial gets a new process
 

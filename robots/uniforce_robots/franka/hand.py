@@ -20,9 +20,7 @@ WIDEST_m = 0.12  # no hand opens so far
 UNHOMED_m = 0.01  # a hand that was never homed gives no larger opening than this
 
 
-def next_command(
-    wish_m: float, reading: HandReading, holds: bool, settings: HandSettings
-) -> HandCommand | None:
+def next_command(wish_m: float, reading: HandReading, holds: bool, settings: HandSettings) -> HandCommand | None:
     """Return the command that brings the fingers to a wished width, None where they are there.
 
     Closing by position would press with all the motor has, so every closing is a grasp with a bounded force. Fingers

@@ -31,20 +31,21 @@ class ToolPose:
     def ee_to_base(self) -> np.ndarray:
         """(4, 4) pose of the hand."""
         c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
-        upright = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ TOOL_DOWN @ TOOL_TO_EE.T
         pose = np.eye(4)
-        pose[:3, :3] = Rotation.from_rotvec(self.tilt_rad).as_matrix() @ upright
+        pose[:3, :3] = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ TOOL_DOWN @ TOOL_TO_EE.T
         pose[:3, 3] = self.position_m
+        if self.tilt_rad.any():
+            pose[:3, :3] = Rotation.from_rotvec(self.tilt_rad).as_matrix() @ pose[:3, :3]
         return pose
 
     @classmethod
     def from_ee(cls, ee_to_base: np.ndarray) -> ToolPose:
         """Read the pose of a hand."""
         rotation = ee_to_base[:3, :3]
-        tilt_rad = _tilt(rotation)
-        tool = Rotation.from_rotvec(-tilt_rad).as_matrix() @ rotation @ TOOL_TO_EE
-        yaw_rad = float(np.arctan2(tool[1, 0], tool[0, 0]))
-        return cls(ee_to_base[:3, 3].copy(), yaw_rad, tilt_rad)
+        tool = rotation @ TOOL_TO_EE
+        # the turn about z that is left of rotation = tilt · turn, in closed form
+        yaw_rad = float(np.arctan2(tool[1, 0] + tool[0, 1], tool[0, 0] - tool[1, 1]))
+        return cls(ee_to_base[:3, 3].copy(), yaw_rad, _tilt(rotation))
 
 
 def _tilt(rotation: np.ndarray) -> np.ndarray:

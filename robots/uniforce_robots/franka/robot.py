@@ -21,7 +21,9 @@ from uniforce_robots.franka.guards import GuardChain
 from uniforce_robots.franka.hand import Hand, require_open
 from uniforce_robots.franka.poses import ToolPose
 from uniforce_robots.franka.stream import ArmStream
-from uniforce_vtla.errors import RobotError, SensorError, expected
+from uniforce_robots.sensors.finger import SampledCamera
+from uniforce_robots.sensors.plain_camera import PlainCamera
+from uniforce_vtla.errors import RobotError, SensorError, UniForceError, expected
 from uniforce_vtla.keys import AXES
 
 log = logging.getLogger(__name__)
@@ -67,6 +69,7 @@ class UniforceFranka(Robot):
         self.guards = GuardChain(config.guards)
         self._arm, self._hand_client = make_backend(config)
         self._hand: Hand | None = None
+        self._plain: dict[str, PlainCamera] = {}  # LeRobot's own cameras, watched from the connection on
         self._fault: RobotError | None = None
 
     @property
@@ -108,9 +111,20 @@ class UniforceFranka(Robot):
         hand.start()
         if any(finger.reference_on_connect for finger in self.config.fingers.values()):
             require_open(hand.reading, self.config.open_width_m)
-        for camera in self.cameras.values():
-            camera.connect()
+        for name, camera in self.cameras.items():
+            self._connect_camera(name, camera)
         self._start_stream(hand)
+
+    def _connect_camera(self, name: str, camera: Camera) -> None:
+        if not isinstance(camera, SampledCamera):
+            self._plain[name] = PlainCamera(name, camera)
+        try:
+            camera.connect()
+        except UniForceError:
+            raise
+        except Exception as error:  # foreign code, which may raise anything
+            do = "Check cable, permissions and settings."
+            raise SensorError(expected(name, "a camera that connects", repr(error), do)) from error
 
     def require_open_hand(self) -> None:
         """Refuse a free-air reference while the fingers may hold something.
@@ -181,6 +195,13 @@ class UniforceFranka(Robot):
         stream, hand = self._parts()
         return stream.state, hand.reading
 
+    def stored_facts(self) -> dict[str, Any]:
+        """Return what outlives programs on the robot, as it was when connecting, for a dataset: JSON values."""
+        setup = self._arm.setup
+        if setup is None:
+            return {}
+        return {"flange_to_ee": setup.flange_to_ee.round(5).tolist(), "load_kg": round(setup.load_kg, 3)}
+
     @property
     def guard_counts(self) -> dict[str, int]:
         """How often each guard acted since this object was made; ``watchdog`` since the last connect."""
@@ -190,8 +211,8 @@ class UniforceFranka(Robot):
     def get_observation(self) -> dict[str, Any]:
         """Return the measured axes and the newest image of each camera.
 
-        Raises RobotError: a fault of arm or hand; SensorError, RuntimeError, OSError: a camera or finger that is lost,
-        stale or frozen; the arm has stopped.
+        Raises RobotError: a fault of arm or hand; SensorError: a camera or finger that is lost, stale, frozen or
+        broken; arm and hand have stopped.
         """
         with self._halting():
             axes = dict(zip(AXES, self.measured().tolist(), strict=True))
@@ -202,8 +223,10 @@ class UniforceFranka(Robot):
 
     def _image(self, name: str, camera: Camera) -> np.ndarray:
         try:
+            if name in self._plain:
+                return self._plain[name].picture().image
             image: np.ndarray = camera.read_latest()
-        except (SensorError, RuntimeError, OSError) as error:  # how LeRobot's own cameras fail: the last two
+        except UniForceError as error:
             self.guards.count_sensor_fault(name, error)
             self._halt(RobotError(f"{name}: {error}", "sensor"))
             raise

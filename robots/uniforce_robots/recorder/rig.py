@@ -8,19 +8,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from uniforce_robots.sensors.plain_camera import Picture
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.evaluation.episode import EpisodeResult
 
 Shape = tuple[int, int, int]
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A scene camera's newest frame: (H, W, 3) uint8 RGB, its number since connecting, when it was taken."""
-
-    image: np.ndarray
-    index: int
-    time_s: float
 
 
 @dataclass(frozen=True)

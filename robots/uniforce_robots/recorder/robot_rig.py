@@ -1,8 +1,4 @@
-"""The Franka with its fingers and cameras as a rig. Never run on hardware.
-
-LeRobot's own cameras keep the newest frame and when it came (``latest_timestamp``, ``time.perf_counter``). What they
-don't see is a picture that stopped changing, and a camera whose thread has died still calls itself connected.
-"""
+"""The Franka with its fingers and cameras as a rig. Never run on hardware."""
 
 import contextlib
 import time
@@ -17,64 +13,14 @@ from lerobot.cameras import Camera
 from uniforce_datasets.features import vector_column
 from uniforce_robots.franka import UniforceFranka
 from uniforce_robots.recorder.faults import named
-from uniforce_robots.recorder.rig import FingerTouch, Observation, Picture, Rig, RigFacts
-from uniforce_robots.sensors.faults import FrozenSensorError, LostSensorError, StaleSensorError
+from uniforce_robots.recorder.rig import FingerTouch, Observation, Rig, RigFacts
 from uniforce_robots.sensors.finger import SampledCamera, TactileFinger, UniforceUskin
+from uniforce_robots.sensors.plain_camera import Picture, PlainCamera
 from uniforce_robots.sensors.reader import NS_PER_S
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError, RobotError, SensorError, expected
 from uniforce_vtla.keys import AXES, measured_key, tactile_name
 from uniforce_vtla.sensors import get_sensor
-
-MAX_AGE_ms = 200  # an older frame is refused
-FROZEN_AFTER = 10  # frames of one content in a row mean a frozen camera
-TRIES = 5  # a frame that comes between the two looks at its stamp; twice in a row is rare already
-STRIDE = 4  # every 4th row and column is enough to see whether a noisy picture changed
-
-
-class PlainCamera:
-    """Read any LeRobot camera with a ``latest_timestamp``; ContractError: it doesn't say when frames were taken."""
-
-    def __init__(self, name: str, camera: Camera) -> None:
-        if not hasattr(camera, "latest_timestamp"):
-            do = "Use uniforce_scene, opencv, intelrealsense or zmq."
-            raise ContractError(expected(name, "a camera with latest_timestamp", type(camera).__name__, do))
-        self._name, self._camera = name, camera
-        self._index, self._time_s, self._repeats = -1, float("nan"), 0
-        self._last: np.ndarray = np.zeros(0)
-
-    def picture(self) -> Picture:
-        """Return the newest frame.
-
-        Raises StaleSensorError: it is too old; LostSensorError: the camera's thread has ended, or it is disconnected;
-        FrozenSensorError: the content hasn't changed for ``FROZEN_AFTER`` frames.
-        """
-        image, time_s = self._newest()
-        if time_s != self._time_s:
-            self._index, self._time_s = self._index + 1, time_s
-            thinned = image[::STRIDE, ::STRIDE].copy()
-            self._repeats = self._repeats + 1 if np.array_equal(thinned, self._last) else 0
-            self._last = thinned
-        if self._repeats >= FROZEN_AFTER:
-            came = f"the same content {self._repeats + 1} times in a row"
-            raise FrozenSensorError(expected(self._name, "changing frames", came, "Replug the camera."))
-        return Picture(image, self._index, time_s)
-
-    def _newest(self) -> tuple[np.ndarray, float]:
-        camera: Any = self._camera
-        do = "Check cable, power and USB load."
-        try:
-            for _ in range(TRIES):
-                before = camera.latest_timestamp
-                image = camera.read_latest(max_age_ms=MAX_AGE_ms)
-                if before is not None and before == camera.latest_timestamp:
-                    return image, float(before)
-        except TimeoutError as error:
-            raise StaleSensorError(expected(self._name, "a fresh frame", error, do)) from error
-        except (RuntimeError, OSError) as error:  # ended thread; DeviceNotConnectedError is a ConnectionError
-            raise LostSensorError(expected(self._name, "a running camera", error, do)) from error
-        raise StaleSensorError(expected(self._name, "a frame that holds still", "none", "Lower its rate."))
-
 
 COLUMNS = {
     "q": [f"q{n}_rad" for n in range(1, 8)],

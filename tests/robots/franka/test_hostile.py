@@ -1,10 +1,10 @@
-"""Every named fault of the stand-in against both real clients, once; ``make faults`` runs each ten times."""
+"""Every named fault of the stand-in against the real client, once; ``make faults`` runs each ten times."""
 
 from pathlib import Path
 
 import psutil
 
-from benchmarks.trust.hostile import CLIENTS, attack, summarise
+from benchmarks.trust.hostile import attack, summarise
 from benchmarks.trust.hostile_arm import FAULTS
 from benchmarks.trust.hostile_trials import RIGHT_NAMES, begun_trial, is_right
 
@@ -12,23 +12,23 @@ from benchmarks.trust.hostile_trials import RIGHT_NAMES, begun_trial, is_right
 def test_every_fault_holds_the_arm_and_is_named(tmp_path: Path) -> None:
     assert set(RIGHT_NAMES) == set(FAULTS)
     rows = attack(list(RIGHT_NAMES), 1, tmp_path)
-    assert len(rows) == len(CLIENTS) * len(RIGHT_NAMES)
+    assert len(rows) == len(RIGHT_NAMES)
     assert [row for row in rows if not is_right(row)] == []
 
 
 def test_a_wrong_name_a_late_hold_and_a_taken_action_are_seen() -> None:
-    times = {"hold_s": 0.1, "learnt_s": 0.1, "sent_after": 0}
-    right = {"client": "franky", "fault": "reflex", "named": "reflex", **times}
+    times = {"hold_s": 0.1, "learnt_s": 0.1, "sent_after": 0, "fingers_m": 0.0}
+    right = {"fault": "reflex", "named": "reflex", **times}
     assert is_right(right)
-    changes = [{"named": ""}, {"hold_s": 0.6}, {"learnt_s": 0.6}, {"sent_after": 1}, {"named": "hang"}]
+    changes = [{"named": ""}, {"hold_s": 0.6}, {"learnt_s": 0.6}, {"sent_after": 1}, {"fingers_m": 0.002}]
     wrong = [right | change for change in changes]
     assert not any(is_right(row) for row in wrong)
-    line = summarise([right, *wrong])["reflex franky"]
-    assert (line["trials"], line["named_right"], line["held"], line["sent_after"]) == (6, 4, 5, 1)
+    line = summarise([right, *wrong])["reflex"]
+    assert (line["trials"], line["named_right"], line["held"], line["sent_after"]) == (6, 5, 4, 1)
 
 
 def test_a_client_that_hangs_ends_with_the_robot(address: str, tmp_path: Path) -> None:
-    row = begun_trial("franky", "garbage_state", address, tmp_path)
+    row = begun_trial("garbage_state", address, tmp_path)
     assert row.named in RIGHT_NAMES["garbage_state"]
     left = [word for child in psutil.Process().children() for word in child.cmdline() if "franka/children" in word]
     assert not left

@@ -44,6 +44,7 @@ CEILINGS = [  # said once more, in numbers: a limit that is lifted in the table 
     lambda: GuardLimits(speed_rad_s=2.51),
     lambda: GuardLimits(speed_width_m_s=0.21),
     lambda: GuardLimits(longest_gap_s=0.21),
+    lambda: GuardLimits(tilt_rad=0.36),
     lambda: GuardLimits(high=(0.91, 0.3, 0.5, 1.5, 0.08)),
     lambda: Gains((3001.0, 800.0, 800.0)),
     lambda: Gains((2000.0,) * 3, clip_m=(0.0213,) * 3),

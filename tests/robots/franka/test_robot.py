@@ -19,6 +19,8 @@ from uniforce_robots.franka.arm import Gains
 from uniforce_robots.franka.limits import StreamSettings
 from uniforce_robots.franka.robot import STRATEGIES, forbid_return_motion
 from uniforce_robots.sensors import UniforceTactileCameraConfig
+from uniforce_robots.sensors.faults import FrozenSensorError
+from uniforce_robots.sensors.plain_camera import FROZEN_AFTER
 from uniforce_vtla.errors import RobotError, SensorError
 from uniforce_vtla.keys import AXES
 
@@ -252,35 +254,49 @@ def test_nested_settings_are_parsed_from_the_command_line() -> None:
 
 
 class BrokenCamera:
+    """As LeRobot's cameras are; ``error`` is raised, ``image`` given, whatever they are."""
+
     height, width = 4, 6
 
     def __init__(self) -> None:
         self.error: Exception | None = None
+        self.image: object = np.zeros((4, 6, 3), np.uint8)
+        self.latest_timestamp = 0.0
         self.is_connected = False
 
     def connect(self) -> None:
+        if self.error is not None:
+            raise self.error
         self.is_connected = True
 
     def disconnect(self) -> None:
         self.is_connected = False
 
-    def read_latest(self) -> np.ndarray:
+    def read_latest(self, max_age_ms: int) -> object:
         if self.error is not None:
             raise self.error
-        return np.zeros((4, 6, 3), np.uint8)
+        return self.image
 
 
-@pytest.mark.parametrize(
-    "error", [SensorError("frozen"), TimeoutError("old"), RuntimeError("thread"), ConnectionError("gone")]
-)
-def test_a_sensor_that_is_not_well_stops_the_arm_and_is_counted(robot, arm, eventually, error) -> None:
+@pytest.fixture
+def camera(robot: UniforceFranka) -> BrokenCamera:
     camera = BrokenCamera()
     robot.cameras = {"front": camera}  # type: ignore[dict-item]
+    return camera
+
+
+ERRORS = [SensorError("frozen"), TimeoutError("old"), RuntimeError("thread"), ConnectionError("gone"), KeyError("x")]
+IMAGES = [None, "text", np.zeros((4, 6), np.uint8), np.zeros((4, 6, 3), np.float32), np.zeros((6, 4, 3), np.uint8)]
+
+
+@pytest.mark.parametrize("broken", [*ERRORS, *IMAGES], ids=lambda broken: type(broken).__name__)
+def test_a_sensor_that_is_not_well_stops_the_arm_and_is_counted(robot, camera, arm, eventually, broken) -> None:
     robot.connect()
     robot.send_action(action())
     assert robot.get_observation()["front"].shape == (4, 6, 3)
-    camera.error = error
-    with pytest.raises(type(error)):
+    good = camera.image
+    camera.error, camera.image = (broken, good) if isinstance(broken, Exception) else (None, broken)
+    with pytest.raises(SensorError):
         robot.get_observation()
     eventually(lambda: bool(arm.stopped_at))
     assert robot.guard_counts["sensor"] == 1
@@ -288,8 +304,25 @@ def test_a_sensor_that_is_not_well_stops_the_arm_and_is_counted(robot, arm, even
         robot.send_action(action())
     assert caught.value.fault == "sensor"
     robot.recover()
-    camera.error = None
+    camera.error, camera.image = None, good
     robot.send_action(robot.get_observation())
+
+
+def test_a_camera_that_repeats_itself_stops_the_arm(robot, camera, arm, eventually) -> None:
+    robot.connect()
+    robot.send_action(action())
+    with pytest.raises(FrozenSensorError, match="front"):
+        for _ in range(FROZEN_AFTER + 2):
+            camera.latest_timestamp += 1 / 30
+            robot.get_observation()
+    eventually(lambda: bool(arm.stopped_at))
+
+
+def test_a_camera_that_cannot_be_connected_is_named(robot, camera, arm) -> None:
+    camera.error = KeyError("device")
+    with pytest.raises(SensorError, match="front: expected a camera that connects"):
+        robot.connect()
+    assert arm.closed and not robot.is_connected
 
 
 def test_references_need_an_open_hand(tmp_path: Path, arm: FakeArm, hand: FakeHand, monkeypatch: pytest.MonkeyPatch):
@@ -303,6 +336,16 @@ def test_references_need_an_open_hand(tmp_path: Path, arm: FakeArm, hand: FakeHa
     with pytest.raises(SensorError, match="Open the gripper"):
         robot.connect()
     assert arm.closed and not robot.is_connected
+
+
+def test_a_stop_stops_the_fingers_too(moving, hand, eventually) -> None:
+    hand.takes_s = 30.0
+    eventually(lambda: moving.send_action(action(width=0.0)) and bool(hand.commands))
+    moving.hold()
+    eventually(lambda: hand.stops == 1)
+    time.sleep(0.05)
+    assert len(hand.commands) == 1, "the closing that was wished is forgotten"
+    assert moving.stored_facts()["load_kg"] == 0.0
 
 
 def test_holding_refuses_nothing_afterwards(robot: UniforceFranka) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from robot_fakes import START, FakeArm
 
+from uniforce_robots.franka.hand import Hand
 from uniforce_robots.franka.poses import ToolPose
 from uniforce_robots.franka.stream import ArmStream, Ramp, StreamSettings
 from uniforce_vtla.errors import RobotError
@@ -24,8 +25,8 @@ def started(arm: FakeArm, patient: StreamSettings) -> Iterator[Callable[..., Arm
     """Return a function that starts a stream with changed settings; it is stopped at the end."""
     with ExitStack() as ending:
 
-        def start(watch: Callable[[], None] | None = None, **changes: float) -> ArmStream:
-            stream = ArmStream(arm, replace(patient, **changes), watch=watch)
+        def start(hand: Hand | None = None, **changes: float) -> ArmStream:
+            stream = ArmStream(arm, replace(patient, **changes), hand=hand)
             stream.start()
             ending.callback(stream.stop)
             return stream
@@ -196,19 +197,75 @@ def test_a_reading_that_cannot_be_ends_the_stream_by_name(arm, stream, eventuall
     assert all(np.isfinite(target).all() for _, target in arm.targets)
 
 
-def test_what_else_must_be_well_ends_the_stream(arm: FakeArm, started: Callable, eventually: Callable):
-    faults: list[RobotError] = []
+class WatchedHand(Hand):
+    def __init__(self) -> None:
+        self.hangs = False
+        self.stops: list[str] = []
 
-    def watch() -> None:
-        if faults:
-            raise faults[0]
+    def tick(self) -> None:
+        if self.hangs:
+            raise RobotError("the hand hangs", "hand_deadline")
 
-    stream = started(watch)
+    def stop(self) -> None:
+        self.stops.append("stop")
+
+    def halt(self) -> None:
+        self.stops.append("halt")
+
+
+def test_a_hand_at_fault_ends_the_stream_and_every_end_stops_the_hand(arm, started, eventually):
+    hand = WatchedHand()
+    stream = started(hand)
     stream.submit(away(-0.01))
-    faults.append(RobotError("the hand hangs", "hand_deadline"))
+    hand.hangs = True
     eventually(lambda: bool(arm.stopped_at))
+    assert hand.stops == ["halt"]
     with pytest.raises(RobotError, match="the hand hangs"):
         stream.submit(away(0.0))
+
+
+def test_a_hold_and_the_watchdog_stop_the_hand(started, eventually):
+    hand = WatchedHand()
+    stream = started(hand, stale_s=0.2)
+    stream.hold()
+    assert hand.stops == ["stop"]
+    stream.submit(away(-0.01))
+    eventually(lambda: stream.stale_count == 1)
+    assert hand.stops == ["stop"] * 2
+
+
+def tilted(pose: ToolPose, by_rad: float) -> np.ndarray:
+    return replace(pose, tilt_rad=np.array([0.6, 0.8, 0.0]) * by_rad).ee_to_base()
+
+
+def test_a_tilted_hand_is_refused_at_the_start_and_in_motion(arm: FakeArm, stream: ArmStream, eventually: Callable):
+    stream.submit(away(-0.01))
+    eventually(lambda: bool(arm.targets))
+    arm.follows = False
+    for by_rad in np.arange(0.0, 0.2, 0.04):
+        arm.pose = tilted(START, by_rad)  # slowly: a fast one is a jump
+        time.sleep(0.02)
+    eventually(lambda: stream.fault is not None)
+    assert stream.fault is not None and stream.fault.fault == "tilt"
+    with pytest.raises(RobotError, match=r"within 9° of straight down, got 9°") as caught:
+        ArmStream(arm).read_first()
+    assert caught.value.fault == "tilt"
+
+
+def test_staying_never_turns_a_hand_and_a_wished_way_levels_it(arm: FakeArm) -> None:
+    now, pose = [100.0], tilted(START, 0.1)
+    arm.pose, arm.follows = pose, False
+    stream = ArmStream(arm, StreamSettings(state_age_s=1.0, stale_s=1.0), clock=lambda: now[0])
+    stream.read_first()
+    wishes = [START] * 30 + [away(-0.0013 * step) for step in range(30)]
+    for wish in wishes:
+        stream.submit(wish)
+        for _ in range(3):
+            now[0] += 0.01
+            stream.tick()
+    tilts = [float(np.linalg.norm(ToolPose.from_ee(target).tilt_rad)) for _, target in arm.targets]
+    assert tilts[:90] == pytest.approx([0.1] * 90), "a wish to stay"
+    assert tilts[-1] == pytest.approx(0.1 - 0.0013 * 29, abs=2e-3), "1 rad along each metre"
 
 
 def test_halting_does_not_wait_for_a_client_that_blocks(arm: FakeArm, stream: ArmStream) -> None:

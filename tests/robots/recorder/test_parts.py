@@ -18,10 +18,11 @@ from uniforce_robots.recorder.disk_guard import DiskGuard
 from uniforce_robots.recorder.faults import DeviceError, StopRequestedError, cause_of, named
 from uniforce_robots.recorder.operators import Command, Event, KeyOperator, LiveView, Phase, Unattended
 from uniforce_robots.recorder.rig import FingerTouch, Observation, Picture
-from uniforce_robots.recorder.robot_rig import FROZEN_AFTER, GarbageWatch, PlainCamera
+from uniforce_robots.recorder.robot_rig import GarbageWatch
 from uniforce_robots.recorder.steering import Steering
 from uniforce_robots.recorder.ticker import Ticker
 from uniforce_robots.sensors.faults import FrozenSensorError, LostSensorError, StaleSensorError
+from uniforce_robots.sensors.plain_camera import FROZEN_AFTER, PlainCamera
 from uniforce_robots.teleop.keyboard import TerminalKeys
 from uniforce_vtla import errors
 from uniforce_vtla.errors import ContractError
@@ -129,6 +130,7 @@ class Lerobots:
 
     def __init__(self) -> None:
         self.latest_timestamp = 1.0
+        self.height = self.width = 8
         self.frame = np.zeros((8, 8, 3), np.uint8)
         self.error: Exception | None = None
 

@@ -49,11 +49,11 @@ class Loop:
                 self.stop()
 
     def stop(self) -> None:
-        """Stop the fingers where they are; a hand that refuses says so in the command's outcome."""
+        """Stop the fingers where they are."""
         try:
             self.gripper.stop()
         except self.client.CommandException as error:
-            print(f"hand: stop refused: {error}", file=sys.stderr)
+            common.say("error", fault="connection", text=f"the hand does not stop: {error}")
 
     def stop_when_alone(self) -> None:
         """Stop the fingers, once, when the parent has fallen silent while they move."""
