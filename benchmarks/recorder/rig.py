@@ -171,7 +171,7 @@ class Rig:
 
     def _write_file(self) -> None:
         patience = self.plan.patience
-        scene = {"type": "uniforce_scene", "width": 640, "height": 480, "max_age_ms": 200.0 * patience}
+        scene = {"type": "uniforce_scene", "width": 640, "height": 480, "max_age_ms": min(200.0 * patience, 1000.0)}
         cameras: dict[str, dict] = {n: {**scene, "source": s.address} for n, s in self.cameras.items()}
         cameras["tactile_left"] = {
             "type": "uniforce_tactile",
@@ -180,14 +180,14 @@ class Rig:
             "source": self.gelsight.address,
             "capture_width": 640,
             "capture_height": 480,
-            "max_age_ms": 200.0 * patience,
+            "max_age_ms": min(200.0 * patience, 1000.0),
         }
         cameras["tactile_right"] = {
             "type": "uniforce_uskin",
             "finger": "right",
             "link": "slcan",
             "source": self.uskin.address,
-            "max_age_ms": 100.0 * patience,
+            "max_age_ms": min(100.0 * patience, 1000.0),
         }
         robot = {
             "type": "uniforce_franka",

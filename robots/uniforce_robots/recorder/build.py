@@ -11,6 +11,7 @@ from lerobot.teleoperators import Teleoperator, TeleoperatorConfig, make_teleope
 
 import uniforce_robots.teleop  # noqa: F401  registers ours
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
+from uniforce_robots.franka.arm import ROLLOUT
 from uniforce_vtla.arguments import Option, check, options_of, own_cause, read_value, refuse_unknown
 from uniforce_vtla.errors import ContractError, expected, require_one_of
 from uniforce_vtla.options import check_text
@@ -98,9 +99,15 @@ def make_teleoperator(config: TeleoperatorConfig) -> Teleoperator:
 
 
 def make_robot(config: RobotConfig, teleop: Teleoperator) -> UniforceFranka:
-    """Return the robot, not connected, with the stiffness the teleoperator needs while it steers, if it needs one."""
+    """Return the robot, not connected, with the stiffness the teleoperator needs while it steers, if it needs one.
+
+    Raises ContractError: the config sets another one, which may be softer.
+    """
     franka = cast("UniforceFrankaConfig", config)
     gains = getattr(teleop, "wants_gains", None)
+    if gains is not None and franka.gains not in (ROLLOUT, gains):
+        do = "Leave robot.gains out, or steer with another teleoperator."
+        raise ContractError(expected(f"robot.gains with teleop {teleop.name}", gains, franka.gains, do))
     if gains is not None:
         franka.gains = gains
     return UniforceFranka(franka)

@@ -1,9 +1,12 @@
 """One episode: tick by tick observe, steer, act, store. Whatever ends it, the rig holds before anything is said."""
 
+import logging
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
+
+import numpy as np
 
 from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_robots.recorder.disk_guard import DiskGuard
@@ -14,8 +17,9 @@ from uniforce_robots.recorder.rows import make_row, raw_frames
 from uniforce_robots.recorder.steering import Steering
 from uniforce_robots.recorder.store import StoreProcess
 from uniforce_robots.recorder.ticker import Ticker, TickStats
-from uniforce_vtla.errors import UniForceError
+from uniforce_vtla.errors import TeleoperatorError, UniForceError, expected
 
+log = logging.getLogger(__name__)
 Store = EpisodeRecorder | StoreProcess
 
 
@@ -42,7 +46,9 @@ class Parts:
         while True:
             beat.wait()
             self.refuse_interrupted()
-            yield self.operator.poll(phase)
+            events = self.operator.poll(phase)
+            self.view.show_note(phase, self.operator.note)
+            yield events
 
 
 @dataclass(frozen=True)
@@ -103,6 +109,10 @@ class EpisodeLoop:
             ending = over.ending
         except UniForceError as error:
             fault = error
+        except Exception as error:  # a device may be anybody's code: what was recorded is kept
+            log.exception("the episode is aborted")
+            came, do = f"{type(error).__name__}: {error}", "Check the devices; the log has the place."
+            fault = UniForceError(expected("episode", "no other error than known ones", came, do))
         self._parts.rig.hold()
         if fault is not None:
             held_s = time.perf_counter() - self._tick_begun_s
@@ -118,11 +128,10 @@ class EpisodeLoop:
             self._ticker.wait()
             self._tick_begun_s = time.perf_counter()
             parts.refuse_interrupted()
-            for event in parts.operator.poll(Phase.RUNNING):
-                if event.command is Command.GO:
-                    self._pause()
-                else:
-                    self._obey(event)
+            events = parts.operator.poll(Phase.RUNNING)
+            self._obey(events)
+            if any(event.command in (Command.GO, Command.HOLD) for event in events):
+                self._pause()
             parts.disk.check()
             self._tick(begun_s)
             if parts.rig.is_done:
@@ -138,11 +147,11 @@ class EpisodeLoop:
         parts.recorder.add(row, self._prompt, raw_frames(seen))
         parts.view.show(seen, parts.recorder.num_frames)
 
-    def _obey(self, event: Event) -> None:
-        if event.command is Command.NOTE:
-            self._notes.append(event.text)
-        if event.command in ENDINGS:
-            raise _Over(ENDINGS[event.command])
+    def _obey(self, events: list[Event]) -> None:
+        self._notes += [event.text for event in events if event.command is Command.NOTE]
+        for event in events:
+            if event.command in ENDINGS:
+                raise _Over(ENDINGS[event.command])
 
     def _pause(self) -> None:
         """Hold until a person goes on; nothing is stored meanwhile, and the times of the rows show the gap."""
@@ -152,10 +161,19 @@ class EpisodeLoop:
         parts.view.say("paused; space goes on")
         for events in parts.events(Phase.PAUSED):
             self._tick_begun_s = time.perf_counter()
-            parts.rig.axes()  # a fault of the robot ends a pause too
-            for event in events:
-                self._obey(event)
-            if Command.GO in [event.command for event in events]:
+            axes = parts.rig.axes()  # a fault of the robot ends a pause too
+            self._obey(events)
+            if Command.GO in [event.command for event in events] and self._starts(axes):
                 break
-        parts.steering.start_from(parts.rig.axes())
         self._ticker.resume()
+
+    def _starts(self, axes: np.ndarray) -> bool:
+        """Start to steer; return False, and say why, where a person must first bring the device to rest."""
+        try:
+            self._parts.steering.start_from(axes)
+        except TeleoperatorError as error:
+            if error.fault != "far":
+                raise
+            self._parts.view.say(f"still paused: {error}")
+            return False
+        return True

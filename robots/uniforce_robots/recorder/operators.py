@@ -28,13 +28,14 @@ class Command(Enum):
     """What an operator can order, by its key: a letter that LeRobot's and our keyboard teleoperators don't use."""
 
     GO = "space"  # begin; pause; go on
+    HOLD = "esc"  # hold, in every phase; also the end of a note that is dropped
     SUCCESS = "y"  # a clean one: no slip, no excess force
     RESIDUAL = "f"  # failed: not wiped
     FAILED_GRASP = "g"
     DISCARD = "x"  # forget this episode
     RERECORD = "r"  # forget it and record the same one at once
-    NOTE = "t"  # its text follows, up to Enter
-    RECOVER = "v"  # clear the robot's fault
+    NOTE = "t"  # hold; its text follows, up to Enter
+    RECOVER = "v"  # clear the robot's fault; steer again between episodes
     QUIT = "q"
 
 
@@ -53,6 +54,7 @@ class Operator:
     """Asked at every tick; ``is_attended`` says whether a person can be waited for."""
 
     is_attended = True
+    note: str | None = None  # what is typed of one so far; None: none is open
 
     def start(self) -> None:
         """Begin to read."""
@@ -83,17 +85,24 @@ class Unattended(Operator):
         return [Event(self._orders[phase])] if phase in self._orders else []
 
 
+NOTE_S = 30.0  # without a key, after which a note ends
+
+
 class KeyOperator(Operator):
-    """A person at a keyboard; ``t`` begins a note, Enter ends it, digits 1, 2, … add one of ``quick_notes``.
+    """A person at a keyboard; digits 1, 2, … add one of ``quick_notes``.
+
+    ``t`` holds the arm and begins a note: meanwhile letters neither steer nor command. Enter ends it, Escape drops it,
+    and it ends by itself where no key came for long, or the episode goes on or is to be judged.
 
     ``keys`` are those of a keyboard teleoperator, which reads this terminal already; None reads it here.
     """
 
     def __init__(self, keys: TerminalKeys | None = None, quick_notes: Sequence[str] = ()) -> None:
         self._is_own, self._keys = keys is None, keys or TerminalKeys({})
+        self._keys.text_begins = Command.NOTE.value
         self._meanings = {c.value: Event(c) for c in Command if c is not Command.NOTE}
         self._meanings |= {str(n): Event(Command.NOTE, note) for n, note in enumerate(quick_notes, 1)}
-        self._note: str | None = None
+        self._phase, self._typed_s = Phase.WAITING, 0.0
 
     def start(self) -> None:
         """Read the terminal; raises ContractError where there is none."""
@@ -105,7 +114,12 @@ class KeyOperator(Operator):
 
     def poll(self, phase: Phase) -> list[Event]:
         """Return what the keys since the last call mean."""
-        events = [self._meaning(key) for key in self._keys.take_others()]
+        pressed, now_s = self._keys.take_others(), self._keys.clock()
+        goes_on = phase is not self._phase and phase in (Phase.RUNNING, Phase.JUDGING)
+        is_left = not pressed and now_s - self._typed_s > NOTE_S
+        events = [self._end_note()] if self.note is not None and (goes_on or is_left) else []
+        events += [self._meaning(key) for key in pressed]
+        self._phase, self._typed_s = phase, now_s if pressed else self._typed_s
         return [event for event in events if event is not None]
 
     def stop(self) -> None:
@@ -114,18 +128,24 @@ class KeyOperator(Operator):
             self._keys.stop()
 
     def _meaning(self, key: str) -> Event | None:
-        note = self._note
-        if note is None:
-            self._note = "" if key == Command.NOTE.value else None
-            return self._meanings.get(key)
+        if self.note is None:
+            if key == Command.NOTE.value:
+                self.note, key = "", Command.HOLD.value
+            return self._meanings.get(key.lower())
         if key == "enter":
-            self._note = None
-            return Event(Command.NOTE, note) if note else None
+            return self._end_note()
+        if key == "esc":
+            self.note = None
+            return self._meanings[key]
         if key == "backspace":
-            self._note = note[:-1]
+            self.note = self.note[:-1]
         elif len(key) == 1 or key == "space":
-            self._note = note + (" " if key == "space" else key)
+            self.note += " " if key == "space" else key
         return None
+
+    def _end_note(self) -> Event | None:
+        note, self.note, self._keys.is_text = self.note, None, False
+        return Event(Command.NOTE, note) if note else None
 
 
 LINE_EVERY_s = 0.2  # a person reads no faster
@@ -143,6 +163,7 @@ class LiveView:
         self._out, self._fps = out, fps
         self._moves = out is not None and out.isatty()  # a line can be written over
         self._next_s = self.peak_N = 0.0
+        self._mode = ""  # shown last
 
     def begin(self, text: str) -> None:
         """Begin an episode: its peak force is forgotten."""
@@ -151,18 +172,31 @@ class LiveView:
 
     def say(self, text: str) -> None:
         """Write a line that stays."""
-        if self._out is not None:
-            self._out.write(f"\r\x1b[K{text}\n" if self._moves else f"{text}\n")
-            self._out.flush()
+        self._mode = ""
+        self._write(f"\r\x1b[K{text}\n" if self._moves else f"{text}\n")
+
+    def show_note(self, phase: Phase, note: str | None) -> None:
+        """Show the phase, and the note typed so far, where nothing else is shown; on a terminal, when they change."""
+        mode = phase.value if note is None else f"note (Enter ends it, Escape drops it): {note}_"
+        if self._moves and mode != self._mode:
+            self._mode = mode
+            self._write(f"\r\x1b[K{mode}")
 
     def show(self, seen: Observation, frames: int) -> None:
         """Show an observation, five times a second on a terminal, never elsewhere."""
         self.peak_N = max(self.peak_N, float(np.linalg.norm(seen.force_N)))
         now_s = time.perf_counter()
-        if self._out is not None and self._moves and now_s >= self._next_s:
-            self._next_s = now_s + LINE_EVERY_s
-            self._out.write("\r\x1b[K" + self.line(seen, frames))
-            self._out.flush()
+        if self._moves and now_s >= self._next_s:
+            self._next_s, self._mode = now_s + LINE_EVERY_s, ""
+            self._write("\r\x1b[K" + self.line(seen, frames))
+
+    def _write(self, text: str) -> None:
+        if self._out is not None:
+            try:
+                self._out.write(text)
+                self._out.flush()
+            except OSError:  # the terminal hung up: no episode ends for want of a reader
+                self._out, self._moves = None, False
 
     def line(self, seen: Observation, frames: int) -> str:
         """Return the line: time, force as a bar up to its limit, peak, width, oldest sensor."""
@@ -172,7 +206,8 @@ class LiveView:
         oldest, sample = min(seen.samples.items(), key=lambda named: named[1].time_s)
         age_ms = 1000 * (seen.time_s - sample.time_s)
         return (
-            f"{frames / self._fps:5.1f} s  force [{'#' * filled}{'.' * (BAR - filled)}] {force_N:4.1f} N {mark}"
+            f"{Phase.RUNNING.value} {frames / self._fps:5.1f} s"
+            f"  force [{'#' * filled}{'.' * (BAR - filled)}] {force_N:4.1f} N {mark}"
             f"peak {self.peak_N:4.1f} of {STOP_N:g}  width {1000 * seen.axes[4]:4.1f} mm"
             f"  oldest {oldest} {age_ms:.0f} ms"
         )

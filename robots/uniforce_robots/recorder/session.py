@@ -64,6 +64,7 @@ class RecordingSession:
         self._say = parts.view.say
         self._endings: list[Ending] = []
         self._quits = False
+        self._is_off = False  # whether the teleoperator waits for a person's key, between episodes
 
     def run(self) -> SessionEnd:
         """Record what is missing."""
@@ -128,20 +129,33 @@ class RecordingSession:
                 self._say("recovered; nothing has moved")
             except errors.RobotError as error:
                 self._say(f"not recovered: {error}")
+        elif event.command is Command.HOLD:
+            self._switch_off("held")
+        elif event.command is Command.NOTE:
+            self._say(f"a note belongs to an episode; not stored: {event.text}")
+        self._is_off = self._is_off and event.command not in (Command.GO, Command.RECOVER)
         return event.command in (Command.GO, Command.QUIT)
+
+    def _switch_off(self, why: str) -> None:
+        """Hold, and steer no more until a person says so: nothing goes on by itself because a plug found its socket."""
+        self._parts.rig.hold()
+        self._is_off = True
+        self._say(f"{why} (v clears it and steers again)")
 
     def _drive(self, driving: bool) -> bool:
         """Let a person move the robot between episodes; return whether that worked. A scene only steps inside one."""
         rig, steering = self._parts.rig, self._parts.steering
-        if not (self._settings.drive_between and self._is_attended) or rig.facts.simulated:
+        drives = self._settings.drive_between and self._is_attended and not rig.facts.simulated
+        if self._is_off or not drives:
             return False
         try:
             axes = rig.axes()
             if not driving:
                 steering.start_from(axes)
             rig.act(steering.target(axes))
-        except errors.UniForceError:
-            return False  # it is said at the next start, where it matters
+        except errors.UniForceError as error:
+            self._switch_off(str(error))
+            return False
         return True
 
     def _prepare(self, frames: int) -> bool:
@@ -234,4 +248,4 @@ class RecordingSession:
             raise _End(FAULT, f"{ABORTS_IN_A_ROW} times in a row, {said}")
         if not self._is_attended and (of_robot or ending.cause in ("teleop", "storage", "other")):
             raise _End(FAULT, said)
-        self._say(said + (" (v clears it)" if of_robot else ""))
+        self._switch_off(said)

@@ -1,12 +1,17 @@
 """Any LeRobot teleoperator whose actions are the five absolute axes, as a function of the measured ones."""
 
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 from lerobot.teleoperators import Teleoperator
 
-from uniforce_vtla.errors import ContractError, TeleoperatorError, UniForceError, expected
+from uniforce_vtla.errors import ContractError, TeleoperatorError, expected
 from uniforce_vtla.keys import AXES
+
+log = logging.getLogger(__name__)
 
 
 class Steering:
@@ -17,52 +22,60 @@ class Steering:
     """
 
     def __init__(self, teleop: Teleoperator) -> None:
+        self._teleop: Any = teleop
+        self.name = str(teleop.name)
         missing = [axis for axis in AXES if axis not in teleop.action_features]
         if missing:
             do = "Take one of ours (teleop=keyboard, spacemouse, gello, hand_guide), or wrap it."
             raise ContractError(expected(f"teleop {teleop.name}", f"actions {AXES}", f"{missing} missing", do))
-        self._teleop: Any = teleop
-        self.name = str(teleop.name)
         self._wants_feedback = all(axis in teleop.feedback_features for axis in AXES)
 
     def connect(self) -> None:
-        """Open the device."""
-        self._call("connect")
+        """Open the device; raises TeleoperatorError."""
+        with self._named():
+            self._teleop.connect()
 
     def close(self) -> None:
-        """Let go of it."""
-        if self._teleop.is_connected:
-            self._call("disconnect")
+        """Let go of it; never raises: the robot and what was recorded must be seen to."""
+        try:
+            with self._named():
+                if self._teleop.is_connected:
+                    self._teleop.disconnect()
+        except TeleoperatorError as error:
+            log.warning("%s", error)
 
     def start_from(self, axes: np.ndarray) -> None:
         """Begin with the target on (5,) measured axes; raises TeleoperatorError where it can't start from here."""
-        if hasattr(self._teleop, "start_from"):
-            self._call("start_from", _named(axes))
+        with self._named():
+            if hasattr(self._teleop, "start_from"):
+                self._teleop.start_from(_by_axis(axes))
 
     def target(self, axes: np.ndarray) -> np.ndarray:
         """Return (5,) absolute targets for the (5,) measured axes.
 
         Raises TeleoperatorError: the device failed, or its target isn't finite.
         """
-        if self._wants_feedback:
-            self._call("send_feedback", _named(axes))
-        action = self._call("get_action")
-        target = np.array([float(action.get(axis, np.nan)) for axis in AXES])
+        with self._named():
+            if self._wants_feedback:
+                self._teleop.send_feedback(_by_axis(axes))
+            action = self._teleop.get_action()
+            target = np.array([float(action[axis]) for axis in AXES])
         if not np.isfinite(target).all():
             do = "The teleoperator is broken; the robot holds."
             raise TeleoperatorError(expected(self.name, f"finite {AXES}", action, do), "garbage")
         return target
 
-    def _call(self, method: str, *arguments: Any) -> Any:
-        """Call the device; what LeRobot's own raise becomes one kind of error."""
+    @contextmanager
+    def _named(self) -> Iterator[None]:
+        """Turn whatever a device raises into one kind of error: it may be anybody's code."""
         try:
-            return getattr(self._teleop, method)(*arguments)
-        except UniForceError:
+            yield
+        except TeleoperatorError:
             raise
-        except (RuntimeError, OSError, ValueError) as error:
-            came = expected(self.name, "an answer", error, "Check the device.")
-            raise TeleoperatorError(came, "connection") from error
+        except Exception as error:
+            came = f"{type(error).__name__}: {error}"
+            raise TeleoperatorError(expected(self.name, "an answer", came, "Check the device."), "other") from error
 
 
-def _named(axes: np.ndarray) -> dict[str, float]:
+def _by_axis(axes: np.ndarray) -> dict[str, float]:
     return dict(zip(AXES, axes.tolist(), strict=True))

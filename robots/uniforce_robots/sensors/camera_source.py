@@ -18,6 +18,7 @@ from uniforce_robots.sensors.faults import LostSensorError, WrongSensorError
 from uniforce_robots.sensors.reader import SampleSource, Stamped, now_ns
 from uniforce_vtla.errors import expected, without_credentials
 
+SYS_VIDEO = Path("/sys/class/video4linux")
 FAILED_READS = 10  # in a row: the device is gone
 MANUAL_EXPOSURE = 1.0  # V4L2: 1 manual, 3 aperture priority
 TOLERANCE = 0.5  # drivers report whole units
@@ -32,6 +33,20 @@ def open_capture(source: str) -> cv2.VideoCapture:
         do = "List cameras with `ls /dev/v4l/by-path`."
         raise LostSensorError(expected("camera", f"a device {path}", "no such file", do))
     return cv2.VideoCapture(str(path), cv2.CAP_V4L2)
+
+
+def first_node(source: str) -> str:
+    """Return the /dev/videoN with the pictures of a device whose later node ``source`` is, "" where it is the first.
+
+    Many cameras have a second one that carries metadata alone.
+    """
+    name = f"video{source}" if source.isdigit() else Path(source).resolve().name
+    node = SYS_VIDEO / name
+    if not (node / "index").is_file() or int((node / "index").read_text()) == 0:
+        return ""
+    device = (node / "device").resolve()
+    firsts = [other.parent for other in SYS_VIDEO.glob("*/index") if int(other.read_text()) == 0]
+    return next((f"/dev/{first.name}" for first in firsts if (first / "device").resolve() == device), "another one")
 
 
 class FrameSource(SampleSource):
@@ -68,7 +83,7 @@ class CameraSource(FrameSource):
         self._capture, self._failed = self._factory(self._config.source), 0
         undo.callback(self._capture.release)
         if not self._capture.isOpened():
-            do = "Is it plugged in, and used by no other program?"
+            do = self._advice("Is it plugged in, and used by no other program?")
             raise LostSensorError(expected(self.name, "a camera", "one that doesn't open", do))
         wanted = settings_in_order(self._config)
         for _, prop, value in wanted:
@@ -89,8 +104,13 @@ class CameraSource(FrameSource):
         self._failed, self.counts.bad = self._failed + 1, self.counts.bad + 1
         if self._failed >= FAILED_READS:
             came = f"{self._failed} failed reads in a row"
-            raise LostSensorError(expected(self.name, "frames", came, "Was it unplugged? Trying again."))
+            do = self._advice("Was it unplugged? Trying again.")
+            raise LostSensorError(expected(self.name, "frames", came, do))
         return []
+
+    def _advice(self, otherwise: str) -> str:
+        first = first_node(self._config.source)
+        return f"It is a camera's metadata node, or another later one: give source={first}." if first else otherwise
 
 
 def settings_in_order(config: CapturedCameraConfig) -> list[tuple[str, int, float]]:

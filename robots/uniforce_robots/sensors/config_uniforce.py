@@ -13,6 +13,7 @@ from lerobot.cameras.configs import CameraConfig
 
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE, TAXEL_SHAPE, check_finger
 from uniforce_vtla.errors import ContractError, expected, require_one_of
+from uniforce_vtla.options import Range
 from uniforce_vtla.sensors import get_sensor
 
 TURNS = (0, 90, 180, 270)
@@ -63,6 +64,15 @@ class Orientation:
 
 
 SIDEWAYS = (90, 270)  # rotations that make rows of columns
+# Hard limits of what says that a sensor is dead: no config disarms a check, as ``franka.limits`` has it for the robot.
+HARD_LIMITS = {
+    "fps": Range(1, 1000),
+    "max_age_ms": Range(0, 1000, above=True),
+    "connect_ms": Range(0, 60_000, above=True),
+    "frozen_after": Range(2, 100),
+    "reference_samples": Range(3, 500),
+}
+FRAMES_PER_S = 30  # of a camera at most, for that: a stream's real rate isn't known
 
 
 @dataclass(kw_only=True)
@@ -73,14 +83,15 @@ class SampledCameraConfig(CameraConfig):
     source: str = ""  # where it is
     max_age_ms: float = 200.0  # an older sample is refused; 6 frames at 30 fps
     connect_ms: float = 5000.0  # the first sample must come within
-    # equal samples in a row that mean a frozen sensor, 0 never looks. 8: the arm is held .5 s after at most, at 30 fps
+    # equal samples in a row that mean a frozen sensor. 8: the arm is held .5 s after at most, at 30 fps
     frozen_after: int = 8
     # counter-clockwise, below 360; taxels by quarters. See `uniforce touch check=orientation` and check=angle
     rotation_deg: float = 0.0
 
     def __post_init__(self) -> None:
-        if not self.max_age_ms > 0:
-            raise ContractError(expected("max_age_ms", "above 0", self.max_age_ms, "Give milliseconds."))
+        for name, allowed in HARD_LIMITS.items():
+            if (value := getattr(self, name, None)) is not None:
+                allowed.check(name, value)
         if not self.source:
             do = "Set source=/dev/v4l/by-path/… or http://…; for a uSkin its port or host:port."
             raise ContractError(expected("source", "a device", "nothing", do))
@@ -104,6 +115,11 @@ class CapturedCameraConfig(SampledCameraConfig):
     exposure_100us: float | None = None  # locked exposure, 100 µs units; null leaves the camera's automatic
     white_balance_K: float | None = None  # locked; null leaves it
     gain: float | None = None  # locked; null leaves it
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        within_a_second = Range(2, max(2, min(self.fps or FRAMES_PER_S, FRAMES_PER_S)))
+        within_a_second.check("frozen_after", self.frozen_after)
 
     @property
     def label(self) -> str:

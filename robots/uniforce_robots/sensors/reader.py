@@ -13,7 +13,8 @@ import time
 import zlib
 from abc import ABC, abstractmethod
 from collections import deque
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -21,6 +22,7 @@ import numpy as np
 
 from uniforce_robots.sensors import faults
 from uniforce_vtla.errors import ContractError, SensorError, expected
+from uniforce_vtla.options import Range
 
 log = logging.getLogger(__name__)
 NS_PER_MS = 1e6
@@ -65,7 +67,10 @@ class SampleSource(ABC):
 
     def close(self) -> None:
         """Let go of the device; never raises, may be called twice."""
-        self._closing.close()
+        try:
+            self._closing.close()
+        except Exception:  # a driver may raise anything
+            log.exception("%s: its driver failed while it was closed", self.name)
 
     @abstractmethod
     def _connect(self, undo: ExitStack) -> None:
@@ -121,6 +126,10 @@ class ReaderLimits:
     backoff_s: float = 0.1  # first wait before reopening; doubles
     backoff_max_s: float = 2.0
 
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            Range(0, float("inf")).check(name, value)
+
 
 class SampleReader:
     """Reads ``source`` in the background from ``start`` to ``stop``; ``reconnects`` counts its returns from losses."""
@@ -129,7 +138,8 @@ class SampleReader:
         self._source, self._limits = source, limits or ReaderLimits()
         self._kept: deque[Stamped] = deque(maxlen=self._limits.capacity)
         self._changed = threading.Condition()
-        self._stop = threading.Event()
+        self._turn = threading.RLock()  # one start or stop at a time
+        self._stop = threading.Event()  # of the newest start; its thread never sees another one
         self._thread: threading.Thread | None = None
         self._fault: SensorError | None = None
         self._received = self._last_sample_ns = self._last_crc = self._repeats = 0
@@ -143,18 +153,31 @@ class SampleReader:
     @property
     def is_running(self) -> bool:
         """Whether the thread is there; the sensor itself may be lost meanwhile."""
+        return self._has_thread and not self._stop.is_set()
+
+    @property
+    def _has_thread(self) -> bool:
         return self._thread is not None and self._thread.is_alive()
 
     def start(self) -> None:
-        """Open the device here, so that a failure (SensorError) is the caller's, then read on in the background."""
-        if self.is_running:
-            return
-        self._stop.clear()
-        self._fault, self._repeats, before = None, 0, self._received - 1
-        self._source.open()
-        self._last_sample_ns = now_ns()
-        self._thread = threading.Thread(target=self._run, name=f"reader of {self.name}", daemon=True)
-        self._thread.start()
+        """Open the device here, so that a failure (SensorError) is the caller's, then read on in the background.
+
+        Raises LostSensorError: the driver still hangs in a read of before the last ``stop``.
+        """
+        with self._turn:
+            if self.is_running:
+                return
+            if self._has_thread:
+                do = "Replug the device, then try again."
+                raise faults.LostSensorError(expected(self.name, "a driver that returns", "one that hangs", do))
+            self._fault, self._repeats, before = None, 0, self._received - 1
+            with self._translated():
+                self._source.open()
+            self._last_sample_ns = now_ns()
+            self._stop = threading.Event()
+            name = f"reader of {self.name}"
+            self._thread = threading.Thread(target=self._run, args=(self._stop,), name=name, daemon=True)
+            self._thread.start()
         with ExitStack() as undo:
             undo.callback(self.stop)  # a half-connected device would keep its port
             if self._limits.first_ms:
@@ -163,13 +186,14 @@ class SampleReader:
 
     def stop(self) -> None:
         """Stop reading and let go of the device; the samples read so far stay."""
-        self._stop.set()
-        if self._thread is None:
-            return
-        self._thread.join(JOIN_S)
-        if self._thread.is_alive():
-            log.warning("%s: its driver doesn't return; it is closed as soon as it does", self.name)
-        self._thread = None
+        with self._turn:
+            self._stop.set()
+            if self._thread is not None:
+                self._thread.join(JOIN_S)
+            if self._has_thread:
+                log.warning("%s: its driver doesn't return; it is closed as soon as it does", self.name)
+            else:
+                self._thread = None
 
     def newest(self, max_age_ms: float) -> Sample:
         """Return the newest sample without waiting.
@@ -228,16 +252,28 @@ class SampleReader:
 
     # -- the thread -------------------------------------------------------------------------------------
 
-    def _run(self) -> None:
+    def _run(self, stop: threading.Event) -> None:
         try:
-            while not self._stop.is_set():
-                self._read_or_reopen()
+            while not stop.is_set():
+                self._read_or_reopen(stop)
         finally:
             self._source.close()
 
-    def _read_or_reopen(self) -> None:
+    @contextmanager
+    def _translated(self) -> Iterator[None]:
+        """Turn whatever a driver raises into a SensorError."""
         try:
-            self.keep(self._source.read())
+            yield
+        except SensorError:
+            raise
+        except Exception as error:
+            came = f"{type(error).__name__}: {error}"
+            raise faults.LostSensorError(expected(self.name, "a working driver", came, "Replug the device.")) from error
+
+    def _read_or_reopen(self, stop: threading.Event) -> None:
+        try:
+            with self._translated():
+                self.keep(self._source.read())
             silent_s = (now_ns() - self._last_sample_ns) / NS_PER_S
             if silent_s > self._limits.silent_s:
                 do = "Opening it anew; check power, cable and bus."
@@ -247,14 +283,15 @@ class SampleReader:
                 log.warning("%s: %s", self.name, error)
             self._fault = error
             self._source.close()
-            self._reopen()
+            self._reopen(stop)
 
-    def _reopen(self) -> None:
+    def _reopen(self, stop: threading.Event) -> None:
         wait_s = self._limits.backoff_s
-        while not self._stop.wait(wait_s):
+        while not stop.wait(wait_s):
             wait_s = min(2 * wait_s, self._limits.backoff_max_s)
             try:
-                self._source.open()
+                with self._translated():
+                    self._source.open()
             except SensorError as error:
                 self._fault = error
                 continue
@@ -282,7 +319,7 @@ class SampleReader:
 
     def _check_alive(self) -> None:
         if not self.is_running:
-            came = "not connected" if self._thread is None else "its reader died"
+            came = "not connected" if self._thread is None else "one that ends"
             raise faults.LostSensorError(expected(self.name, "a running reader", came, "Call connect()."))
         fault = self._fault
         if fault is not None:

@@ -1,11 +1,13 @@
 """What all our teleoperators share: five absolute axes out, a start on the measured pose, and one kind of error.
 
-The order of an episode: ``start_from(measured)``, then per tick ``send_feedback(measured)`` and ``get_action()``. A
-fault stays until the next ``start_from``: an arm must not go on by itself because a plug found its socket again.
+The order of an episode: ``start_from(measured)``, then per tick ``send_feedback(measured)`` and ``get_action()``.
+
+An arm must not go on by itself because a plug found its socket again, or because a cap was pushed all the while. Two
+rules, here for every device: a fault or a loss, also one that no tick saw, stays until the next ``start_from``; and
+that one refuses a device that isn't at rest. So whatever moves an arm was asked for after the start.
 """
 
 import time
-from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, ClassVar
@@ -38,7 +40,7 @@ class UniforceTeleoperator(Teleoperator):
     """A LeRobot teleoperator whose actions are absolute targets of ``keys.AXES``, robot base frame."""
 
     wants_gains: ClassVar[Gains | None] = None  # stiffness the robot needs meanwhile; None for the robot's own
-    device: Any = None  # what is read, with ``start``, ``stop`` and ``is_running``
+    device: Any = None  # what is read, with ``start``, ``stop``, ``is_running`` and ``reconnects``
     is_calibrated = True  # there is nothing to calibrate
     action_features = feedback_features = dict.fromkeys(AXES, float)  # target and measured axes
 
@@ -50,6 +52,7 @@ class UniforceTeleoperator(Teleoperator):
         self._measured: np.ndarray | None = None
         self._measured_s = self._last_s = 0.0
         self._is_started = False
+        self._reconnects = 0
         self._fault: TeleoperatorError | None = None
 
     def calibrate(self) -> None:
@@ -72,16 +75,21 @@ class UniforceTeleoperator(Teleoperator):
     def start_from(self, measured: Mapping[str, Any] | np.ndarray) -> None:
         """Begin an episode with the target on the measured pose, (5,) or by ``keys.AXES``; forget an earlier fault.
 
-        Raises TeleoperatorError: not connected, the device has a fault, or it stands too far from the robot (``far``).
+        Raises TeleoperatorError: not connected, the device has a fault, it isn't at rest, or it stands too far from the
+        robot (both ``far``).
         """
         self._check_connected()
         axes = checked_axes(measured, "measured pose")
-        self._fault, self._is_started = None, False
+        self._fault, self._is_started, self._reconnects = None, False, self.device.reconnects
         self.integrator.start_from(axes)
         self._measured, self._measured_s = axes, self.clock()
         self._last_s = self._measured_s
         with _translated():
             self._begin(axes)
+            is_at_rest = not self.rates().any()
+        if not is_at_rest:
+            do = "Let go of it, then start."
+            raise TeleoperatorError(expected(self.name, "a device at rest", "a deflected one", do), "far")
         self._is_started = True
 
     def send_feedback(self, feedback: dict[str, Any]) -> None:
@@ -102,6 +110,7 @@ class UniforceTeleoperator(Teleoperator):
         now = self.clock()
         elapsed_s, self._last_s = now - self._last_s, now
         try:
+            self._refuse_lost()
             with _translated():
                 axes = checked_axes(self._next(elapsed_s), f"{self.name}'s target")
         except TeleoperatorError as error:
@@ -125,12 +134,21 @@ class UniforceTeleoperator(Teleoperator):
     def _close(self) -> None:
         self.device.stop()
 
-    @abstractmethod
+    def rates(self) -> np.ndarray:
+        """(5,) wanted speed of each axis as a share of its limit, −1 … 1; zeros at rest."""
+        return np.zeros(len(AXES))
+
     def _next(self, elapsed_s: float) -> np.ndarray:
         """Return the next target (5,)."""
+        return self.integrator.advance(self.rates(), elapsed_s, self.measured)
 
     def _begin(self, measured: np.ndarray) -> None:
         """Latch what an episode starts from; raise where it must not start."""
+
+    def _refuse_lost(self) -> None:
+        if self.device.reconnects != self._reconnects:
+            came, do = "one that was lost and came back", "Start again."
+            raise TeleoperatorError(expected(self.name, "a device that stays", came, do), "connection")
 
     def _check_connected(self) -> None:
         if not self.is_connected:

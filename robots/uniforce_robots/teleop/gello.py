@@ -37,6 +37,7 @@ STALE_MS = 150.0  # an older reading is not followed
 JUMP_rad = 0.35  # a joint that turns further between two readings has slipped or lies
 # m, rad and m of width it may stand from the robot at the start; the target then closes the gap
 START = 0.05, 0.3, 0.03
+MOVED = 0.01, 0.05, 0.005  # the same, beyond which it was moved since the start
 # A GELLO that lies still repeats itself: that is no fault.
 LIMITS = ReaderLimits(capacity=64, frozen_after=0, first_ms=2000.0, silent_s=1.0)
 _BROKEN = (OSError, termios.error, TypeError)  # TypeError: pyserial's descriptor vanished while it read
@@ -72,6 +73,11 @@ def offsets(motor_rad: np.ndarray, signs: np.ndarray, held_rad: np.ndarray) -> n
     Motors are mounted at quarter turns, so that rounding takes out how inexactly a hand holds the posture.
     """
     return np.round((motor_rad - signs * held_rad) / (np.pi / 2)) * (np.pi / 2)
+
+
+def _sizes(gap: np.ndarray) -> tuple[float, float, float]:
+    """Return m, rad and m of width of a difference (5,) of poses."""
+    return float(np.linalg.norm(gap[:3])), abs(shortest_turn(0.0, float(gap[3]))), abs(float(gap[4]))
 
 
 class GelloBus(SampleSource):
@@ -148,7 +154,10 @@ class GelloBus(SampleSource):
 
 
 class UniforceGello(UniforceTeleoperator):
-    """The target follows the GELLO's pose at limited speed; the trigger is the width."""
+    """The target follows the GELLO's pose at limited speed; the trigger is the width.
+
+    A start needs an aligned GELLO; what is left between them closes once it has been moved, not before.
+    """
 
     config_class = UniforceGelloConfig
     name = "uniforce_gello"
@@ -162,19 +171,24 @@ class UniforceGello(UniforceTeleoperator):
             raise ContractError(expected("gello", wanted, came, do))
         self.device = SampleReader(GelloBus(config.port, config.ids, config.baud), LIMITS)
         self._last: np.ndarray | None = None
+        self._start: np.ndarray | None = None  # its pose at the start, until it has left that
 
     def _begin(self, measured: np.ndarray) -> None:
         self._last = None
-        gap = self._pose() - measured
-        turn_rad = shortest_turn(float(measured[3]), float(measured[3] + gap[3]))
-        gaps = float(np.linalg.norm(gap[:3])), abs(turn_rad), abs(float(gap[4]))
+        self._start = self._pose()
+        gap = self._start - measured
+        gaps = _sizes(gap)
         if np.greater(gaps, START).any():
             wanted = "within {:.3f} m, {:.2f} rad, {:.3f} m of width of the robot".format(*START)
             came = "{:.3f} m, {:.2f} rad, {:.3f} m away".format(*gaps)
             raise TeleoperatorError(expected(self.name, wanted, came, "Bring them together, then start."), "far")
 
     def _next(self, elapsed_s: float) -> np.ndarray:
-        return self.integrator.towards(self._pose(), elapsed_s, self.measured)
+        pose = self._pose()
+        if self._start is not None and not np.greater(_sizes(pose - self._start), MOVED).any():
+            return self.integrator.target
+        self._start = None
+        return self.integrator.towards(pose, elapsed_s, self.measured)
 
     def _pose(self) -> np.ndarray:
         """(5,) where the GELLO is, as the robot's axes."""

@@ -10,7 +10,7 @@ import sys
 import termios
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -26,6 +26,7 @@ from uniforce_vtla.keys import AXES
 
 PULSE_S = 0.12  # longer than a keyboard's repeat period (30 to 40 ms), short enough to stop soon
 OTHERS_KEPT = 64  # keys of other meaning that wait to be taken
+TEXT_ENDS = ("enter", "esc")
 X, Y, Z, YAW, WIDTH = range(5)
 WIDTH_KEYS = {"o": (WIDTH, 1), "p": (WIDTH, -1)}  # n, r, q and the arrows are left to a recorder
 KEYS = {
@@ -35,12 +36,21 @@ KEYS = {
 
 
 class TerminalKeys:
-    """Turn keys into speeds of axes; ``meanings``: key → (axis index, direction −1 or 1)."""
+    """Turn keys into speeds of axes; ``meanings``: key → (axis index, direction −1 or 1).
 
-    def __init__(self, meanings: Mapping[str, tuple[int, int]]) -> None:
-        self._meanings = dict(meanings)
+    Capitals mean the same. After the key ``text_begins`` nothing steers up to one of ``TEXT_ENDS``: its owner takes
+    what is typed, and may end it by ``is_text``.
+    """
+
+    reconnects = 0  # a terminal that has gone doesn't come back
+    text_begins: str | None = None
+    is_text = False
+
+    def __init__(self, meanings: Mapping[str, tuple[int, int]], clock: Callable[[], float] = time.monotonic) -> None:
+        self._meanings, self.clock = dict(meanings), clock
         self._others: deque[str] = deque(maxlen=OTHERS_KEPT)
-        self.forget()
+        self._until_s = dict.fromkeys(self._meanings, 0.0)  # when each key counts as let go
+        self._dead: set[str] = set()  # keys that must be let go before they steer again
         self._listener: TerminalKeyListener | None = None
 
     @property
@@ -65,30 +75,44 @@ class TerminalKeys:
 
     def press(self, key: str) -> None:
         """Take one key; called by the listener's thread."""
-        if key.lower() in self._meanings:
-            self._until_s[key.lower()] = time.monotonic() + PULSE_S
+        if self.is_text:
+            self._others.append(key)
+            self.is_text = key not in TEXT_ENDS
+        elif (key := key.lower()) in self._meanings:
+            now_s = self.clock()
+            if now_s >= self._until_s[key]:
+                self._dead.discard(key)
+            self._until_s[key] = now_s + PULSE_S
         else:
             self._others.append(key)
+            self.is_text = key == self.text_begins
+            if self.is_text:
+                self.forget()
 
     def rates(self) -> np.ndarray:
         """(5,) direction of each axis now: −1, 0 or 1; TeleoperatorError where the terminal has gone."""
-        poll = select.poll()
-        poll.register(sys.stdin.fileno(), 0)
-        if any(event & (select.POLLHUP | select.POLLERR | select.POLLNVAL) for _, event in poll.poll(0)):
-            do = "Start the program again."
-            raise TeleoperatorError(expected("keyboard", "a terminal", "one that hung up", do), "connection")
-        rates, now_s = np.zeros(len(AXES)), time.monotonic()
+        if self._listener is not None:
+            _refuse_hung_up()
+        rates, now_s = np.zeros(len(AXES)), self.clock()
         for key, (axis, direction) in self._meanings.items():
-            rates[axis] += direction * (now_s < self._until_s[key])
+            rates[axis] += direction * (now_s < self._until_s[key] and key not in self._dead)
         return np.clip(rates, -1, 1)
 
     def forget(self) -> None:
-        """Drop pulses that still run, so that an episode starts at rest."""
-        self._until_s = dict.fromkeys(self._meanings, 0.0)
+        """Let no key that is held now steer until it was let go, so that an episode starts at rest."""
+        self._dead = set(self._meanings)
 
     def take_others(self) -> list[str]:
-        """Return keys that mean nothing here, e.g. a recorder's own, and forget them."""
+        """Return keys that mean nothing here, e.g. a recorder's own, and forget them; letters small, but in a text."""
         return [self._others.popleft() for _ in range(len(self._others))]
+
+
+def _refuse_hung_up() -> None:
+    poll = select.poll()
+    poll.register(sys.stdin.fileno(), 0)
+    if any(event & (select.POLLHUP | select.POLLERR | select.POLLNVAL) for _, event in poll.poll(0)):
+        do = "Start the program again."
+        raise TeleoperatorError(expected("keyboard", "a terminal", "one that hung up", do), "connection")
 
 
 @TeleoperatorConfig.register_subclass("uniforce_keyboard")
@@ -112,13 +136,14 @@ class UniforceKeyboard(UniforceTeleoperator):
 
     def __init__(self, config: TeleoperatorConfig) -> None:
         super().__init__(config)
-        self.keys = self.device = TerminalKeys(self.meanings)
+        self.keys = self.device = TerminalKeys(self.meanings, lambda: self.clock())
 
     def _begin(self, measured: np.ndarray) -> None:
         self.keys.forget()
 
-    def _next(self, elapsed_s: float) -> np.ndarray:
-        return self.integrator.advance(self.keys.rates(), elapsed_s, self.measured)
+    def rates(self) -> np.ndarray:
+        """(5,) direction of each axis: −1, 0 or 1."""
+        return self.keys.rates()
 
 
 class UniforceHandGuide(UniforceKeyboard):

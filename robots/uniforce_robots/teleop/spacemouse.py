@@ -4,12 +4,13 @@ Not pyspacemouse or hidapi: they open nothing but a real HID node, so none of th
 (pyspacemouse also needs easyhid, which has no wheel).
 """
 
+import logging
 import os
-import re
 import select
 import socket
 import stat
 import struct
+import time
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,15 +18,19 @@ from pathlib import Path
 import numpy as np
 from lerobot.teleoperators import TeleoperatorConfig
 
-from uniforce_robots.sensors.faults import LostSensorError, ProtocolError
+from uniforce_robots.sensors.faults import LostSensorError, ProtocolError, WrongSensorError
 from uniforce_robots.sensors.reader import ReaderLimits, SampleReader, SampleSource, Stamped, now_ns
 from uniforce_robots.teleop.base import UniforceTeleoperator
 from uniforce_robots.teleop.integrator import SteeringConfig
 from uniforce_vtla.errors import TeleoperatorError, expected
 
+log = logging.getLogger(__name__)
+
 SYS_HIDRAW = Path("/sys/class/hidraw")
 # Vendor and product as the kernel writes them: Logitech's SpaceNavigator, 3Dconnexion's family.
 VENDORS = {"0000046D": {"0000C626", "0000C627", "0000C628", "0000C629", "0000C62B"}, "0000256F": None}
+MULTI_AXIS = bytes((5, 1, 9, 8))  # of a report descriptor: page "generic desktop", usage "multi-axis controller"
+MOVE_S = 15.0  # for a person to move the cap that is meant
 REPORT_BYTES = 64
 READ_TIMEOUT_S = 0.05
 BAD_IN_A_ROW = 20  # a third of a second of nothing but nonsense
@@ -33,7 +38,7 @@ DO_PLUG = "Plug it in; give yourself read permission on /dev/hidraw* by a udev r
 FOREVER_MS = 1e12  # a cap at rest is silent until it is touched
 SILENT_S = 0.25  # a deflected cap so long without a report is a dead one; wireless ones send at some 60 Hz
 # A cap at rest sends nothing, and one held still the same: neither silence nor repetition is a fault of the device.
-LIMITS = ReaderLimits(capacity=64, frozen_after=0, first_ms=1000.0, silent_s=float("inf"))
+LIMITS = ReaderLimits(capacity=64, frozen_after=0, first_ms=2000.0, silent_s=float("inf"))
 AXES, BUTTONS = 6, 2  # more buttons exist on some models and mean nothing here
 TURN_ABOUT_Z = 5
 FULL_SCALE = 350.0  # counts at full deflection
@@ -53,14 +58,29 @@ class UniforceSpaceMouseConfig(SteeringConfig):
 
 
 def find_spacemice(folder: Path = SYS_HIDRAW) -> list[str]:
-    """Return the /dev/hidrawN of every SpaceMouse the kernel knows."""
-    found = []
-    for uevent in sorted(folder.glob("*/device/uevent")):
-        ids = re.search(r"^HID_ID=\w+:(\w+):(\w+)$", uevent.read_text(errors="replace").upper(), re.MULTILINE)
-        known = VENDORS.get(ids[1], set()) if ids else set()
-        if ids and (known is None or ids[2] in known):
-            found.append(f"/dev/{uevent.parts[-3]}")
-    return found
+    """Return the /dev/hidrawN of every SpaceMouse the kernel knows; a receiver has several."""
+    return [f"/dev/{node.name}" for node in sorted(folder.glob("*")) if _is_spacemouse(node)]
+
+
+def _node(path: str) -> Path:
+    return SYS_HIDRAW / Path(path).resolve().name
+
+
+def _facts(node: Path) -> dict[str, str]:
+    """Return what the kernel says of a hidraw node, by name: HID_ID, HID_NAME, HID_PHYS; nothing where none is."""
+    uevent = node / "device" / "uevent"
+    lines = uevent.read_text(errors="replace").splitlines() if uevent.is_file() else []
+    return {name: value for name, _, value in (line.partition("=") for line in lines)}
+
+
+def _is_spacemouse(node: Path) -> bool:
+    """Return whether its reports are a multi-axis controller's; where the kernel doesn't say, whether its ids are."""
+    descriptor = node / "device" / "report_descriptor"
+    if descriptor.is_file():
+        return MULTI_AXIS in descriptor.read_bytes()
+    *_, vendor, product = f"::{_facts(node).get('HID_ID', '')}".upper().split(":")
+    known = VENDORS.get(vendor, set())
+    return known is None or product in known
 
 
 class SpaceMouseSource(SampleSource):
@@ -72,46 +92,109 @@ class SpaceMouseSource(SampleSource):
     A thread drains it: reading slower than the device sends would leave a queue in the kernel, and the robot would
     move on for a second after the cap was let go.
 
-    ``device`` is /dev/hidrawN or a local packet socket, empty for the only SpaceMouse there is; ``state`` the newest.
+    A cap at rest is silent, a deflected one reports at its rate: an axis is at rest once it was told so, or once the
+    open device was silent for ``SILENT_S``. Until all axes are known there is no sample.
+
+    ``device`` is /dev/hidrawN or a local packet socket, empty for the one whose cap moves; ``state`` the newest, NaN
+    where unknown.
     """
 
     def __init__(self, device: str = "") -> None:
         super().__init__(f"spacemouse ({device or 'any'})")
         self._device, self.state = device, np.zeros(AXES + BUTTONS)
-        self._fd, self._rest_sent, self._bad_in_a_row = -1, False, 0
+        self._forget()
+        self._fd, self._heard_s, self._bad_in_a_row = -1, 0.0, 0
+        self._place = ""  # USB socket and interface of the one that was moved
 
     def _connect(self, undo: ExitStack) -> None:
-        """Open the device; raises LostSensorError where there is none, several, or no permission."""
-        found = [self._device] if self._device else find_spacemice()
-        if len(found) != 1:
-            do = DO_PLUG if not found else "Name one: device=/dev/hidrawN."
-            raise LostSensorError(expected(self.name, "one SpaceMouse", found or "none", do))
+        """Open the device.
+
+        Raises LostSensorError: none there, no permission, several and none moves; WrongSensorError: no SpaceMouse.
+        """
+        path = self._device or self._only_one()
+        facts = _facts(_node(path))
+        if facts and not _is_spacemouse(_node(path)):  # numbers of hidraw nodes change with every boot
+            do = "Leave device empty, or name the SpaceMouse's own node."
+            raise WrongSensorError(expected(self.name, "a SpaceMouse", facts.get("HID_NAME", path), do))
         try:
-            self._fd = _open(found[0])
+            self._fd = _open(path)
         except OSError as error:
             raise LostSensorError(expected(self.name, "a device to read", error, DO_PLUG)) from error
         undo.callback(os.close, self._fd)
-        self.state[:], self._rest_sent, self._bad_in_a_row = 0, False, 0
+        self._forget()
+        self._heard_s, self._bad_in_a_row = time.monotonic(), 0
+
+    def _only_one(self) -> str:
+        """Return the path of the SpaceMouse; of several nodes, as a receiver has, the one whose cap is moved."""
+        places = {path: _facts(_node(path)).get("HID_PHYS", path) for path in find_spacemice()}
+        found = [path for path, place in places.items() if self._place in ("", place)]
+        if not found:
+            raise LostSensorError(expected(self.name, "a SpaceMouse", "none", DO_PLUG))
+        if len(found) > 1:
+            found = [self._moved(found)]
+            self._place = places[found[0]]
+        return found[0]
+
+    def _moved(self, paths: list[str]) -> str:
+        """Return the node that reports while a person moves the cap."""
+        names = {path: _facts(_node(path)) for path in paths}
+        listed = ", ".join(f"{path} ({f.get('HID_NAME')}, {f.get('HID_PHYS')})" for path, f in names.items())
+        log.warning("%s: move the cap within %g s, to choose of %s", self.name, MOVE_S, listed)
+        nodes: dict[int, str] = {}
+        came: object = "none that moves"
+        with ExitStack() as opened:
+            for path in paths:
+                try:
+                    fd = _open(path)
+                except OSError as error:
+                    came = error
+                    continue
+                opened.callback(os.close, fd)
+                nodes[fd] = path
+            deadline_s = time.monotonic() + MOVE_S
+            while nodes and time.monotonic() < deadline_s:
+                for fd in select.select(list(nodes), [], [], READ_TIMEOUT_S)[0]:
+                    if self._moves(fd):
+                        return nodes[fd]
+        do = "Name the one that is the SpaceMouse, device=/dev/hidrawN, and give yourself permission to read it."
+        raise LostSensorError(expected(self.name, "a cap that is moved", f"{came}, at {listed}", do))
+
+    def _moves(self, fd: int) -> bool:
+        """Return whether a report says that the cap is moved."""
+        self._forget()
+        try:
+            self.feed(_report(fd))
+        except OSError:
+            time.sleep(READ_TIMEOUT_S)  # at its end it is always ready to be read
+        return bool(np.nan_to_num(self.state).any())
+
+    def _forget(self) -> None:
+        self.state[:AXES], self.state[AXES:] = np.nan, 0  # a button that is held reports when it is let go
 
     def read(self) -> list[Stamped]:
-        """Return the newest state if anything came; at first the state of rest, since a cap at rest is silent."""
-        if not self._rest_sent:
-            self._rest_sent = True
-            return [Stamped(now_ns(), self.state.copy())]
-        if not select.select([self._fd], [], [], READ_TIMEOUT_S)[0]:
-            return []
+        """Return the newest state if something came, or silence said something, and all of it is known."""
+        if select.select([self._fd], [], [], READ_TIMEOUT_S)[0]:
+            is_news = self._take_next()
+        else:
+            unknown = np.isnan(self.state)
+            is_news = bool(unknown.any()) and time.monotonic() - self._heard_s > SILENT_S
+            self.state[unknown & is_news] = 0
+        return [Stamped(now_ns(), self.state.copy())] if is_news and not np.isnan(self.state).any() else []
+
+    def _take_next(self) -> bool:
+        """Take the next report; return whether it was understood."""
         try:
-            report = os.read(self._fd, REPORT_BYTES)  # hidraw and packet sockets: one read is one report
-            if not report:
-                raise OSError("its end")
+            report = _report(self._fd)
         except OSError as error:
             raise LostSensorError(expected(self.name, "a readable device", error, "Was it unplugged?")) from error
         understood = self.feed(report)
+        if understood:
+            self._heard_s = time.monotonic()
         self._bad_in_a_row = 0 if understood else self._bad_in_a_row + 1
         if self._bad_in_a_row >= BAD_IN_A_ROW:
             came, do = f"{BAD_IN_A_ROW} unknown ones in a row", "Is this the right hidraw device?"
             raise ProtocolError(expected(self.name, "reports of a SpaceMouse", came, do))
-        return [Stamped(now_ns(), self.state.copy())] if understood else []
+        return understood
 
     def feed(self, report: bytes) -> bool:
         """Take one report, its id in the first byte; return whether it was understood."""
@@ -135,6 +218,14 @@ class SpaceMouseSource(SampleSource):
         return bool(values) or (report_id > 3 and bool(body))
 
 
+def _report(fd: int) -> bytes:
+    """Return one report; raises OSError where the device is gone."""
+    report = os.read(fd, REPORT_BYTES)  # hidraw and packet sockets: one read is one report
+    if not report:
+        raise OSError("its end")
+    return report
+
+
 def _open(path: str) -> int:
     if not stat.S_ISSOCK(os.stat(path).st_mode):
         return os.open(path, os.O_RDONLY | os.O_NONBLOCK)
@@ -152,14 +243,6 @@ class UniforceSpaceMouse(UniforceTeleoperator):
     def __init__(self, config: UniforceSpaceMouseConfig) -> None:
         super().__init__(config)
         self.device = SampleReader(SpaceMouseSource(config.device), LIMITS)
-
-    def _begin(self, measured: np.ndarray) -> None:
-        if np.abs(self._deflection()).max() > 0:
-            do = "Let go of the cap, then start."
-            raise TeleoperatorError(expected(self.name, "a cap at rest", "a deflected one", do), "far")
-
-    def _next(self, elapsed_s: float) -> np.ndarray:
-        return self.integrator.advance(self.rates(), elapsed_s, self.measured)
 
     def rates(self) -> np.ndarray:
         """(5,) wanted speed of each axis, −1 … 1; SensorError where the device is lost."""
