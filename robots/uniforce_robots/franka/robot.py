@@ -107,7 +107,7 @@ class UniforceFranka(Robot):
 
     def _connect_all(self) -> None:
         self._arm.connect()
-        self._hand = hand = Hand(self._hand_client, self.config.gripper)
+        self._hand = hand = Hand(self._hand_client, self.config.gripper, self._clock)
         hand.start()
         if any(finger.reference_on_connect for finger in self.config.fingers.values()):
             require_open(hand.reading, self.config.open_width_m)

@@ -21,6 +21,7 @@ from uniforce_robots.teleop.integrator import TargetIntegrator
 from uniforce_vtla.errors import SensorError, TeleoperatorError, expected
 from uniforce_vtla.keys import AXES
 
+GAP_S = 0.15  # without a call, after which the robot may have come to rest: its watchdog waits 0.2 s
 FEEDBACK_AGE_S = 0.2  # an older measured pose is not where the robot is; its own watchdog has the same
 
 
@@ -52,6 +53,7 @@ class UniforceTeleoperator(Teleoperator):
         self._measured: np.ndarray | None = None
         self._measured_s = self._last_s = 0.0
         self._is_started = False
+        self._must_rest = False  # what is pushed now was pushed before a gap: it steers once it was let go
         self._reconnects = 0
         self._fault: TeleoperatorError | None = None
 
@@ -81,6 +83,7 @@ class UniforceTeleoperator(Teleoperator):
         self._check_connected()
         axes = checked_axes(measured, "measured pose")
         self._fault, self._is_started, self._reconnects = None, False, self.device.reconnects
+        self._must_rest = False
         self.integrator.start_from(axes)
         self._measured, self._measured_s = axes, self.clock()
         self._last_s = self._measured_s
@@ -112,6 +115,8 @@ class UniforceTeleoperator(Teleoperator):
         try:
             self._refuse_lost()
             with _translated():
+                if elapsed_s > GAP_S:
+                    self._begin_again()
                 axes = checked_axes(self._next(elapsed_s), f"{self.name}'s target")
         except TeleoperatorError as error:
             self._fault = error
@@ -140,7 +145,17 @@ class UniforceTeleoperator(Teleoperator):
 
     def _next(self, elapsed_s: float) -> np.ndarray:
         """Return the next target (5,)."""
-        return self.integrator.advance(self.rates(), elapsed_s, self.measured)
+        rates = self.rates()
+        self._must_rest = self._must_rest and bool(rates.any())
+        return self.integrator.advance(rates * (not self._must_rest), elapsed_s, self.measured)
+
+    def _begin_again(self) -> None:
+        """Put the target on the measured pose after a gap: the robot rests, and an old wish must not move it on."""
+        measured = self.measured
+        if measured is not None:
+            self.integrator.start_from(measured)
+            self._begin(measured)
+        self._must_rest = True
 
     def _begin(self, measured: np.ndarray) -> None:
         """Latch what an episode starts from; raise where it must not start."""

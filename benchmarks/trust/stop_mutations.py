@@ -1,0 +1,133 @@
+"""Would the sessions notice a broken stop? Each mutation breaks one place of a copy of the robots' package."""
+
+import importlib.util
+import logging
+import multiprocessing
+import shutil
+import sys
+import tempfile
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from tqdm import tqdm
+
+from benchmarks.ledger import update
+from uniforce_cli.boundary import command
+from uniforce_vtla.errors import ContractError, expected
+
+PACKAGE = Path(str(importlib.util.find_spec("uniforce_robots").origin)).parent  # type: ignore[union-attr]
+SESSIONS = 250  # at most; most breaks are seen within ten
+HAND, STREAM, ROBOT, POSES = "franka/hand.py", "franka/stream.py", "franka/robot.py", "franka/poses.py"
+GUARDS, BASE, KEYS, INTEGRATOR = "franka/guards.py", "teleop/base.py", "teleop/keyboard.py", "teleop/integrator.py"
+SESSION, EPISODE = "recorder/session.py", "recorder/episode.py"
+MUTATIONS: dict[str, tuple[str, str, str]] = {  # name: file, what stands there, what is put in its place
+    "hand: goes on after a stop": (HAND, "self._stop_wanted = True", "pass"),
+    "hand: keeps the wish over a stop": (
+        HAND,
+        "        self._wish_m = None\n        self._stop_wanted",
+        "        self._stop_wanted",
+    ),
+    "hand: goes on at the end of a stream": (STREAM, 'self._stop_one("hand", self._hand.halt)', "pass"),
+    "hand: a hold is the arm's alone": (STREAM, "            self._hand.stop()\n", "            pass\n"),
+    "stream: no watchdog": (STREAM, "            self.hold()\n            log", "            log"),
+    "stream: keeps the target over a hold": (STREAM, "        self._rest_wanted = True\n", ""),
+    "stream: moves a stopped arm": (STREAM, "        refuse_stopped(state)\n", ""),
+    "tilt: levelled at once": (STREAM, "LEVEL_rad_m * way_m)", "1.0)"),
+    "tilt: not measured": (POSES, "yaw_rad, _tilt(rotation))", "yaw_rad)"),
+    "box: stay drives back": (
+        GUARDS,
+        "np.minimum(self.limits.low, start), np.maximum(self.limits.high, start)",
+        "self.limits.low, self.limits.high",
+    ),
+    "robot: faults not latched": (
+        ROBOT,
+        "            self._fault = fault\n            self._stream.halt(fault)",
+        "            pass",
+    ),
+    "robot: a hold does nothing": (ROBOT, "            self._stream.hold()\n", "            pass\n"),
+    "teleop: begins with a pushed cap": (BASE, "is_at_rest = not self.rates().any()", "is_at_rest = True"),
+    "teleop: a plug that came back is none": (BASE, "self._refuse_lost()\n            with", "with"),
+    "teleop: the last target goes on": (
+        INTEGRATOR,
+        "self._target = np.array(measured, dtype=np.float64)\n        self._low",
+        'self._target = getattr(self, "_target", np.array(measured, dtype=np.float64))\n        self._low',
+    ),
+    "keyboard: held keys go on": (KEYS, "        self._dead = set(self._meanings)", "        pass"),
+    "keyboard: a note steers": (
+        KEYS,
+        "if self.is_text:\n",
+        "if self.is_text and key.lower() not in self._meanings:\n",
+    ),
+    "session: a fault is forgotten at once": (SESSION, "        self._is_off = True\n", ""),
+    "session: begins without a hold": (
+        SESSION,
+        "            driving = self._drive(driving)\n        self._parts.rig.hold()",
+        "            driving = self._drive(driving)",
+    ),
+    "episode: a pause holds nothing": (
+        EPISODE,
+        "        self._pauses += 1\n        parts.rig.hold()",
+        "        self._pauses += 1",
+    ),
+    "episode: an end holds nothing": (EPISODE, "        self._parts.rig.hold()\n        if fault", "        if fault"),
+    "episode: goes on where it paused": (
+        EPISODE,
+        "            self._parts.steering.start_from(axes)",
+        "            pass",
+    ),
+}
+
+
+@dataclass
+class StopMutationsConfig:
+    """Break one place of the stop logic at a time; count the breaks that the sessions notice.
+
+    Example: python -m benchmarks.trust.stop_mutations out=docs/results/trust.json
+    """
+
+    only: str = ""  # part of the names to try; all when empty
+    out: str = "outputs/trust.json"  # the result file; only its key ``stop_mutations`` changes
+
+
+def notice(name: str) -> str:
+    """Return the first thing that moved on a package with this mutation, "" for a survivor; needs a fresh process."""
+    file, old, new = MUTATIONS[name]
+    logging.disable(logging.CRITICAL)
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(shutil.copytree(PACKAGE, Path(folder) / PACKAGE.name))
+        text = (copy / file).read_text()
+        if text.count(old) != 1:
+            raise ContractError(expected(name, f"{old!r} once in {file}", text.count(old), "Mend the table."))
+        (copy / file).write_text(text.replace(old, new))
+        sys.path.insert(0, folder)  # the copy is found before the package itself
+        from benchmarks.trust.stop_sessions import explore
+        from benchmarks.trust.stop_world import SimWorld
+
+        tried = sys.modules["uniforce_robots"].__file__ or ""
+        if not tried.startswith(folder):
+            raise ContractError(expected(name, f"sessions on the copy in {folder}", tried, "Is it preloaded?"))
+        try:
+            explore(SESSIONS, SimWorld)
+        except AssertionError as error:
+            return str(error).partition("\n")[0]
+        return ""
+
+
+@command(StopMutationsConfig)
+def main(config: StopMutationsConfig) -> int:
+    """Try all, write the table, print the survivors; 1 where there are any."""
+    names = [name for name in MUTATIONS if config.only in name]
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(2, mp_context=context, max_tasks_per_child=1) as pool:
+        found = tqdm(pool.map(notice, names), total=len(names), desc="mutations")
+        table = dict(zip(names, found, strict=True))
+    survivors = [name for name, found in table.items() if not found]
+    row = {"tried": len(table), "noticed": len(table) - len(survivors), "survivors": survivors, "table": table}
+    path = update(Path(config.out), "stop_mutations", row)
+    print(f"{row['noticed']} of {row['tried']} noticed; survivors: {survivors or 'none'}; written to {path}")
+    return int(bool(survivors))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
