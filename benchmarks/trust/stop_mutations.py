@@ -56,8 +56,8 @@ MUTATIONS: dict[str, tuple[str, str, str]] = {  # name: file, what stands there,
     "keyboard: held keys go on": (KEYS, "        self._dead = set(self._meanings)", "        pass"),
     "keyboard: a note steers": (
         KEYS,
-        "if self.is_text:\n",
-        "if self.is_text and key.lower() not in self._meanings:\n",
+        "        if self.is_text:\n            self._others",
+        "        if self.is_text and key not in self._meanings:\n            self._others",
     ),
     "session: a fault is forgotten at once": (SESSION, "        self._is_off = True\n", ""),
     "session: begins without a hold": (

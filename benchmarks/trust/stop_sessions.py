@@ -98,7 +98,8 @@ class SessionRig(Rig):
         self.facts = RigFacts("sessions", FPS, {"left": "tactip", "right": "tactip"}, {}, paced=True)
         self._world = world
         self.fault: Exception | None = None
-        self.stall_s = 0.0
+        self.stall_ticks = 0  # for which the next observation waits
+        self.meanwhile: Callable[[], None] = lambda: None  # what the person does each tick of a stall
 
     def now_s(self) -> float:
         """Return the world's time."""
@@ -118,10 +119,12 @@ class SessionRig(Rig):
 
     def observe(self) -> Observation:
         """Return the axes, late or not at all where that was asked for."""
-        stall_s, self.stall_s = self.stall_s, 0.0
-        if stall_s:
+        if self.stall_ticks:
             self._world.watch.stopped("a stall", self._world.clock())
-            self._world.sleep(stall_s)
+        for _ in range(self.stall_ticks):
+            self.meanwhile()
+            self._world.sleep(1 / FPS)
+        self.stall_ticks = 0
         if self.fault is not None:
             raise self.fault
         return Observation(self.now_s(), self.axes(), {}, {})
@@ -181,10 +184,14 @@ class Person(KeyOperator):
             self.word.release()
             self.answer.acquire()
         self.ticks -= 1
+        self.repeat_held()
+        return super().poll(phase)
+
+    def repeat_held(self) -> None:
+        """Press what is held down once more, as a terminal does."""
         for key in [key for key, left in self.held.items() if left > 0]:
             self._keys.press(key)
             self.held[key] -= 1
-        return super().poll(phase)
 
     def wait(self, ticks: int) -> None:
         """Let the session run for some ticks; called by the other thread."""
@@ -208,6 +215,7 @@ class Session:
             self.teleop.device = self.cap = Cap()
         keys.start = lambda: setattr(keys, "_listener", None)  # type: ignore[method-assign]
         self.keys, self.person = keys, Person(world, keys)
+        self.rig.meanwhile = self.person.repeat_held
         self.interrupts = Interrupts()
         self.end: SessionEnd | None = None
         self.crash: BaseException | None = None
@@ -439,11 +447,11 @@ class StopMachine(RuleBasedStateMachine):
         self._wait(ticks)
 
     @precondition(lambda self: self.session)
-    @rule(stall_s=st.sampled_from([0.15, 0.4, 1.0]), ticks=TICKS)
-    def stall(self, stall_s: float, ticks: int) -> None:
-        """Let the next observation take long."""
+    @rule(long=st.sampled_from([8, 15, 30]), ticks=TICKS)
+    def stall(self, long: int, ticks: int) -> None:
+        """Let the next observation take longer than the robot waits for an action."""
         assert self.session is not None
-        self.session.rig.stall_s = stall_s
+        self.session.rig.stall_ticks = long
         self._wait(ticks)
 
     @precondition(lambda self: self.session)
@@ -464,7 +472,7 @@ class StopMachine(RuleBasedStateMachine):
             self._stop(how)
             self.world.order(how)
         elif how == "stall":
-            session.rig.stall_s = 0.5
+            session.rig.stall_ticks = 15
         elif how == "sensor":
             self.see(SensorError("lost"), 1)
             session.rig.fault = None
