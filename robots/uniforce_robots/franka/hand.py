@@ -142,7 +142,7 @@ class Hand:
             raise self._fault
         self._client.refuse_closed()
         if self.is_busy and self._clock() > self._deadline_s:
-            came, do = f"an answer to {self._last}", "Is something in its way? Free it, then connect again."
+            came, do = f"an answer to {self._last or 'a stop'}", "Is something in its way? Free it, then connect again."
             raise RobotError(expected("hand", came, "none in time", do), "hand_deadline")
         self._refuse_old()
         held_s, reading = self._held_s, self._reading

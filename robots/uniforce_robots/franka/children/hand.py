@@ -21,6 +21,7 @@ class Loop:
     def __init__(self, client: Any, gripper: Any) -> None:
         self.client, self.gripper = client, gripper
         self.future: Any = None
+        self.is_stopping = False
         self.ordered_s = 0.0
 
     def run(self) -> None:
@@ -30,14 +31,19 @@ class Loop:
             for order in todo:
                 self.ordered_s = time.monotonic()
                 self.obey(order)
-            self.stop_when_alone()
+            if self.future is not None and (self.is_stopping or self.is_alone()):
+                self.stop()  # again and again: one that came before the command was on its way is lost
             self.say_outcome()
-        if self.future is not None:
+        end_s = time.monotonic() + END_s
+        while self.future is not None and time.monotonic() < end_s:
             self.stop()
-            self.future.wait(END_s)
+            if self.future.wait(POLL_s):
+                return
 
     def obey(self, order: dict) -> None:
         """Take one order: a grasp, a move, a stop, or a sign that the parent is there."""
+        if order["do"] in ("grasp", "move"):
+            self.is_stopping = False
         match order["do"]:
             case "grasp":
                 widths = order["inner_m"], order["outer_m"]
@@ -50,22 +56,21 @@ class Loop:
 
     def stop(self) -> None:
         """Stop the fingers where they are."""
+        self.is_stopping = True
         try:
             self.gripper.stop()
         except self.client.CommandException as error:
             common.say("error", fault="connection", text=f"the hand does not stop: {error}")
 
-    def stop_when_alone(self) -> None:
-        """Stop the fingers, once, when the parent has fallen silent while they move."""
-        if self.future is not None and time.monotonic() - self.ordered_s > common.SILENCE_s:
-            self.ordered_s = float("inf")
-            self.stop()
+    def is_alone(self) -> bool:
+        """Return whether the parent has fallen silent."""
+        return time.monotonic() - self.ordered_s > common.SILENCE_s
 
     def say_outcome(self) -> None:
         """Report how the command ended; one that is refused or stopped has not succeeded."""
         if self.future is None or not self.future.wait(0):
             return
-        future, self.future = self.future, None
+        future, self.future, self.is_stopping = self.future, None, False
         try:
             succeeded = bool(future.get())
         except self.client.CommandException:
