@@ -19,7 +19,7 @@ from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka import robot as robot_module
 from uniforce_robots.franka.arm import ArmSetup, ArmState
 from uniforce_robots.franka.clients import HandCommand, HandReading
-from uniforce_robots.franka.limits import StreamSettings
+from uniforce_robots.franka.limits import HandSettings, StreamSettings
 from uniforce_robots.franka.stream import ArmStream
 from uniforce_robots.standins.fci.process import StandIn
 from uniforce_vtla.errors import RobotError
@@ -30,6 +30,9 @@ STILL_m, STILL_rad = 0.001, np.radians(1.0)
 READING_s = 0.1  # between two readings of the hand
 GUIDED_m_s = np.array([-0.1, 0.05, -0.02])  # how a person leads the arm by hand, out of its box soon
 WIDEST_m = 0.08
+# Slow, so that what goes on after a stop goes on for long: an arm that was at its target at once would hide it.
+ARM_m_s, ARM_rad_s = 0.04, 0.15
+FINGERS = HandSettings(speed_m_s=0.02)
 
 
 class Watch:
@@ -78,7 +81,7 @@ class Watch:
 
 
 class SimArm:
-    """An arm that goes to its target as fast as it may; a person can stop, block, lead and tilt it."""
+    """An arm that goes slowly to its target; a person can stop, block, lead and tilt it."""
 
     def __init__(self, world: "SimWorld") -> None:
         self._world = world
@@ -128,10 +131,10 @@ class SimArm:
         if self.target is None or self.mode not in ("idle", "move") or self.is_blocked:
             return
         way = self.target[:3, 3] - self.pose[:3, 3]
-        reach_m = 1.0 * TICK_s
+        reach_m = ARM_m_s * TICK_s
         self.pose[:3, 3] += way * min(1.0, reach_m / max(float(np.linalg.norm(way)), 1e-9))
         turn = Rotation.from_matrix(self.target[:3, :3] @ self.pose[:3, :3].T)
-        share = min(1.0, 1.5 * TICK_s / max(float(turn.magnitude()), 1e-9))
+        share = min(1.0, ARM_rad_s * TICK_s / max(float(turn.magnitude()), 1e-9))
         self.pose[:3, :3] = (turn**share).as_matrix() @ self.pose[:3, :3]
 
 
@@ -232,7 +235,7 @@ class SimWorld:
         backend = mock.patch.object(robot_module, "make_backend", lambda config: (self.arm, self.hand))
         self._ending.enter_context(backend)
         self._ending.enter_context(mock.patch.object(robot_module, "ArmStream", TickedStream))
-        config = UniforceFrankaConfig(id="sessions", calibration_dir=Path(folder))
+        config = UniforceFrankaConfig(id="sessions", calibration_dir=Path(folder), gripper=FINGERS)
         self.robot = UniforceFranka(config, self.clock)
 
     def clock(self) -> float:
@@ -305,6 +308,7 @@ class StandInWorld:
             calibration_dir=Path(self._folder.name),
             address=address,
             stream=patient,
+            gripper=FINGERS,
             connect_deadline_s=30.0,
         )
         self.robot = UniforceFranka(config)

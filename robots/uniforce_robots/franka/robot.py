@@ -257,6 +257,8 @@ class UniforceFranka(Robot):
         if missing:
             raise RobotError(expected("action", AXES, f"{missing} missing", "Send all five."), "action")
         wanted = np.array([_number(axis, action[axis]) for axis in AXES])
+        if stream.rests:  # what was sent before the rest is no place to go on from
+            self.guards.reset()
         sent = self.guards(wanted, self.measured(), self._clock())
         stream.submit(ToolPose(sent[:3], float(sent[3])))
         hand.submit(float(sent[4]))

@@ -157,6 +157,11 @@ class ArmStream:
         if self._hand is not None:
             self._hand.stop()
 
+    @property
+    def rests(self) -> bool:
+        """Whether the arm is held where it is, by a hold or by the watchdog, or had no action yet."""
+        return self._ramp is None or self._rest_wanted or self._holding
+
     def _check(self) -> None:
         if self.fault is not None:
             raise self.fault

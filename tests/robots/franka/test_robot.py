@@ -3,7 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import draccus
@@ -346,6 +346,15 @@ def test_a_stop_stops_the_fingers_too(moving, hand, eventually) -> None:
     time.sleep(0.05)
     assert len(hand.commands) == 1, "the closing that was wished is forgotten"
     assert moving.stored_facts()["load_kg"] == 0.0
+
+
+def test_after_the_watchdog_a_wish_to_stay_stays(robot, arm, eventually) -> None:
+    robot.config.stream = replace(robot.config.stream, stale_s=0.1)
+    robot.connect()
+    arm.follows = False
+    robot.send_action(action(0.02, 0.05))
+    eventually(lambda: robot.guard_counts["watchdog"] == 1)
+    assert robot.send_action(robot.get_observation()) == pytest.approx(action()), "nothing of the old target"
 
 
 def test_holding_refuses_nothing_afterwards(robot: UniforceFranka) -> None:
