@@ -7,8 +7,8 @@ newtons), so a blind policy could hold a press without touch; and the network mu
 command, because commanded − measured predicts the press.  Hence the base is added outside the network.
 
 Targets that follow targets run away from an arm that is held back, and it would go there once it is free. So each one
-issued stays within a leash of the measured pose. With the arm's springs that bounds the force of a blocked policy:
-stiffness × min(leash, clip), 800 N/m × 18 mm = 14.4 N along each axis by default.
+issued stays within a leash of the measured pose. With the arm's springs that bounds the force of a blocked policy,
+stiffness × min(leash, clip) per axis: by default 18 mm × 2,000 N/m = 36 N in x and y, 18 mm × 800 N/m = 14.4 N in z.
 """
 
 import math

@@ -130,11 +130,13 @@ class PI05UniforcePolicy(stock.PI05Policy):
         config: PI05UniforceConfig | None = None,
         revision: str | None = None,
         local_files_only: bool = False,
+        warm: bool = True,
         **kwargs: Any,
     ) -> PI05UniforcePolicy:
         """Load a checkpoint; every file must be as it was saved, every tensor fit, and nothing be left over.
 
-        ``config.verify`` says how files are compared with their hashes.
+        ``config.verify`` says how files are compared with their hashes. ``warm``: answer once before a robot is
+        connected, unless training data in ``kwargs`` say that the policy isn't to act.
 
         Raises CheckpointError: missing, changed or damaged files, tensors that don't fit, touch settings that differ.
         """
@@ -161,7 +163,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
         if policy.model.tactile_encoder is not None:
             check_hash(policy.model.tactile_encoder, config)
         policy.to(config.device).eval()
-        if not kwargs:  # loaded to act, and not to be trained on what ``kwargs`` tell of
+        if warm and not kwargs.keys() & {"dataset_stats", "dataset_meta"}:
             policy.warm_up()
         return policy
 
