@@ -135,7 +135,11 @@ class Rig:
         cameras: dict[str, Any] = {
             name: UniforceSceneCameraConfig(source=stand_in.address, **scene) for name, stand_in in self.cameras.items()
         }
-        cameras["tactile_left"] = UniforceUskinConfig(finger="left", source=self.uskin.address)
+        cameras["tactile_left"] = UniforceUskinConfig(
+            finger="left",
+            source=self.uskin.address,
+            max_age_ms=200.0,  # as the cameras': 100 ms end a rollout on a busy machine
+        )
         cameras["tactile_right"] = UniforceTactileCameraConfig(
             sensor="tactip",
             finger="right",
@@ -270,7 +274,7 @@ def trial(name: str, rig: Rig) -> Trial:
         learnt_s = time.monotonic()
         rig.over.set()
         breaker.join()
-        if breaker.at_ms is None:
+        if breaker.at_ms is None or learnt_s < breaker.at_s:
             raise RuntimeError(f"{name}: the rollout ended by itself: {named} {message}")
         return Trial(name, named, message, hold_s(fci, breaker.at_ms), round(learnt_s - breaker.at_s, 3))
 
