@@ -46,7 +46,8 @@ START = dict(zip(AXES, (0.495, -0.02, 0.06, 0.0, 0.08), strict=True))  # where t
 NEAR_m, LEAD_s = 0.01, 30.0
 SWAY_m, SWAY_s, Y = 0.015, 1.0, AXES.index("y.pos")  # up to 0.09 m/s
 STEP_s = 1 / 30
-UNDER_WAY_s = (0.7, 1.5)  # the arm has moved for so long before something fails
+BEGUN_steps = 15  # of the policy: what it answers before the robot is connected is a tenth of them
+UNDER_WAY_s = (0.7, 1.5)  # then the arm goes on for so long before something fails
 NOTICE_s = 6.0  # the rollout goes on for so long, if nobody notices
 LAG_s = (0.35, 0.04)  # of a stream that lags: silent, alive
 FREE = ("rest_s=2", "press_s=0")  # nothing is touched
@@ -237,24 +238,21 @@ class Breaker(threading.Thread):
     def __init__(self, rig: Rig, kind: Kind) -> None:
         super().__init__(daemon=True)
         self._rig, self._kind = rig, kind
-        self.at_ms: int | None = None  # the robot's own clock
+        self.at_ms: int | None = None  # the robot's own clock; None: nothing was broken
         self.at_s = 0.0
 
     def run(self) -> None:
         """Wait, break, note when."""
-        if not self._moves():
+        while self._rig.sway.steps < BEGUN_steps:
+            if self._rig.over.wait(STEP_s):
+                return
+        if self._rig.over.wait(random.uniform(*UNDER_WAY_s)):
             return
-        self._rig.over.wait(random.uniform(*UNDER_WAY_s))
-        look = self._rig.fci.do("look")["arm"]
+        while (look := self._rig.fci.do("look")["arm"])["held_since_ms"] is not None:  # it turns round
+            if self._rig.over.wait(STEP_s):
+                return
         self.at_ms, self.at_s = look["milliseconds"], time.monotonic()
         self._kind.breaks(self._rig)
-
-    def _moves(self) -> bool:
-        before = self._rig.fci.do("look")["arm"]["last_moving_ms"]
-        while not self._rig.over.wait(STEP_s):
-            if self._rig.sway.steps and self._rig.fci.do("look")["arm"]["last_moving_ms"] != before:
-                return True
-        return False
 
 
 def trial(name: str, rig: Rig) -> Trial:
@@ -274,7 +272,7 @@ def trial(name: str, rig: Rig) -> Trial:
         learnt_s = time.monotonic()
         rig.over.set()
         breaker.join()
-        if breaker.at_ms is None or learnt_s < breaker.at_s:
+        if breaker.at_ms is None or learnt_s < breaker.at_s + STEP_s:
             raise RuntimeError(f"{name}: the rollout ended by itself: {named} {message}")
         return Trial(name, named, message, hold_s(fci, breaker.at_ms), round(learnt_s - breaker.at_s, 3))
 
