@@ -27,6 +27,7 @@ from lerobot_policy_pi05_uniforce.action import (
 from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE, SPAN_FLOOR, floor_quantiles
+from lerobot_policy_pi05_uniforce.warm_up import made_up_batch
 from uniforce_vtla.errors import ContractError, RolloutError
 from uniforce_vtla.keys import ACTION
 
@@ -442,6 +443,21 @@ def test_the_target_of_a_blocked_arm_does_not_run_away_and_goes_on_at_once_when_
         assert ((blocked - batch[MEASURED_STATE]).abs() <= LEASH + 1e-6).all()
     batch[MEASURED_STATE] = batch[MEASURED_STATE] + torch.tensor([0, 0.01, 0, 0, 0])
     assert 0 < float((policy.select_action(batch) - blocked)[0, 1]) < 0.0101
+
+
+def test_the_controllers_chunks_stay_on_the_leash_of_a_blocked_arm(monkeypatch) -> None:
+    controller = PolicyController(shipped_checkpoint(), {"left": "gelsight", "right": "tactip"})
+    controller.policy.touch.monitors.clear()
+    ahead = torch.zeros(1, 1, 5)
+    ahead[..., 1] = 1.0  # y
+    fixed_deltas(controller.policy, monkeypatch, ahead)
+    at = torch.tensor([[0.5, 0.0, 0.05, 0.0, 0.04]])
+    batch = made_up_batch(controller.config, torch.device("cpu")) | {MEASURED_STATE: at}
+    later = STRIDE * (controller.config.n_action_steps - 1)  # of a look the last action
+    for _ in range(100):
+        lead = np.abs(controller._issue(batch) - at.numpy())
+        assert (lead[0] <= LEASH.numpy() + 1e-6).all()
+        assert (lead <= LEASH.numpy() * (1 + later) + 1e-6).all()
 
 
 @pytest.mark.parametrize("leash", [[0.02] * 4, [0.0, 0.02, 0.02, 0.2, 0.03], [math.inf] * 5])
