@@ -290,13 +290,13 @@ def hold_s(fci: HostileStandIn, broken_ms: int) -> float:
 def begun_trial(name: str, rig: Rig) -> Trial:
     """Return a trial; what a starved machine stopped, before the fault or for another reason, is tried again, counted.
 
-    The last of ``STARTS`` counts, whatever came of it; RuntimeError: it never began.
+    The last of ``STARTS`` counts, whatever came of it; RuntimeError, RobotError: it never began.
     """
     for starved in range(STARTS):
         with Sleeper() as sleeper:
             try:
                 found = replace(trial(name, rig), starved=starved)
-            except RuntimeError as error:
+            except (RuntimeError, FaultError) as error:
                 print(f"not begun: {error}", file=sys.stderr)
                 if starved == STARTS - 1:
                     raise
