@@ -47,6 +47,7 @@ properties: setup
 faults: setup
 	$(PY) -m benchmarks.trust.hostile times=10 out=docs/results/trust.json
 	$(PY) -m benchmarks.trust.stop_sessions out=docs/results/trust.json
+	$(PY) -m benchmarks.trust.rollout_faults times=10 out=docs/results/trust.json
 
 fuzz: setup
 	UNIFORCE_FUZZ_INPUTS=$${UNIFORCE_FUZZ_INPUTS:-100000} UNIFORCE_FUZZ_FILES=$${UNIFORCE_FUZZ_FILES:-2000} \

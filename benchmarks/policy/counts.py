@@ -109,7 +109,7 @@ def main(folder: str) -> None:
     """Load the checkpoint, read every page of it, and print how many bytes the process's peak rose."""
     torch.set_num_threads(1)
     before = _status("VmRSS")
-    policy = PI05UniforcePolicy.from_pretrained(folder)
+    policy = PI05UniforcePolicy.from_pretrained(folder, warm=False)
     for parameter in policy.parameters():
         float(parameter.detach().sum())
     print(_status("VmHWM") - before)

@@ -348,8 +348,8 @@ class StopMachine(RuleBasedStateMachine):
         """Hold a steering key down for a while."""
         session, now_s = self.session, self.world.clock()
         assert session is not None
-        free = all(left <= 0 for left in session.person.held.values())
-        rested = now_s - max(self.last_press_s.values(), default=0.0) > PULSE_TICKS / FPS
+        free = session.person.held.get(key, 0) <= 0
+        rested = now_s - self.last_press_s.get(key, 0.0) > PULSE_TICKS / FPS
         if free and rested and session.is_live and self._is_well:
             self.watch.wished()
         session.person.held[key] = down
@@ -521,6 +521,7 @@ class StopMachine(RuleBasedStateMachine):
     @rule(teleop=st.sampled_from(sorted(TELEOPS)))
     def begin_session(self, teleop: str) -> None:
         """Begin another session with the robot as it is."""
+        self.robot.hold()  # as whoever drove it before does at its end
         self._stop("a new session")
         self.last_press_s.clear()
         self.session = Session(self.world, teleop)

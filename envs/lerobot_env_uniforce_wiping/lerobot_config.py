@@ -13,7 +13,7 @@ from uniforce_vtla.keys import ACTION, AXES, CAMERAS, STATE, TACTILE_KEYS, camer
 
 GYM_ID = "uniforce_wiping/WipeWhiteboard-v0"
 if GYM_ID not in gymnasium.registry:
-    gymnasium.register(GYM_ID, entry_point="lerobot_env_uniforce_wiping.env:WipeEnv")
+    gymnasium.register(GYM_ID, entry_point="lerobot_env_uniforce_wiping.aborted:make_scene")
 
 
 def _features() -> dict[str, PolicyFeature]:

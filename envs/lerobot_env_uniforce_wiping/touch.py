@@ -1,6 +1,8 @@
 """Contact truth of a pad → its marker image: contact model, raw frame, canonicalizer, as the worn unit has them."""
 
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import cv2
@@ -13,6 +15,7 @@ from uniforce_vtla.contact import free_air
 from uniforce_vtla.contact.indenters import flat_face_gap
 from uniforce_vtla.contact.worn import STALL_EVERY, WornSensor, WornView
 from uniforce_vtla.contracts import ContactState, Finger
+from uniforce_vtla.errors import SensorError
 
 TOUCHING_N = 0.02  # below this the pad counts as in free air
 
@@ -42,7 +45,8 @@ class PadImages:
 
     def __init__(self, sensor: WornSensor, finger: Finger, seed: int) -> None:
         self.finger, self._worn = finger, sensor
-        self._view = WornView(sensor, seed=2 * seed + (finger == "right"), stream=True)
+        with self._named():
+            self._view = WornView(sensor, seed=2 * seed + (finger == "right"), stream=True)
         self._past: deque[Load] = deque(maxlen=sensor.lag_steps + 1)
         self._late = np.zeros(4)
         self._steps = 0
@@ -69,8 +73,17 @@ class PadImages:
         contact = pad_contact(self._past[0], sim, self.finger)
         if not self._view.simulator.faces_object(contact)[0]:  # forces are the step's mean: the eraser left within it
             contact = free_air(1)
-        self._shown = cv2.cvtColor(self._view.images(contact)[0], cv2.COLOR_GRAY2RGB)
+        with self._named():
+            self._shown = cv2.cvtColor(self._view.images(contact)[0], cv2.COLOR_GRAY2RGB)
         return self._shown
+
+    @contextmanager
+    def _named(self) -> Iterator[None]:
+        """Say which sensor it was that gave no picture."""
+        try:
+            yield
+        except SensorError as error:
+            raise SensorError(f"{self._worn.kind} on the {self.finger} finger: {error}") from error
 
 
 def pad_contact(load: Load, sim: WipeSimulation, finger: Finger) -> ContactState:

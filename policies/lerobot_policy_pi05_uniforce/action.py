@@ -5,11 +5,17 @@ Why: with a hidden board height and stiffness, force control is an increment on 
 relative to the *measured* pose would be a force command by itself (impedance turns commanded − measured into
 newtons), so a blind policy could hold a press without touch; and the network must not see the last
 command, because commanded − measured predicts the press.  Hence the base is added outside the network.
+
+Targets that follow targets run away from an arm that is held back, and it would go there once it is free. So each one
+issued stays within a leash of the measured pose. With the arm's springs that bounds the force of a blocked policy,
+stiffness × min(leash, clip) per axis: by default 18 mm × 2,000 N/m = 36 N in x and y, 18 mm × 800 N/m = 14.4 N in z.
 """
 
+import math
+import sys
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import torch
@@ -18,7 +24,11 @@ from torch import Tensor, nn
 
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import ActionSettings
 from uniforce_vtla.errors import ContractError, RolloutError, expected
+from uniforce_vtla.keys import AXES
 
+YAW = AXES.index("yaw.pos")
+STRIDE = 0.4  # of the leash per step since the pose was measured: 8 mm, the robot's 0.25 m/s; free motion isn't cut
+MARGIN, LEAST_ROOM = 0.5, 0.05  # around the demos: of an axis' span, and m or rad where it hardly moved
 LARGEST_LEAP = 10.0  # of ``delta_scale`` in one control step: 40 mm in x, 0.5 rad; demos stay below 2
 
 
@@ -83,10 +93,12 @@ class IssuedTarget:
 
     def __init__(self, steps: int = 0) -> None:
         self._targets: deque[Tensor] = deque(maxlen=steps + 1)
+        self.asked: Tensor | None = None  # (B, A) of the network, before the leash; a chunk's steps follow each other
 
     def reset(self) -> None:
         """Forget all targets."""
         self._targets.clear()
+        self.asked = None
 
     def record(self, target: Tensor) -> None:
         """Remember (B, A) targets just handed out."""
@@ -119,6 +131,7 @@ class IssuedTarget:
 def check_axes(state_size: int, action_size: int, settings: ActionSettings) -> None:
     """Raise ContractError unless state, action and what ``settings`` give per axis describe the same axes."""
     scale, knee, bounds = settings.delta_scale, settings.delta_knee, settings.target_range
+    leash = settings.leash
     fit = [len(bound) for bound in bounds] == [len(scale)] * 2
     if bounds and not (fit and all(low <= high for low, high in zip(*bounds, strict=True))):
         do = "Two lists, [[lowest per axis], [highest per axis]], or [] for none."
@@ -130,6 +143,9 @@ def check_axes(state_size: int, action_size: int, settings: ActionSettings) -> N
     if knee and (len(knee) != len(scale) or min(knee) < 0):
         do = "Give one per axis, 0 where moves stay linear, or [] for none."
         raise ContractError(expected("delta_knee", f"{len(scale)} numbers from 0 on", knee, do))
+    if settings.form == "target_delta" and not (len(leash) == len(scale) and all(0 < way < math.inf for way in leash)):
+        do = "Give one per axis: how far a target may lead the measured pose."
+        raise ContractError(expected("leash", f"{len(scale)} numbers above 0", leash, do))
 
 
 def check_leap(target: Tensor, last: Tensor | None, scale: Tensor) -> None:
@@ -144,6 +160,41 @@ def check_leap(target: Tensor, last: Tensor | None, scale: Tensor) -> None:
         raise RolloutError(expected(f"change of target, axis {axis}", wanted, came, "Hold the robot."))
 
 
+def on_leash(target: Tensor, measured: Tensor, leash: Tensor, steps: int = 0) -> Tensor:
+    """Return (B, A) targets no farther from the measured pose than the leash; those within it stay bit-equal.
+
+    Args:
+        target: (B, A) that would be issued.
+        measured: (B, A) pose.
+        leash: (A,) largest lead of each axis.
+        steps: control steps since the pose was measured; a free arm has moved on meanwhile.
+    """
+    lead = target - measured
+    if target.shape[-1] == len(AXES):  # the shorter way round
+        lead[:, YAW] = torch.remainder(lead[:, YAW] + math.pi, 2 * math.pi) - math.pi
+    longest = leash * (1 + STRIDE * steps)
+    return torch.where(lead.abs() > longest, measured + lead.clamp(-longest, longest), target)
+
+
+def stops_outside(where: str) -> bool:
+    """Return whether an action outside the demos stops here; LeRobot's rollout is its only loop on a robot."""
+    return where == "always" or (where == "robot" and "lerobot.rollout" in sys.modules)
+
+
+def check_within(
+    action: Tensor, low: Tensor, high: Tensor, margin: float = MARGIN, least_room: float = LEAST_ROOM
+) -> None:
+    """Raise RolloutError where an action (…, A) lies outside (A,) ``low`` … ``high``, widened by ``margin``."""
+    room = (margin * (high - low)).clamp_min(least_room)
+    outside = ((action < low - room) | (action > high + room)).flatten(0, -2).any(dim=0)
+    if bool(outside.any()):
+        axis = int(outside.nonzero()[0])
+        came = action.flatten(0, -2)[:, axis].tolist()
+        wanted = f"within {float((low - room)[axis]):.3f} … {float((high + room)[axis]):.3f}"
+        do = "Hold the robot; nothing like it was ever demonstrated. Start where the demonstrations did."
+        raise RolloutError(expected(f"action, axis {axis}", wanted, came, do))
+
+
 @ProcessorStepRegistry.register(name="uniforce_check_action")
 @dataclass
 class CheckActionStep(PolicyActionProcessorStep):
@@ -156,12 +207,13 @@ class CheckActionStep(PolicyActionProcessorStep):
     # per axis, as the robot takes it; []: only finite is asked
     low: list[float] = field(default_factory=list)
     high: list[float] = field(default_factory=list)
-    margin: float = 0.5  # of the span
-    least_room: float = 0.05  # m or rad on each side of an axis that the demos hardly moved
+    margin: float = MARGIN  # of the span
+    least_room: float = LEAST_ROOM  # m or rad on each side of an axis that the demos hardly moved
+    where: str = "always"  # as ``ActionSettings.stop_outside_demos``
 
     def get_config(self) -> dict[str, Any]:
         """Return what is saved with the policy."""
-        return {"low": self.low, "high": self.high, "margin": self.margin, "least_room": self.least_room}
+        return asdict(self)
 
     def action(self, action: Tensor) -> Tensor:
         """Return the action (…, A) unchanged.
@@ -171,17 +223,11 @@ class CheckActionStep(PolicyActionProcessorStep):
         if not bool(action.isfinite().all()):
             do = "Hold the robot; the policy or its input is broken."
             raise RolloutError(expected("action", "finite numbers", "NaN or inf", do))
-        if not self.low:
+        if not self.low or not stops_outside(self.where):
             return action
-        low, high = (torch.tensor(bound, dtype=action.dtype) for bound in (self.low, self.high))
-        room = (self.margin * (high - low)).clamp_min(self.least_room)
-        outside = ((action.cpu() < low - room) | (action.cpu() > high + room)).flatten(0, -2).any(dim=0)
-        if bool(outside.any()):
-            axis = int(outside.nonzero()[0])
-            came = action.flatten(0, -2)[:, axis].tolist()
-            wanted = f"within {float((low - room)[axis]):.3f} … {float((high + room)[axis]):.3f}"
-            do = "Hold the robot; nothing like it was ever demonstrated."
-            raise RolloutError(expected(f"action, axis {axis}", wanted, came, do))
+        low = torch.tensor(self.low, dtype=action.dtype)
+        high = torch.tensor(self.high, dtype=action.dtype)
+        check_within(action.cpu(), low, high, self.margin, self.least_room)
         return action
 
     def transform_features(self, features: Any) -> Any:

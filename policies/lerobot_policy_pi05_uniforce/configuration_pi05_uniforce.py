@@ -18,6 +18,7 @@ _BY_SIZE: Any = None
 
 # settings of who loads a checkpoint, not of who wrote it: stored at these values alone
 NEVER_STORED = {"verify": "full", "monitor": "stop", "left_calibration": "", "right_calibration": ""}
+FORMERLY = {"true": "always", "false": "robot"}  # action.stop_outside_demos
 ENCODED = ("latent", "newtons")  # touch inputs that come from the frozen tokenizer
 CHOICES = {
     "size": ("tiny", "base"),
@@ -28,6 +29,7 @@ CHOICES = {
     "touch.on_sensor_loss": ("error", "mask"),
     "action.form": ("target_delta", "absolute"),
     "action.objective": ("flow", "regression"),
+    "action.stop_outside_demos": ("robot", "always", "never"),
     "sampler.kind": ("fast", "eager", "stock"),
 }
 
@@ -79,8 +81,13 @@ class ActionSettings:
     # 0 = not given. As many as n_action_steps, or more
     previous_steps: int = _BY_SIZE
     previous_axes: list[int] = _BY_SIZE  # its axes; [] = all
-    # True: an action far outside the demos' range stops the rollout with an error. For a robot; NaN always stops
-    stop_outside_demos: bool = False
+    # target_delta: how far each axis of an issued target may lead the measured pose, m, m, m, rad, m; as a
+    # teleoperator's. Just above the arm's clip of 18 mm, beyond which no force grows
+    leash: list[float] = field(default_factory=lambda: [0.02, 0.02, 0.02, 0.2, 0.03])
+    # An action far outside the demos' range ends the rollout with an error. "robot": in LeRobot's rollout on one |
+    # "always": in a scene too | "never". NaN always stops. Older checkpoints say true, which is "always", or false,
+    # which was never asked for: "robot"
+    stop_outside_demos: str = "robot"
 
 
 @dataclass
@@ -162,6 +169,8 @@ class PI05UniforceConfig(PI05Config):
             owner, name = self._owner(path)
             if getattr(owner, name) is None:
                 setattr(owner, name, copy.deepcopy(value))
+        stop = str(self.action.stop_outside_demos)
+        self.action.stop_outside_demos = FORMERLY.get(stop.lower(), stop)
         self.image_resolution = (self.image_resolution[0], self.image_resolution[1])  # lists come from JSON
         for path, known in CHOICES.items():
             came = getattr(*self._owner(path))

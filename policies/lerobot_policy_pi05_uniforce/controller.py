@@ -117,8 +117,9 @@ class PolicyController:
         return targets
 
     def _issue(self, batch: dict[str, Any]) -> np.ndarray:
-        steps = [self._after(self.policy.select_action(batch)) for _ in range(self.config.n_action_steps)]
-        return torch.cat(steps).numpy()
+        count = self.config.n_action_steps
+        targets = [self._after(self.policy.select_action(batch, steps)) for steps in range(count)]
+        return torch.cat(targets).numpy()
 
     @torch.no_grad()
     def predict(self, observation: dict[str, Any], task: str, noise: torch.Tensor) -> np.ndarray:

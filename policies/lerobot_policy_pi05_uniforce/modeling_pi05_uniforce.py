@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 import math
+import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
@@ -24,6 +26,7 @@ from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE,
 from lerobot_policy_pi05_uniforce.touch.controls import ControlInput, NewtonInput
 from lerobot_policy_pi05_uniforce.touch.encoder import ENCODER, check_hash, is_packaged
 from lerobot_policy_pi05_uniforce.touch.touch_input import TouchInput, build_monitors, load_calibrations
+from lerobot_policy_pi05_uniforce.warm_up import LANGUAGE, WARM_LOOKS, made_up_batch
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.file_hashes import drop_hashes
 from uniforce_vtla.json_file import read_object
@@ -32,7 +35,8 @@ from uniforce_vtla.markers import MARKER_IMAGES
 
 logger = logging.getLogger(__name__)
 
-LANGUAGE = ("observation.language.tokens", "observation.language.attention_mask")
+# LeRobot's real-time chunking gives them
+RTC_ARGUMENTS = frozenset(("prev_chunk_left_over", "inference_delay", "execution_horizon"))
 
 
 class PI05UniforcePolicy(stock.PI05Policy):
@@ -70,12 +74,29 @@ class PI05UniforcePolicy(stock.PI05Policy):
         action.check_axes(state_size(config), self._action_size, config.action)
         self.issued = action.IssuedTarget(config.action.previous_steps)
         self.register_buffer("delta_scale", torch.tensor(units[0]), persistent=False)
+        self.register_buffer("leash", torch.tensor(config.action.leash), persistent=False)
         self.network_units = action.NetworkUnits(*units, chunk=config.chunk_size)
         bounds = config.action.target_range or [[-math.inf], [math.inf]]
         self.register_buffer("target_range", torch.tensor(bounds), persistent=False)
         if not empty:
             self.to(config.device)
         self.reset()
+
+    def supports_rtc(self) -> bool:
+        """Return whether LeRobot's real-time chunking fits: it feeds back absolute actions, which no deltas are."""
+        return self.config.action.form == "absolute"
+
+    def init_rtc_processor(self) -> None:
+        """Take ``config.rtc_config`` in; ContractError where actions are deltas."""
+        if self._rtc_enabled():
+            self._refuse_rtc("rtc_config")
+        super().init_rtc_processor()
+
+    def _refuse_rtc(self, came: str) -> None:
+        """Refuse real-time chunking of deltas: it also bypasses ``select_action``, which bounds leaps and leads."""
+        if not self.supports_rtc():
+            do = "Set inference.type=sync and leave rtc_config out, or train with action.form=absolute."
+            raise ContractError(expected("actions as target_delta", "no real-time chunking", came, do))
 
     def _make_touch_input(self) -> TouchInput:
         config, encoder = self.config, self.model.tactile_encoder
@@ -109,11 +130,13 @@ class PI05UniforcePolicy(stock.PI05Policy):
         config: PI05UniforceConfig | None = None,
         revision: str | None = None,
         local_files_only: bool = False,
+        warm: bool = True,
         **kwargs: Any,
     ) -> PI05UniforcePolicy:
         """Load a checkpoint; every file must be as it was saved, every tensor fit, and nothing be left over.
 
-        ``config.verify`` says how files are compared with their hashes.
+        ``config.verify`` says how files are compared with their hashes. ``warm``: answer once before a robot is
+        connected, unless training data in ``kwargs`` say that the policy isn't to act.
 
         Raises CheckpointError: missing, changed or damaged files, tensors that don't fit, touch settings that differ.
         """
@@ -139,7 +162,34 @@ class PI05UniforcePolicy(stock.PI05Policy):
         weights.fill(policy, weights.find(source, weights.WEIGHTS, *at), fresh=packaged)
         if policy.model.tactile_encoder is not None:
             check_hash(policy.model.tactile_encoder, config)
-        return policy.to(config.device).eval()
+        policy.to(config.device).eval()
+        if warm and not kwargs.keys() & {"dataset_stats", "dataset_meta"}:
+            policy.warm_up()
+        return policy
+
+    @torch.no_grad()
+    def warm_up(self) -> None:
+        """Answer made-up observations, so that the first real ones don't wait for what is compiled or read once.
+
+        A robot that is connected already would see a dead controller. Neither generators nor an episode are touched.
+        """
+        begun = time.perf_counter()
+        batch = made_up_batch(self.config, self.leash.device)
+        devices = [self.leash.device] if self.leash.is_cuda else []
+        with torch.random.fork_rng(devices=devices):
+            for _ in range(WARM_LOOKS):
+                self.predict_action_chunk(batch)
+        self.reset()
+        logger.info("policy warmed up in %.1f s, before any robot moves", time.perf_counter() - begun)
+
+    def _apply(self, fn: Callable[..., Any], recurse: bool = True) -> Self:
+        """Move every tensor, those of touch too: maps and ranges of sensors are no modules of this one."""
+        before = self.leash.device
+        super()._apply(fn, recurse)
+        if self.leash.device != before:
+            self.touch.to(self.leash.device)
+            self.reset()
+        return self
 
     def _save_pretrained(self, save_directory: Path, state_dict: dict[str, Tensor] | None = None) -> None:
         """Write config, weights (a tactile tokenizer that isn't the package's among them) and a model card.
@@ -250,7 +300,12 @@ class PI05UniforcePolicy(stock.PI05Policy):
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
-        """Return (B, chunk, A) actions for the postprocessor: absolute targets whatever the action form."""
+        """Return (B, chunk, A) actions for the postprocessor: absolute targets whatever the action form.
+
+        Raises ContractError: arguments of real-time chunking, where actions are deltas.
+        """
+        if (chunking := RTC_ARGUMENTS & kwargs.keys()) or self._rtc_enabled():
+            self._refuse_rtc(", ".join(sorted(chunking)) or "rtc_config")
         self._notice_adapters()
         tokens, mask = self._text(batch)
         batch = {**batch, LANGUAGE[0]: tokens, LANGUAGE[1]: mask}
@@ -280,14 +335,32 @@ class PI05UniforcePolicy(stock.PI05Policy):
         return self.config.sampler.noise_scale * self.model.sample_noise(shape, device)
 
     @torch.no_grad()
-    def select_action(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
-        """Return the next (B, A) action and remember it; RolloutError where target deltas leap: nothing is issued."""
+    def select_action(self, batch: dict[str, Tensor], steps: int = 0, **kwargs: Any) -> Tensor:
+        """Return the next (B, A) action and remember it.
+
+        Args:
+            batch: preprocessed observations.
+            steps: control steps since they were made; LeRobot observes at each one, which is 0.
+            kwargs: LeRobot's own, without effect here.
+
+        Raises RolloutError: target deltas leap, or the arm is far outside the demos; nothing is issued.
+        """
+        before = self.issued.asked if self._action_queue else self.issued.last
         # a queued action needs no network, and LeRobot's look at every module's mode takes milliseconds
         target = self._action_queue.popleft() if self._action_queue else super().select_action(batch)
         if self.config.action.form == "target_delta":
-            action.check_leap(target, self.issued.last, self.delta_scale)
+            target = self._bounded(target, before, self._measured(batch), steps)
         self.issued.record(target)
         return target
+
+    def _bounded(self, target: Tensor, before: Tensor | None, measured: Tensor, steps: int) -> Tensor:
+        """Return a (B, A) target on its leash, so that the next chunk doesn't wind up; raises as ``select_action``."""
+        action.check_leap(target, before, self.delta_scale)
+        bounded = action.on_leash(target, measured, self.leash, steps)
+        if action.stops_outside(self.config.action.stop_outside_demos):
+            action.check_within(bounded, *self.target_range)
+        self.issued.asked = target
+        return bounded
 
     def train(self, mode: bool = True) -> Self:
         """Set the mode of every module; LeRobot asks for evaluation at every step, which costs milliseconds each."""

@@ -158,6 +158,6 @@ def make_pi05_uniforce_pre_post_processors(
     after = [
         UnnormalizerProcessorStep(features=config.output_features, **norm),
         DeviceProcessorStep(device="cpu"),
-        CheckActionStep(*(read_target_range(stats) if config.action.stop_outside_demos else [])),
+        CheckActionStep(*read_target_range(stats), where=config.action.stop_outside_demos),
     ]
     return make_policy_processor_pipelines(input_steps=before, output_steps=after)

@@ -5,6 +5,7 @@ phase but of another scene.
 """
 
 import functools
+import logging
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ from uniforce_vtla.evaluation.rollout import Controller, Rollout, roll_out
 from uniforce_vtla.keys import TACTILE_NAMES, tactile_name
 from uniforce_vtla.results_file import write_json
 
+log = logging.getLogger(__name__)
 SCRIPTS: dict[str, Callable[[], Script]] = {"expert": WipeExpert}
 
 DONOR_SEED = 50_000  # scenes that are neither trained on nor scored
@@ -66,9 +68,12 @@ def score_job(index: int, config: ScoreConfig, seed: int) -> tuple[int, EpisodeR
     film = seed < config.first_seed + config.videos or seed in config.film
     torch.manual_seed(seed)  # the policy's own noise is part of the paired seed
     rollout = roll_out(env, controller, seed, keep_frames=film)
-    if film:
+    if film and rollout.frames:  # none of an episode that never began
         _keep(rollout, config)
-    return index, row_of(rollout)
+    row = row_of(rollout)
+    if row.outcome == "aborted":
+        log.warning("scene %d is aborted: %s", seed, rollout.result.reasons[0])
+    return index, row
 
 
 @functools.lru_cache(maxsize=64)  # arms take turns, and training seeds within them

@@ -97,7 +97,7 @@ def _load(source: Path) -> PI05UniforcePolicy:
     read_object(source / "config.json", CheckpointError)  # a damaged one is named before anything is logged
     adapter = _read(source / ADAPTER)
     if adapter is None:
-        policy = PI05UniforcePolicy.from_pretrained(source)
+        policy = PI05UniforcePolicy.from_pretrained(source, warm=False)
     else:
         policy = _merged(source, adapter["base_model_name_or_path"])
     return policy
@@ -112,7 +112,7 @@ def _merged(source: Path, base: str) -> PI05UniforcePolicy:
     from lerobot_policy_pi05_uniforce import PI05UniforcePolicy, weights
 
     weights.check_files(source, "full", None, local_files_only=True)
-    policy = PeftModel.from_pretrained(PI05UniforcePolicy.from_pretrained(base), source).merge_and_unload()
+    policy = PeftModel.from_pretrained(PI05UniforcePolicy.from_pretrained(base, warm=False), source).merge_and_unload()
     policy.config = PreTrainedConfig.from_pretrained(source)
     policy.config.use_peft = False
     return policy

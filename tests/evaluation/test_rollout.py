@@ -7,28 +7,39 @@ import pytest
 from episode_samples import good_trace
 
 from uniforce_vtla.errors import RolloutError, SensorError
-from uniforce_vtla.evaluation.episode import EpisodeResult, score_episode
+from uniforce_vtla.evaluation.arms import row_of
+from uniforce_vtla.evaluation.episode import EpisodeResult, EpisodeTrace, empty_trace, score_episode
 from uniforce_vtla.evaluation.rollout import roll_out
+
+LOST = SensorError("right finger: no picture")
 
 
 class Scene:
-    """Ten steps; its sensor is lost at ``lost_at``."""
+    """Ten steps; ``fails`` is raised by the method ``at``, once that many steps were taken."""
 
     task = "wipe"
 
-    def __init__(self, lost_at: int = 99) -> None:
-        self.trace, self.moved, self._lost_at = good_trace(), 0, lost_at
+    def __init__(
+        self, at: str = "", steps: int = 0, fails: Exception = LOST, trace: EpisodeTrace | None = None
+    ) -> None:
+        self.trace, self.moved = trace or good_trace(), 0
+        self._at, self._steps, self._fails = at, steps, fails
+
+    def _may_fail(self, here: str) -> None:
+        if here == self._at and self.moved >= self._steps:
+            raise self._fails
 
     def reset(self, *, seed: int) -> tuple[dict[str, Any], dict[str, Any]]:
+        self._may_fail("reset")
         return {}, {}
 
     def advance(self, action: np.ndarray) -> bool:
+        self._may_fail("advance")
         self.moved += 1
         return self.moved == 10
 
     def observe(self) -> dict[str, Any]:
-        if self.moved >= self._lost_at:
-            raise SensorError("right finger: no picture")
+        self._may_fail("observe")
         return {}
 
     def result(self) -> EpisodeResult:
@@ -64,16 +75,24 @@ def test_an_episode_runs_to_its_end() -> None:
 @pytest.mark.parametrize(
     ("scene", "controller", "moved", "why"),
     [
-        (Scene(lost_at=4), Looks(), 4, "no picture"),
+        (Scene("observe", 4), Looks(), 4, "no picture"),
+        (Scene("advance", 3), Looks(), 3, "no picture"),
+        (Scene("reset"), Looks(), 0, "no picture"),
+        (Scene("observe", trace=empty_trace()), Looks(), 2, "no picture"),
+        (Scene(trace=empty_trace()), Looks(1, LOST), 0, "no picture"),
         (Scene(), Looks(3, SensorError("not healthy")), 4, "not healthy"),
+        (Scene(), Looks(2, RolloutError("nothing like it was ever demonstrated")), 2, "demonstrated"),
+        (Scene("advance", fails=RolloutError("the target is held")), Looks(), 0, "held"),
     ],
 )
-def test_a_sensor_that_is_lost_or_not_healthy_stops_the_robot_and_aborts(
+def test_whatever_stops_the_robot_aborts_the_episode_and_makes_a_row(
     scene: Scene, controller: Looks, moved: int, why: str
 ) -> None:
-    result = roll_out(scene, controller, seed=3).result
+    rollout = roll_out(scene, controller, seed=3)
+    result, row = rollout.result, row_of(rollout)
     assert result.outcome == "aborted" and why in result.reasons[0] and not result.clean
     assert scene.moved == moved
+    assert (row.seed, row.code, row.clean) == (3, "a", False) and np.isfinite(row.residual)
 
 
 @pytest.mark.parametrize("odd", [np.full((2, 5), np.nan), np.zeros((2, 4)), np.zeros((0, 5))])

@@ -1,4 +1,7 @@
 import json
+import math
+import sys
+from contextlib import nullcontext
 from types import SimpleNamespace
 
 import numpy as np
@@ -6,19 +9,25 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from lerobot.policies.rtc.configuration_rtc import RTCConfig
+from lerobot.rollout.inference.rtc import supports_rtc_inference
 from properties import examples
 
 from lerobot_policy_pi05_uniforce import PI05UniforcePolicy, make_pi05_uniforce_pre_post_processors
 from lerobot_policy_pi05_uniforce.action import (
+    STRIDE,
     CheckActionStep,
     IssuedTarget,
     NetworkUnits,
+    on_leash,
     previous_move,
     to_deltas,
     to_targets,
 )
 from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
+from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE, SPAN_FLOOR, floor_quantiles
+from lerobot_policy_pi05_uniforce.warm_up import made_up_batch
 from uniforce_vtla.errors import ContractError, RolloutError
 from uniforce_vtla.keys import ACTION
 
@@ -63,7 +72,9 @@ def test_chunks_continue_from_the_last_command_of_each_row(make_policy, make_bat
     a = [policy.select_action(first) for _ in range(2)]
     move = rows * policy.network_units.unit[1]  # of the second step
     assert torch.allclose(a[1], first[MEASURED_STATE] + move, atol=1e-6)
-    elsewhere = make_batch(policy)  # the measured state moved: it must not matter any more
+    elsewhere = make_batch(policy)
+    # the measured state moved, within the leash: it must not matter any more
+    elsewhere[MEASURED_STATE] = first[MEASURED_STATE] + 0.01 * torch.rand(2, 5)
     b = policy.select_action(elsewhere)
     assert torch.allclose(b, a[1] + move / 2, atol=1e-6)
     policy.select_action(elsewhere)
@@ -354,24 +365,149 @@ def test_an_axis_the_demos_never_moved_has_some_room() -> None:
         still.action(torch.tensor([[0.26]]))
 
 
-def test_unless_asked_a_poor_policy_is_scored_not_stopped(make_config, stats) -> None:
-    _, after = make_pi05_uniforce_pre_post_processors(make_config(), stats)
-    after(torch.tensor([[0.5, 0.0, 5.0, 0.0, 0.04]]))
+# setting, whether LeRobot's rollout runs → whether an action outside the demos stops. A bool is of older checkpoints
+WHERE = [("robot", True, True), ("robot", False, False), ("always", False, True), ("never", True, False)]
+FORMERLY = [(False, True, True), (False, False, False), (True, False, True)]
+
+
+@pytest.mark.parametrize(("stop", "on_robot", "stops"), [*WHERE, *FORMERLY])
+@pytest.mark.parametrize("form", ["absolute", "target_delta"])
+def test_outside_the_demos_a_robot_stops_and_a_poor_policy_in_a_scene_is_scored(
+    stop, on_robot, stops, form, make_policy, make_batch, stats, monkeypatch
+) -> None:
+    if on_robot:
+        monkeypatch.setitem(sys.modules, "lerobot.rollout", SimpleNamespace())
+    else:
+        monkeypatch.delitem(sys.modules, "lerobot.rollout", raising=False)
+    bounds = [list(stats["action"][name]) for name in ("min", "max")]
+    more = {"action__target_range": bounds, "action__stop_outside_demos": stop}
+    policy = make_policy(touch__input="none", action__form=form, **more)
+    _, after = make_pi05_uniforce_pre_post_processors(policy.config, stats)
+    far = torch.tensor([[0.5, 0.0, 5.0, 0.0, 0.04]])
+    batch = make_batch(policy, size=1) | {MEASURED_STATE: far}
+
+    def act() -> None:
+        after(far if form == "absolute" else policy.select_action(batch))
+
+    with pytest.raises(RolloutError, match="axis 2") if stops else nullcontext():
+        act()
     with pytest.raises(RolloutError, match="finite"):
-        after(torch.tensor([[0.5, 0.0, float("nan"), 0.0, 0.04]]))
+        after(torch.full((1, 5), torch.nan))
 
 
-def test_the_first_target_may_leap_and_a_later_one_issues_nothing(make_policy, make_batch, monkeypatch) -> None:
+def test_the_first_target_is_led_and_a_later_leap_issues_nothing(make_policy, make_batch, monkeypatch) -> None:
     policy = make_policy(touch__input="none", n_action_steps=3)
     deltas = torch.zeros(1, policy.config.chunk_size, 5)
     growth = policy.network_units.unit[:3, 0] / policy.delta_scale[0]
     deltas[0, :3, 0] = torch.tensor([99.0, 108.0, 119.0]) / growth  # of delta_scale, from the chunk's base
     fixed_deltas(policy, monkeypatch, deltas)
     batch = make_batch(policy)
-    _, second = (policy.select_action(batch) for _ in range(2))
+    first, second = [policy.select_action(batch) for _ in range(2)]
+    assert torch.equal(first, batch[MEASURED_STATE] + torch.tensor([policy.config.action.leash[0], 0, 0, 0, 0]))
     with pytest.raises(RolloutError, match="change of target, axis 0"):
         policy.select_action(batch)
     assert torch.equal(policy.issued.last, second)
+
+
+LEASH = torch.tensor([0.02, 0.02, 0.02, 0.2, 0.03])
+
+
+@given(
+    lead=st.lists(st.floats(-0.5, 0.5), min_size=5, max_size=5),
+    at_rad=st.floats(-math.pi, math.pi),
+    steps=st.integers(0, 20),
+)
+def test_a_target_leads_no_farther_than_its_leash_and_within_it_is_what_it_was(lead, at_rad, steps) -> None:
+    measured = torch.tensor([[0.5, 0.0, 0.1, at_rad, 0.04]])
+    target = measured + torch.tensor([lead])
+    target[0, 3] = math.remainder(float(target[0, 3]), 2 * math.pi)  # beyond half a turn: the other way round
+    led = on_leash(target, measured, LEASH, steps)
+    longest = LEASH * (1 + STRIDE * steps) + 1e-5
+    turned = torch.tensor([math.remainder(float(led[0, 3] - at_rad), 2 * math.pi)])
+    assert (turned.abs() <= longest[3]).all() and ((led - measured).abs() <= longest)[0, [0, 1, 2, 4]].all()
+    inside = torch.tensor([lead]).abs() < longest - 2e-5
+    assert torch.equal(led[inside], target[inside])
+
+
+@pytest.mark.parametrize("steps", [1, 2, 6, 16])
+def test_the_target_of_a_blocked_arm_does_not_run_away_and_goes_on_at_once_when_it_is_free(
+    steps, make_policy, make_batch, monkeypatch
+) -> None:
+    policy = make_policy(touch__input="none", n_action_steps=steps)
+    ahead = torch.zeros(1, 1, 5)
+    ahead[..., 1] = 1.0  # y, on and on
+    fixed_deltas(policy, monkeypatch, ahead)
+    batch = make_batch(policy, size=1)
+    for _ in range(200):
+        blocked = policy.select_action(batch)
+        assert ((blocked - batch[MEASURED_STATE]).abs() <= LEASH + 1e-6).all()
+    batch[MEASURED_STATE] = batch[MEASURED_STATE] + torch.tensor([0, 0.01, 0, 0, 0])
+    assert 0 < float((policy.select_action(batch) - blocked)[0, 1]) < 0.0101
+
+
+def test_the_controllers_chunks_stay_on_the_leash_of_a_blocked_arm(monkeypatch) -> None:
+    controller = PolicyController(shipped_checkpoint(), {"left": "gelsight", "right": "tactip"})
+    controller.policy.touch.monitors.clear()
+    ahead = torch.zeros(1, 1, 5)
+    ahead[..., 1] = 1.0  # y
+    fixed_deltas(controller.policy, monkeypatch, ahead)
+    at = torch.tensor([[0.5, 0.0, 0.05, 0.0, 0.04]])
+    batch = made_up_batch(controller.config, torch.device("cpu")) | {MEASURED_STATE: at}
+    later = STRIDE * (controller.config.n_action_steps - 1)  # of a look the last action
+    for _ in range(100):
+        lead = np.abs(controller._issue(batch) - at.numpy())
+        assert (lead[0] <= LEASH.numpy() + 1e-6).all()
+        assert (lead <= LEASH.numpy() * (1 + later) + 1e-6).all()
+
+
+@pytest.mark.parametrize("leash", [[0.02] * 4, [0.0, 0.02, 0.02, 0.2, 0.03], [math.inf] * 5])
+def test_a_leash_that_is_none_is_refused(leash, make_policy) -> None:
+    with pytest.raises(ContractError, match="leash"):
+        make_policy(touch__input="none", action__leash=leash)
+
+
+def test_real_time_chunking_is_refused_where_actions_are_deltas(make_policy, make_batch) -> None:
+    rtc = RTCConfig(enabled=True)
+    policy = make_policy(touch__input="none")
+    batch = make_batch(policy)
+    assert not policy.supports_rtc() and not supports_rtc_inference(policy)
+    with pytest.raises(ContractError, match=r"inference\.type=sync"):
+        make_policy(touch__input="none", rtc_config=rtc)
+    for given_by_lerobot in ({"prev_chunk_left_over": None}, {"inference_delay": 0}):
+        with pytest.raises(ContractError, match="real-time chunking"):
+            policy.predict_action_chunk(batch, **given_by_lerobot)
+    policy.config.rtc_config = rtc  # as lerobot-rollout sets it on a loaded policy
+    for call in (policy.init_rtc_processor, lambda: policy.predict_action_chunk(batch)):
+        with pytest.raises(ContractError, match=r"inference\.type=sync"):
+            call()
+    free = make_policy(touch__input="none", action__form="absolute", rtc_config=rtc)
+    assert free.supports_rtc()
+
+
+def test_a_loaded_policy_has_answered_before_a_robot_is_connected(make_config, make_batch, tmp_path, monkeypatch):
+    """A slow first inference would look like a dead arm."""
+    PI05UniforcePolicy(make_config()).save_pretrained(tmp_path)
+    answered = []
+    real = PI05UniforcePytorch.sample_actions
+    monkeypatch.setattr(PI05UniforcePytorch, "sample_actions", lambda *a, **k: answered.append(1) or real(*a, **k))
+    torch.manual_seed(5)
+    policy = PI05UniforcePolicy.from_pretrained(tmp_path)
+    state = torch.random.get_rng_state()
+    assert answered and policy.issued.last is None and not policy._action_queue
+    torch.manual_seed(5)
+    answered.clear()
+    PI05UniforcePolicy.from_pretrained(tmp_path, dataset_stats=None)  # to be trained
+    assert not answered and torch.equal(torch.random.get_rng_state(), state)
+    policy.select_action(make_batch(policy))
+
+
+@pytest.mark.parametrize("kind", ["latent", "newtons", "wrench", "descriptor", "marker_pair", "none"])
+@pytest.mark.parametrize("slots", [{"touch0": "right"}, {"touch0": "right", "touch1": "left"}])
+def test_every_kind_of_policy_is_warmed_up(kind, slots, make_policy) -> None:
+    more = {"touch__tokenizer_path": None} if kind == "newtons" else {}
+    policy = make_policy(touch__input=kind, touch__slots=slots, **more)
+    policy.warm_up()
+    assert policy.issued.last is None
 
 
 # an environment's clock so fast that no call is in time, or so slow that every call is

@@ -72,7 +72,7 @@ def test_changed_weights_are_noticed(graphs, make_policy, make_batch):
 def test_real_time_chunking_guides_both_alike(gate, make_policy, make_batch):
     """RTC differentiates through the velocity towards what is left of the chunk before."""
     rtc = RTCConfig(enabled=True, execution_horizon=4)
-    policy = gated_policy(make_policy, "prefix", gate, rtc_config=rtc)
+    policy = gated_policy(make_policy, "prefix", gate, rtc_config=rtc, action__form="absolute")
     given, noise = inputs(policy, make_batch(policy)), start_noise(policy)
     free = ours(policy, given, noise)
     left = {"prev_chunk_left_over": free[:, 2:, :] + 0.5, "inference_delay": 1, "execution_horizon": 4}

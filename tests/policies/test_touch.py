@@ -1,5 +1,6 @@
 import json
 import logging
+from collections import deque
 from contextlib import nullcontext
 
 import numpy as np
@@ -22,7 +23,7 @@ from uniforce_vtla.tokenizer.calibration import Agreement, Calibration, LatentMa
 from uniforce_vtla.tokenizer.finger_balance import FingerBalance
 from uniforce_vtla.tokenizer.force_head import ForceHead
 from uniforce_vtla.tokenizer.latent_range import FREE_LOOKS, FreeAirError, HealthMonitor, LatentRange
-from uniforce_vtla.tokenizer.plain_touch import descriptors, marker_pairs
+from uniforce_vtla.tokenizer.plain_touch import DESCRIPTOR_SIZE, descriptors, marker_pairs
 
 PROJECTIONS = ("action_in_proj", "action_out_proj", "time_mlp_in", "time_mlp_out")
 
@@ -188,6 +189,43 @@ def test_an_open_hand_in_free_air_takes_a_new_reference_once_an_episode(make_pol
     with pytest.raises(SensorError, match="in free air"):
         for _ in range(FREE_LOOKS):
             policy.touch.gather(batch, current.device, training=False)
+
+
+def tensors_in(thing, seen):
+    """Every tensor that can be reached from an object of ours, by name."""
+    if id(thing) in seen:
+        return
+    seen[id(thing)] = thing
+    if isinstance(thing, torch.Tensor):
+        yield thing
+        return
+    ours = type(thing).__module__.startswith(("lerobot_policy", "uniforce_vtla"))
+    parts = list(vars(thing).values()) if ours or isinstance(thing, torch.nn.Module) else []
+    if isinstance(thing, dict):
+        parts += thing.values()
+    if isinstance(thing, list | tuple | deque):
+        parts += thing
+    for part in parts:
+        yield from tensors_in(part, seen)
+
+
+@pytest.mark.parametrize("kind", ["latent", "newtons", "descriptor"])
+def test_whatever_touch_holds_follows_the_policy_to_its_device(kind, make_policy, make_batch, tmp_path):
+    """No module registers ranges, maps and references: on a GPU the first look failed."""
+    more = {"touch__tokenizer_path": None} if kind == "newtons" else {}
+    policy = make_policy(touch__input=kind, touch__slots={"touch0": "right"}, **more)
+    sizes = (1, DESCRIPTOR_SIZE) if kind == "descriptor" else (16, 6)
+    names = "descriptor" if kind == "descriptor" else policy.config.tokenizer_hash, policy.config.touch.head_hash
+    Calibration(LatentMap(*sizes), *names, "tactip:7", "tactip:7", 0.0, 0.0, {}).save(tmp_path)
+    policy = make_policy(touch__input=kind, touch__slots={"touch0": "right"}, right_calibration=str(tmp_path), **more)
+    worn = getattr(policy.touch, "_latents", policy.touch).worn["right"].map
+    if kind != "descriptor":
+        watched(policy, 99.0).touch.monitors["right"]._worn = worn
+    policy.select_action(make_batch(policy, size=1))
+    policy.to("meta")
+    elsewhere = [t for t in tensors_in(policy.touch, {}) if t.device.type != "meta"]
+    assert not elsewhere and worn.weight.device.type == "meta"
+    assert not [t for t in tensors_in(policy.issued, {}) if t.device.type != "meta"]
 
 
 def test_a_sensor_that_is_not_healthy_can_be_masked_and_is_not_watched_in_training(make_policy, make_batch):

@@ -211,3 +211,10 @@ def test_unknown_controls_and_controls_of_scripts_are_refused(tmp_path: Any) -> 
         controlled(None, "asleep", WipeEnv("easy"), {})  # type: ignore[arg-type]
     with pytest.raises(ContractError, match="Controls are for policies"):
         score_job(0, ScoreConfig(policy="expert", control="masked", out=str(tmp_path)), 1)
+
+
+def test_a_sensor_that_fails_at_the_first_look_makes_an_aborted_row(tmp_path: Path, caplog: Any) -> None:
+    config = ScoreConfig(right_sensor="tactip:1+light=0", out=str(tmp_path))
+    _, row = score_job(0, config, 10_000)
+    assert (row.code, row.seconds, row.residual) == ("a", 0.0, 1.0)
+    assert "scene 10000 is aborted: tactip on the right finger" in caplog.text

@@ -41,25 +41,31 @@ class EpisodeRow:
 
 
 def row_of(rollout: Rollout) -> EpisodeRow:
-    """Return the row of a rollout."""
+    """Return the row of a rollout; of one that ended before its first step all ink is left."""
     result, trace = rollout.result, rollout.trace
     press = np.asarray(trace.press_N, dtype=np.float64)
     pressing = press[press > CONTACT_N]
+    think_ms = rollout.think_ms if len(rollout.think_ms) else np.zeros(1)
     return EpisodeRow(
         seed=rollout.seed,
         outcome=result.outcome,
         clean=bool(result.clean),
         slippage=bool(result.slippage),
         excess_force=bool(result.excess_force),
-        residual=float(np.asarray(trace.residual)[-1]),
+        residual=_last(trace.residual, 1.0),
         press_mean_N=float(pressing.mean()) if pressing.size else 0.0,
-        press_max_N=float(press.max()),
-        seconds=float(np.asarray(trace.time_s)[-1]),
-        think_p50_ms=float(np.percentile(rollout.think_ms, 50)),
-        think_p95_ms=float(np.percentile(rollout.think_ms, 95)),
+        press_max_N=float(press.max(initial=0.0)),
+        seconds=_last(trace.time_s, 0.0),
+        think_p50_ms=float(np.percentile(think_ms, 50)),
+        think_p95_ms=float(np.percentile(think_ms, 95)),
         missed_deadlines=int(rollout.facts.get("missed_deadlines", 0)),
-        in_band_share=round(float(result.metrics["in_band_share"]), 4),
+        in_band_share=round(float(result.metrics.get("in_band_share", 0.0)), 4),
     )
+
+
+def _last(values: np.ndarray, before: float) -> float:
+    """Return the last of (n,) values, or what was so before the first."""
+    return float(values[-1]) if len(values) else before
 
 
 def read_rows(path: Path) -> dict[int, EpisodeRow]:

@@ -62,6 +62,12 @@ class EpisodeTrace:
 STEP_FIELDS = tuple(f.name for f in fields(EpisodeTrace) if f.name != "rated_depth_mm")
 
 
+def empty_trace() -> EpisodeTrace:
+    """Return the trace of an episode that ended before its first step."""
+    steps = {name: np.zeros(0) for name in STEP_FIELDS}
+    return EpisodeTrace(**steps, rated_depth_mm=(0.0, 0.0))
+
+
 @dataclass(frozen=True)
 class EpisodeResult:
     """The verdict on one episode.

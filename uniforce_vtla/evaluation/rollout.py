@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from uniforce_vtla.errors import RolloutError, SensorError, expected
-from uniforce_vtla.evaluation.episode import EpisodeResult, EpisodeTrace
+from uniforce_vtla.evaluation.episode import EpisodeResult, EpisodeTrace, empty_trace, score_episode
 
 
 class Environment(Protocol):
@@ -59,39 +59,58 @@ class Rollout:
     facts: dict[str, float] = field(default_factory=dict)
 
 
-def roll_out(env: Environment, controller: Controller, seed: int, keep_frames: bool = False) -> Rollout:
-    """Run one episode to its end. Where a sensor is lost or not healthy the robot stops, and the episode is aborted.
+class ChunkError(RolloutError):
+    """A controller's chunk is none: a fault of the program, which ends the run and not an episode alone."""
 
-    Raises RolloutError: the controller returned a non-finite or misshapen chunk; the robot is not moved by it.
+
+def roll_out(env: Environment, controller: Controller, seed: int, keep_frames: bool = False) -> Rollout:
+    """Run one episode to its end.
+
+    Where a sensor is lost or not healthy, from the first look on, or the policy stops, the robot stops too and the
+    episode is aborted; the next one may go well.
+
+    Raises ChunkError: the controller returned a non-finite or misshapen chunk; the robot is not moved by it.
     """
-    observation, _ = env.reset(seed=seed)
-    controller.reset(env)
     think_ms: list[float] = []
     frames: list[np.ndarray] = []
+    try:
+        observation, _ = env.reset(seed=seed)
+    except (SensorError, RolloutError) as error:  # what the environment still holds is another episode's
+        trace = empty_trace()
+        return Rollout(seed, _aborted(score_episode(trace), error), trace, np.zeros(0))
+    controller.reset(env)
+    try:
+        _act(env, controller, observation, think_ms, frames if keep_frames else None)
+        result = env.result()
+    except ChunkError:
+        raise
+    except (SensorError, RolloutError) as error:
+        result = _aborted(env.result(), error)
+    return Rollout(seed, result, env.trace, np.asarray(think_ms), frames, controller.facts())
+
+
+def _act(
+    env: Environment,
+    controller: Controller,
+    observation: dict[str, Any],
+    think_ms: list[float],
+    frames: list[np.ndarray] | None,
+) -> None:
+    """Look, think and act until the episode is over; add times and pictures to the lists."""
     done = False
-
-    def finished(result: EpisodeResult) -> Rollout:
-        return Rollout(seed, result, env.trace, np.asarray(think_ms), frames, controller.facts())
-
-    def stopped(error: SensorError) -> Rollout:  # so does the robot
-        return finished(replace(env.result(), outcome="aborted", reasons=(str(error),)))
-
     while not done:
-        if keep_frames:
+        if frames is not None:
             frames.append(observation["pixels"]["front"])
         start = time.perf_counter()
-        try:
-            chunk = controller.chunk(observation, env.task)
-        except SensorError as error:  # a sensor isn't to be trusted
-            return stopped(error)
+        chunk = controller.chunk(observation, env.task)
         if chunk.ndim != 2 or chunk.shape[1] != 5 or len(chunk) == 0 or not np.isfinite(chunk).all():
             do = "The robot holds; check the policy."
-            raise RolloutError(expected("action chunk", "finite (n ≥ 1, 5)", chunk.shape, do))
+            raise ChunkError(expected("action chunk", "finite (n ≥ 1, 5)", chunk.shape, do))
         think_ms.append(1e3 * (time.perf_counter() - start))
         done = any(env.advance(action) for action in chunk)  # what comes after the end is not executed
         if not done:
-            try:
-                observation = env.observe()
-            except SensorError as error:  # touch is lost
-                return stopped(error)
-    return finished(env.result())
+            observation = env.observe()
+
+
+def _aborted(result: EpisodeResult, error: Exception) -> EpisodeResult:
+    return replace(result, outcome="aborted", reasons=(str(error),))

@@ -108,6 +108,11 @@ class HealthMonitor:
         self.active = True  # False while a policy trains: samples are in no order
         self.reset()
 
+    def to(self, device: torch.device) -> None:
+        """Follow the policy to its device."""
+        for own in filter(None, (self._usual, self._worn)):
+            own.to(device)
+
     def reset(self, renewed: bool = False) -> None:
         """Start an episode, in free air; ``renewed``: once more, with a reference taken just now."""
         self._recent.clear()

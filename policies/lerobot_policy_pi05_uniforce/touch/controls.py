@@ -41,18 +41,18 @@ class ControlInput(TouchInput):
             value = taken(batch, wrench_key(slot))
         else:
             key, compute = FROM_IMAGES[self.config.touch.input]
-            value = batch[key(slot)] if key(slot) in batch else self._computed(compute, batch, slot)
+            value = batch[key(slot)] if key(slot) in batch else self._computed(compute, batch, slot, device)
         scale = 255 if value.dtype == torch.uint8 else 1
         return (value.to(device, torch.float32) / scale).reshape(len(value), *self.shape)
 
-    def _computed(self, compute: Callable, batch: dict[str, Tensor], slot: str) -> Tensor:
+    def _computed(self, compute: Callable, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor:
         finger = self.config.finger_by_slot()[slot]
         pair = ((i.detach().cpu() * 255).round().to(torch.uint8).numpy() for i in self.pair(batch, finger))
         rows = [compute(b, c[None], finger) for b, c in zip(*pair, strict=True)]
         found = torch.from_numpy(np.concatenate(rows))
         if finger not in self.worn:
             return found
-        return self.worn[finger].map(found.reshape(-1, *self.shape).to(self.config.device))
+        return self.worn[finger].map(found.reshape(-1, *self.shape).to(device))
 
 
 class NewtonInput(TouchInput):
@@ -61,6 +61,10 @@ class NewtonInput(TouchInput):
     def __init__(self, latents: TouchInput) -> None:
         super().__init__(latents.config, latents.encoder, SHAPES["newtons"], monitors=latents.monitors)
         self._latents = latents
+
+    def to(self, device: torch.device) -> None:
+        """Move what the latents' reader holds; the monitors are this one's too."""
+        self._latents.to(device)
 
     def reset(self) -> None:
         """Let the latents' reader forget; its encoder and monitors are this one's too."""

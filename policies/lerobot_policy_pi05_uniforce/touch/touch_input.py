@@ -124,6 +124,13 @@ class TouchInput:
         for monitor in self.monitors.values():
             monitor.reset()
 
+    def to(self, device: torch.device) -> None:
+        """Move the maps of calibrations and the ranges of monitors; ``reset`` forgets what is left elsewhere."""
+        for monitor in self.monitors.values():
+            monitor.to(device)
+        for worn in self.worn.values():
+            worn.map.to(device)
+
     def gather(self, batch: dict[str, Tensor], device: torch.device, training: bool) -> tuple[list, list]:
         """Return the slots' tensors and masks, in slot order.
 

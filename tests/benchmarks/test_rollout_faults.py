@@ -1,0 +1,25 @@
+"""LeRobot's own rollout, over the stand-ins, holds what fails; ``make faults`` tries every kind ten times."""
+
+from pathlib import Path
+
+import pytest
+
+from benchmarks.trust.rollout_faults import attempt, summarise
+from benchmarks.trust.rollout_trials import KINDS, Trial
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("kind", ["finger_unplugged", "policy_nan"])
+def test_a_rollout_is_held_and_told_why(kind: str, tmp_path: Path) -> None:
+    rows = attempt(kind, 1, tmp_path)
+    assert len(rows) == 1 and [row for row in rows if not row.is_right] == []
+    assert attempt(kind, 1, tmp_path) == rows, "what is there isn't tried again"
+
+
+def test_a_wrong_name_and_a_late_hold_are_seen() -> None:
+    assert len(KINDS) >= 10
+    right = Trial("arm_reflex", "reflex", "", 0.1, 0.2)
+    late, unnamed = Trial("arm_reflex", "reflex", "", 0.6, 0.7), Trial("arm_reflex", "", "", 0.1, 0.2)
+    assert right.is_right and not late.is_right and not unnamed.is_right
+    line = summarise([right, late, unnamed])
+    assert (line["trials"], line["named_right"], line["held"], line["worst_hold_s"]) == (3, 2, 2, 0.6)
