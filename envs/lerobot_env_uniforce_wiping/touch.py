@@ -3,7 +3,6 @@
 from collections import deque
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ
@@ -47,7 +46,7 @@ class PadImages:
         self._late = np.zeros(4)
         self._steps = 0
         self._shown: np.ndarray | None = None  # the latest image
-        self.reference = cv2.cvtColor(self._view.reference, cv2.COLOR_GRAY2RGB)
+        self.reference = self._view.reference  # (480, 640) uint8
 
     def follow(self, sim: WipeSimulation) -> None:
         """Look at the pad after a control step."""
@@ -59,7 +58,7 @@ class PadImages:
         self._past.append(Load(wrench, *sim.block_from_pad(self.finger)))
 
     def image(self, sim: WipeSimulation) -> np.ndarray:
-        """Return (480, 640, 3) uint8: the marker image, repeated on three channels.
+        """Return the marker image, (480, 640) uint8; a stalled camera shows the same array again.
 
         Raises:
             SensorError: the canonicalizer refuses the frame.
@@ -69,7 +68,7 @@ class PadImages:
         contact = pad_contact(self._past[0], sim, self.finger)
         if not self._view.simulator.faces_object(contact)[0]:  # forces are the step's mean: the eraser left within it
             contact = free_air(1)
-        self._shown = cv2.cvtColor(self._view.images(contact)[0], cv2.COLOR_GRAY2RGB)
+        self._shown = self._view.images(contact)[0]
         return self._shown
 
 
