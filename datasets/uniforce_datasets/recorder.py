@@ -119,7 +119,7 @@ class EpisodeRecorder:
         return self._writer.episode_buffer["size"]
 
     def add(self, frame: Mapping[str, Any], task: str, raw: Mapping[Finger, np.ndarray] | None = None) -> None:
-        """Append one observation and the action commanded at it.
+        """Append one observation and the action commanded at it; every array is copied.
 
         Args:
             frame: every column but provenance that the recorder knows: cameras (H, W, 3) uint8, marker images

@@ -47,10 +47,16 @@ def open_recorder(root: Path, **options: object) -> EpisodeRecorder:
 
 
 def add_frames(recorder: EpisodeRecorder, count: int = SHORT, seed: int = 0) -> list[dict]:
+    """Add frames from memory that is filled over and over, as a camera's driver does; return what was passed."""
     rng = np.random.default_rng(seed)
     frames = [synthetic_frame(step, rng) for step in range(count)]
+    memory = {key: np.empty_like(value) for key, value in frames[0].items()}
     for frame in frames:
-        recorder.add(frame, "wipe")
+        for key, value in frame.items():
+            memory[key][:] = value
+        recorder.add(memory, "wipe")
+    for array in memory.values():
+        array[:] = 1
     return frames
 
 
