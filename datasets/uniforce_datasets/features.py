@@ -93,7 +93,7 @@ def sensor_index(name: str) -> int:
 
 
 class ColumnMaker:
-    """Makes columns of values; a marker image that hasn't changed, as a reference all episode long, is made only once."""
+    """Makes columns of values; a marker image that equals the last one, as a reference does, is made only once."""
 
     def __init__(self) -> None:
         self._last: dict[str, tuple[np.ndarray, np.ndarray]] = {}

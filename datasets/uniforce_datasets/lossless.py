@@ -17,6 +17,7 @@ from uniforce_datasets.staged_writer import LOCAL
 from uniforce_datasets.staging import claim, lock, recover
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.keys import tactile_key
+from uniforce_vtla.options import absolute
 
 
 def open_dataset(
@@ -48,7 +49,7 @@ def check_dataset(root: str | Path, verify: str = "quick", within: Path | None =
     Raises DatasetError: a file is missing, damaged, exchanged or never was saved there, a marker stream has no
     reference or is lossy, a number isn't one; names file and episode; ContractError: another ``verify``.
     """
-    depth, root = check_verify(verify), Path(root)
+    depth, root = check_verify(verify), absolute(root)
     read_info(root, within)  # paths first: none that leads outside is opened
     check_hashes(root, depth)
     return check_whole(root, depth, within)
@@ -79,8 +80,8 @@ def rehash(root: str | Path, verify: str = "full") -> Source:
     Raises DatasetError: content that can't be trusted (see ``check_dataset``), or a recorder at work; no hash is
     changed; ContractError: another ``verify``.
     """
-    root, depth = Path(root), check_verify(verify)
-    held = lock(claim(root), wait_s=0.0)
+    root, depth = claim(root), check_verify(verify)
+    held = lock(root, wait_s=0.0)
     try:
         recover(root)
         read_info(root)

@@ -82,7 +82,7 @@ class EpisodeRecorder:
         lock_wait_s: float = 0.0,
         features: dict[str, dict] | None = None,
     ) -> None:
-        self.root = Path(root)
+        self.root = claim(root)
         self._repo_id, self._fps = repo_id, fps
         self._realtime, self._queue_frames = realtime, queue_frames
         self._sensors = {
@@ -92,7 +92,7 @@ class EpisodeRecorder:
         self._features = dataset_features(cameras, truth, further) if features is None else features
         self._columns = ColumnMaker()
         self._raw_shapes = dict(raw_shapes or {})
-        self._lock = lock(claim(root), lock_wait_s)
+        self._lock = lock(self.root, lock_wait_s)
         recover(self.root)
         if (self.root / INFO).exists():
             check_hashes(self.root, "quick")

@@ -15,6 +15,7 @@ from uniforce_datasets.dataset_info import read_info, videos
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.keys import tactile_key
+from uniforce_vtla.options import absolute
 
 BROKEN_VIDEO = (av.error.FFmpegError, OSError, IndexError, ValueError)  # the last: metadata that is no text, no codec
 MAX_PIXELS = 4096 * 2304  # of a frame; a damaged header may announce gigabytes
@@ -84,7 +85,7 @@ def read_source(root: str | Path, within: Path | None = None) -> Source:
 
     Raises DatasetError: no dataset there, no episode, broken metadata, or a path or link that leads out of it.
     """
-    root = Path(root)
+    root = absolute(root)
     info = read_info(root, within)
     return Source(root, info, _episodes(root, info))
 

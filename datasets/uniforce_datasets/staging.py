@@ -16,6 +16,7 @@ from filelock import FileLock, Timeout
 
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.file_hashes import HASHES
+from uniforce_vtla.options import absolute
 
 STAGING, COMMIT = ".staging", ".commit"
 ORDER = (
@@ -32,7 +33,7 @@ def claim(root: str | Path) -> Path:
     do = "Give root=… a folder you may write to."
     if not str(root).strip():
         raise DatasetError(expected("root", "a folder", repr(str(root)), do))
-    folder = Path(root)
+    folder = absolute(root)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):

@@ -25,6 +25,7 @@ from uniforce_datasets.view_plan import TOUCH_STREAMS, EpisodeFacts, ViewPlan, V
 from uniforce_vtla.contracts import FINGERS, Finger, check_marker_image
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.keys import CAMERAS, VIEW_MARKER, camera_key, tactile_key
+from uniforce_vtla.options import absolute
 from uniforce_vtla.results_file import only_writer, write_json
 from uniforce_vtla.tokenizer import Tokenizer, pool_latent
 from uniforce_vtla.tokenizer.plain_touch import descriptors, marker_pairs
@@ -97,7 +98,7 @@ def build_view(
     encoder = encoder or PooledTokenizer(tokenizer, latent_grid)
     settings = ViewSettings(image_side, latent_grid, dict(slots or DEFAULT_SLOTS), encoder.hash)
     plan = plan_view([roots] if isinstance(roots, str | Path) else roots, settings, keep, verify)
-    out = Path(out)
+    out = absolute(out)
     if _same_view(out, plan):
         return out
     building = out.with_name(out.name + ".building")

@@ -72,6 +72,23 @@ def test_a_root_that_cannot_be_written_is_refused(root: str, tmp_path: Path) -> 
         EpisodeRecorder(root.format(file=tmp_path / "file"), "local/x", "gelsight", "tactip")
 
 
+@pytest.mark.parametrize("root", ["~/demos", "demos", "../home/demos"])
+def test_a_root_leads_to_one_folder_wherever_the_program_goes(root, tmp_path, monkeypatch) -> None:
+    home, elsewhere = tmp_path / "home", tmp_path / "elsewhere"
+    home.mkdir()
+    elsewhere.mkdir()
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.chdir(home)
+    with open_recorder(root) as recorder:
+        monkeypatch.chdir(elsewhere)
+        save_one(recorder)
+    monkeypatch.chdir(home)
+    source = check_dataset(root)
+    monkeypatch.chdir(elsewhere)
+    assert source.columns((STATE,))[STATE].shape == (SHORT, 5) and source.root.samefile(home / "demos")
+    assert [path.name for path in tmp_path.rglob("*") if "~" in path.name] == [] == list(elsewhere.iterdir())
+
+
 def test_round_trip_with_stock_loader(tmp_path: Path) -> None:
     root = tmp_path / "data"
     recorded = []

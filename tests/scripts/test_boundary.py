@@ -70,6 +70,19 @@ def test_what_is_given_reaches_the_config(here: Path) -> None:
     assert not list(here.iterdir())  # what tried the outputs is gone
 
 
+def test_a_tilde_that_the_shell_left_leads_home(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    home = here / "home"
+    (home / "demos" / "meta").mkdir(parents=True)
+    (home / "demos" / "meta" / "info.json").touch()
+    monkeypatch.setenv("HOME", str(home))
+    config = parse(Config, ["data=~/demos", "out=~/new/folder", "file=~/x.json", "note=~/not a path"])
+    assert config.data == f"{home}/demos" and config.note == "~/not a path"
+    assert (config.out, config.file) == (f"{home}/new/folder", f"{home}/x.json")
+    assert [path.name for path in here.iterdir()] == ["home"]
+    with pytest.raises(ContractError, match=r"~nobody/x.*leads somewhere"):
+        parse(Config, ["out=~nobody/x"])
+
+
 @pytest.mark.parametrize(
     ("word", "reason"),
     [

@@ -24,6 +24,7 @@ from uniforce_robots.recorder.rig import RigFacts
 from uniforce_robots.recorder.rows import RECORDERS_OWN, RowSlots, further_columns, rig_features
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import DatasetError, DroppedFrameError, UniForceError, expected
+from uniforce_vtla.options import absolute
 
 log = logging.getLogger(__name__)
 LOCK_WAIT_s = 20.0  # a session that was killed leaves a storing process that finishes its orders first
@@ -43,6 +44,9 @@ class StoreSettings:
     root: Path
     repo_id: str
     reserve_MB: float = 500.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "root", absolute(self.root))
 
 
 def open_recorder(facts: RigFacts, settings: StoreSettings) -> EpisodeRecorder:
