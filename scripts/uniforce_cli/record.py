@@ -14,6 +14,7 @@ from uniforce_cli.boundary import Level, Worn, command, one_thread
 from uniforce_vtla import options
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.json_file import read_object
+from uniforce_vtla.terminal import LastingText
 
 if TYPE_CHECKING:
     from lerobot.robots import RobotConfig
@@ -35,7 +36,8 @@ class RecordConfig:
     Simulation, by hand:  uniforce record teleop=keyboard root=outputs/by_hand
     Robot, for example:   uniforce record robot=franka rig=rig.yaml teleop=spacemouse root=outputs/real
     ``robot.KEY=…`` and ``teleop.KEY=…`` are LeRobot's own settings of both; ``rig`` is a file with them. The keys to
-    press are in docs/recording.md. Exit codes: 0 done, 2 could not start, 3 a fault, 4 disk full, 130 interrupted.
+    press are in docs/recording.md. Exit codes: 0 done, 2 could not start, 3 a fault, 4 disk full, 130 interrupted: by
+    Ctrl-C, kill or a closed terminal, which end an episode in order.
     """
 
     robot: Literal["sim", "franka"] = "sim"  # what records
@@ -178,13 +180,14 @@ def main(config: RecordConfig, flags: Sequence[str], given: Sequence[str]) -> in
     os.environ.setdefault("HF_HUB_OFFLINE", "1")
     if config.robot == "sim":
         one_thread()
+    out = LastingText(sys.stdout)
     try:
         end = record(config, flags, given)
     except KeyboardInterrupt:
         stopped = "" if config.robot == "sim" else "; the robot has stopped"
-        print(f"record: interrupted{stopped}. Saved episodes are whole: run the same command again to go on")
+        print(f"record: interrupted{stopped}. Saved episodes are whole: run the same command again to go on", file=out)
         return INTERRUPTED
-    print(f"record: {end.message}")
-    print(f"demos in {config.root} (LeRobot v3 dataset {config.repo_id})")
-    print(f"next: uniforce view roots={config.root} out={Path(config.root).parent / 'view'}")
+    print(f"record: {end.message}", file=out)
+    print(f"demos in {config.root} (LeRobot v3 dataset {config.repo_id})", file=out)
+    print(f"next: uniforce view roots={config.root} out={Path(config.root).parent / 'view'}", file=out)
     return end.exit_code

@@ -1,6 +1,9 @@
 """What a command raises becomes one line and an exit code; what options declare is checked before the work begins."""
 
+import os
+import signal
 from collections.abc import Callable
+from contextlib import redirect_stderr
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal, get_args
@@ -24,6 +27,7 @@ from uniforce_vtla.options import (
     Texts,
     try_to_write,
 )
+from uniforce_vtla.terminal import STOPS
 
 
 @dataclass
@@ -166,6 +170,27 @@ def test_an_error_is_one_line(error: BaseException, code: int, line: str, capsys
     assert guarded("uniforce-x", failing(error)) == code
     out, err = capsys.readouterr()
     assert not out and err.startswith(line) and err.count("\n") == 1
+
+
+@pytest.mark.parametrize("come", ["INT", "TERM", "HUP", "TERM HUP"])
+def test_kill_and_a_closed_terminal_end_a_command_like_ctrl_c(come: str) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    tidied: list[str] = []
+
+    def main(words: list[str]) -> int:
+        try:
+            signal.raise_signal(signal.Signals[f"SIG{come.split()[0]}"])
+        finally:
+            for name in come.split()[1:]:
+                signal.raise_signal(signal.Signals[f"SIG{name}"])
+            tidied.append("all")
+        return 0
+
+    before = [signal.getsignal(number) for number in STOPS]
+    with open(writer, "w") as gone, redirect_stderr(gone):
+        assert command(None)(main)([]) == 130 and tidied == ["all"]
+    assert [signal.getsignal(number) for number in STOPS] == before
 
 
 def test_debug_shows_where_it_came_from() -> None:

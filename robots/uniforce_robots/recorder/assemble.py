@@ -4,7 +4,7 @@ import sys
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TextIO
+from typing import TextIO, cast
 
 import numpy as np
 from lerobot.teleoperators import Teleoperator
@@ -19,6 +19,7 @@ from uniforce_robots.recorder.session import RecordingSession, SessionEnd, Sessi
 from uniforce_robots.recorder.steering import Steering
 from uniforce_robots.recorder.store import StoreProcess, StoreSettings
 from uniforce_vtla.keys import OUTCOME, OUTCOME_NAMES, SEED
+from uniforce_vtla.terminal import LastingText
 
 # Python's own 5 ms between two threads' turns would be the largest part of a tick's lateness.
 SWITCH_s = 0.0005
@@ -68,7 +69,8 @@ def run_session(
         operator.start()
         raw_pixels = sum(shape[0] * shape[1] for shape in rig.facts.raw_frames.values())
         disk = DiskGuard(store.root, recorder.features, raw_pixels, store.reserve_MB)
-        parts = Parts(rig, steering, operator, recorder, disk, LiveView(out, rig.facts.fps), interrupts)
+        view = LiveView(out and cast("TextIO", LastingText(out)), rig.facts.fps)
+        parts = Parts(rig, steering, operator, recorder, disk, view, interrupts)
         have = recorder.num_episodes
         judged, first = judged_episodes(store.root, have), next_seed(store.root, have, seed)
         return RecordingSession(parts, settings, judged, first).run()

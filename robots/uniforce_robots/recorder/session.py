@@ -169,6 +169,8 @@ class RecordingSession:
 
     def _judge(self, ending: Ending) -> Ending:
         """Return the ending with an outcome: the rig's where it knows better than a person, else the operator's."""
+        if ending.cause == "teleop" and self._parts.interrupts.count:
+            return replace(ending, cause="interrupt")  # a terminal that hangs up takes its keys along
         if ending.how not in ("open", "judged"):
             return ending
         verdict = self._parts.rig.verdict()

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from datasets import disable_progress_bars
 from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_datasets.staging import claim
 from uniforce_robots.recorder.rig import RigFacts
@@ -25,6 +26,7 @@ from uniforce_robots.recorder.rows import RECORDERS_OWN, RowSlots, further_colum
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import DatasetError, DroppedFrameError, UniForceError, expected
 from uniforce_vtla.options import absolute
+from uniforce_vtla.terminal import STOPS
 
 log = logging.getLogger(__name__)
 LOCK_WAIT_s = 20.0  # a session that was killed leaves a storing process that finishes its orders first
@@ -94,12 +96,13 @@ class StoreProcess:
         self._pipe, other = context.Pipe()
         given = (other, self._slots, facts, settings)
         self._process = context.Process(target=serve, args=given, name="store", daemon=True)
-        # Ctrl-C goes to the whole group; the child inherits that it is ignored, and ignores it while it still imports.
-        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        # Signals go to the whole group; the child inherits that they are ignored: the loop gives the orders.
+        before = {number: signal.signal(number, signal.SIG_IGN) for number in STOPS}
         try:
             self._process.start()
         finally:
-            signal.signal(signal.SIGINT, before)
+            for number, handler in before.items():
+                signal.signal(number, handler)
         self.pid = self._process.pid or 0
         other.close()
 
@@ -221,9 +224,8 @@ def _gone() -> StoreGoneError:
 
 def serve(pipe: Connection, slots: RowSlots, facts: RigFacts, settings: StoreSettings) -> None:
     """Store until ``close`` or the pipe's end: what the child does."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)  # Ctrl-C goes to the whole group; the loop gives the orders
     os.nice(NICE)
+    disable_progress_bars()  # they would tear the loop's own line
     try:
         recorder = open_recorder(facts, settings)
     except UniForceError as error:

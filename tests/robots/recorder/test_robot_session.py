@@ -1,10 +1,12 @@
 """A whole session on a fake robot: episodes, labels, faults, resume; the same one in the simulated scene."""
 
 import io
+import os
 import signal
 import threading
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +29,7 @@ from uniforce_robots.recorder.store import StoreSettings, open_recorder
 from uniforce_robots.sensors.faults import WrongSensorError
 from uniforce_vtla import keys
 from uniforce_vtla.errors import ContractError
+from uniforce_vtla.terminal import STOPS
 
 SHORT_S = 0.5
 
@@ -233,23 +236,52 @@ def test_a_full_disk_stops_at_the_next_tick_and_what_was_saved_stays(fake, tmp_p
     assert end.exit_code == 4 and not end.endings, "no room for another one"
 
 
-@pytest.mark.parametrize("times", [1, 2])
-def test_ctrl_c(fake: FakeRig, tmp_path: Path, times: int) -> None:
+@pytest.mark.parametrize("come", ["INT", "TERM", "HUP", "HUP HUP HUP", "TERM HUP", "INT INT", "HUP TERM INT"])
+def test_a_stop_from_outside_ends_the_episode_in_order_unless_somebody_insists(fake, tmp_path, come: str) -> None:
+    """Whoever reads what is shown may be gone by then."""
+    reader, writer = os.pipe()
+
     def say(phase: Phase, asked: int) -> list[Command]:
         if phase is Phase.RUNNING and asked == 5:
-            for _ in range(times):
-                signal.raise_signal(signal.SIGINT)
+            os.close(reader)
+            for name in come.split():
+                signal.raise_signal(signal.Signals[f"SIG{name}"])
         return [Command.GO] if phase is Phase.WAITING else []
 
-    before = signal.getsignal(signal.SIGINT)
-    if times == 1:
-        end = go(fake, tmp_path / "data", Script(say), episode_s=5.0)
+    before = [signal.getsignal(number) for number in STOPS]
+    insists = len(come.replace("HUP", "").split()) > 1
+    with open(writer, "w") as out, pytest.raises(KeyboardInterrupt) if insists else nullcontext():
+        end = go(fake, tmp_path / "data", Script(say), out=out, episode_s=5.0)
         assert end.exit_code == 130 and labels(tmp_path / "data") == ["aborted:interrupt"]
-    else:
-        with pytest.raises(KeyboardInterrupt):
-            go(fake, tmp_path / "data", Script(say), episode_s=5.0)
-        assert not fake.robot.is_connected and not (tmp_path / "data" / "data").exists()
-    assert signal.getsignal(signal.SIGINT) is before
+    assert not fake.robot.is_connected and insists is not (tmp_path / "data" / "data").exists()
+    assert [signal.getsignal(number) for number in STOPS] == before
+
+
+def test_nohup_goes_on_without_its_terminal(fake: FakeRig, tmp_path: Path) -> None:
+    def say(phase: Phase, asked: int) -> list[Command]:
+        if phase is Phase.RUNNING and asked == 5:
+            signal.raise_signal(signal.SIGHUP)
+        return [Command.GO] if phase is Phase.WAITING else [Command.SUCCESS] * (asked == 8)
+
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        assert go(fake, tmp_path / "data", Script(say)).exit_code == 0
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_a_terminal_that_takes_its_keyboard_along_is_an_interrupt_too(fake: FakeRig, tmp_path: Path) -> None:
+    teleop = sway(tmp_path)
+
+    def say(phase: Phase, asked: int) -> list[Command]:
+        if phase is Phase.RUNNING and asked == 5:
+            teleop.error = RuntimeError("hung up")
+        return [Command.GO] if phase is Phase.WAITING else []
+
+    hold = fake.rig.hold
+    fake.rig.hold = lambda: (teleop.error and signal.raise_signal(signal.SIGHUP), hold())  # type: ignore[method-assign,assignment,func-returns-value]
+    assert go(fake, tmp_path / "data", Script(say), teleop, episode_s=5.0).exit_code == 130
+    assert labels(tmp_path / "data") == ["aborted:interrupt"]
 
 
 def test_a_person_clears_a_reflex_and_goes_on(fake: FakeRig, tmp_path: Path) -> None:
