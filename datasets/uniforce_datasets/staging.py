@@ -14,7 +14,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from uniforce_vtla.errors import DatasetError, expected
+from uniforce_vtla.errors import DatasetError, expected, not_stored
 from uniforce_vtla.file_hashes import HASHES
 from uniforce_vtla.options import absolute
 
@@ -39,7 +39,7 @@ def claim(root: str | Path) -> Path:
         with tempfile.TemporaryFile(dir=folder):
             foreign = [path.name for path in folder.iterdir() if not path.name.startswith(".")]
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
-        raise DatasetError(expected(f"root={root}", "a folder to write to", error, do)) from error
+        raise not_stored(f"root={root}", "a folder to write to", error, do) from error
     if foreign and not any((folder / name).exists() for name in (COMMIT, "meta/info.json")):
         raise DatasetError(expected(str(folder), "an empty folder or a dataset", foreign[:3], "Choose another root."))
     return folder

@@ -5,6 +5,7 @@ Stock LeRobot decodes six videos for every training sample.  A view reads arrays
 
 import json
 import logging
+import os
 import shutil
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
@@ -193,8 +194,12 @@ def _resume(plan: ViewPlan, building: Path) -> int:
 def _open(building: Path, name: str, frames: int, block: np.ndarray) -> np.ndarray:
     path, shape = building / f"{name}.npy", (frames, *block.shape[1:])
     if path.is_file():
-        return np.lib.format.open_memmap(path, mode="r+")
-    return np.lib.format.open_memmap(path, mode="w+", dtype=block.dtype, shape=shape)
+        array = np.lib.format.open_memmap(path, mode="r+")
+    else:
+        array = np.lib.format.open_memmap(path, mode="w+", dtype=block.dtype, shape=shape)
+    with path.open("rb+") as file:  # a full disk is an error now, and none when a page is written: that is a SIGBUS
+        os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
+    return array
 
 
 def _episode_blocks(job: _Job) -> dict[str, np.ndarray]:

@@ -12,7 +12,7 @@ import pytest
 
 from uniforce_cli.boundary import Level, command, guarded
 from uniforce_vtla.arguments import help_text, options_of, parse
-from uniforce_vtla.errors import ContractError
+from uniforce_vtla.errors import FULL, ContractError, DiskFullError
 from uniforce_vtla.options import (
     Count,
     Dataset,
@@ -164,6 +164,9 @@ def failing(error: BaseException) -> Callable[[], int]:
         (KeyboardInterrupt(), 130, "uniforce-x: stopped"),
         (ZeroDivisionError("by zero"), 70, "uniforce-x: a fault of this program, ZeroDivisionError: by zero"),
         (ContractError("http://anna:s3cret@cam"), 2, "uniforce-x: http://***@cam"),
+        (DiskFullError("no room"), 4, "uniforce-x: no room"),
+        *((OSError(number, os.strerror(number)), 4, f"uniforce-x: disk: {os.strerror(number)}") for number in FULL),
+        (PermissionError(13, "Permission denied", "/x"), 2, "uniforce-x: /x: Permission denied"),
     ],
 )
 def test_an_error_is_one_line(error: BaseException, code: int, line: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from datasets import disable_progress_bars
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.rewrite import Rewrite
 from uniforce_datasets.recorder import EpisodeRecorder
@@ -25,7 +24,6 @@ def record_expert(env: WipeEnv, root: Path, repo_id: str, episodes: int, seed: i
 
     Raises ContractError: an expert that fails too often; DatasetError: see ``EpisodeRecorder``.
     """
-    disable_progress_bars()  # LeRobot's own, one per saved episode, would tear ours apart
     worn, fps = env.sensors, int(env.metadata["render_fps"])
     with EpisodeRecorder(root, repo_id, worn["left"], worn["right"], fps) as recorder:
         have = recorder.num_episodes

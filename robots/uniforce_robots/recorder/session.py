@@ -51,6 +51,10 @@ class _End(Exception):  # noqa: N818  the way out of nested phases
         self.exit_code = exit_code
 
 
+def _end(error: errors.UniForceError) -> _End:
+    return _End(DISK_FULL if errors.no_room(error) else FAULT, str(error))
+
+
 class RecordingSession:
     """Record with parts that are connected.
 
@@ -148,8 +152,8 @@ class RecordingSession:
         """See to room and references; a refusal is said, and attended it means waiting again."""
         try:
             room = self._parts.disk.before_episode(frames, self._parts.recorder.total_frames)
-        except errors.DiskFullError as error:
-            raise _End(DISK_FULL, str(error)) from error
+        except errors.DatasetError as error:
+            raise _end(error) from error
         self._say(f"the episode may take {room}")
         deadline_s, said = time.monotonic() + self._settings.unwell_s, ""
         while True:
@@ -193,15 +197,15 @@ class RecordingSession:
     def _store(self, ending: Ending, card: dict[str, Any]) -> None:
         recorder, frames = self._parts.recorder, self._parts.recorder.num_frames
         keeps = ending.how == "judged" or (ending.how == "aborted" and self._settings.keep_aborted)
-        if not keeps or frames < MIN_FRAMES:
-            recorder.discard()
-            self._say(f"not stored: {ending.label}")
-            return
         try:
+            if not keeps or frames < MIN_FRAMES:
+                recorder.discard()
+                self._say(f"not stored: {ending.label}")
+                return
             recorder.save(ending.clean, ending.outcome, self._seed, ending.cause, card | self._card(ending))
         except (errors.DatasetError, errors.ContractError) as error:  # the latter: a row the storing process refused
             self._say(f"not stored: {error}")
-            raise _End(DISK_FULL if isinstance(error, errors.DiskFullError) else FAULT, str(error)) from error
+            raise _end(error) from error
         self._judged += ending.how == "judged"
         counted = f"{self._judged}/{self._settings.episodes} episodes"
         self._say(f"stored {ending.label}, {frames / self._fps:.1f} s; {counted}")

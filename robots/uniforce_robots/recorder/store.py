@@ -18,13 +18,12 @@ from typing import Any
 
 import numpy as np
 
-from datasets import disable_progress_bars
 from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_datasets.staging import claim
 from uniforce_robots.recorder.rig import RigFacts
 from uniforce_robots.recorder.rows import RECORDERS_OWN, RowSlots, further_columns, rig_features
 from uniforce_vtla.contracts import Finger
-from uniforce_vtla.errors import DatasetError, DroppedFrameError, UniForceError, expected
+from uniforce_vtla.errors import DatasetError, DiskFullError, DroppedFrameError, UniForceError, expected
 from uniforce_vtla.options import absolute
 from uniforce_vtla.terminal import STOPS
 
@@ -148,14 +147,23 @@ class StoreProcess:
             log.info("discarded after %s", error)
 
     def close(self) -> None:
-        """Let the child finish and end; one that isn't ready yet has nothing to finish."""
-        if self._stored is None:
-            self._process.kill()
-        elif self._process.exitcode is None:
-            try:
-                self._order("close")
-            except DatasetError as error:
-                log.error("%s", error)
+        """Let the child finish and end; one that isn't ready yet has nothing to finish.
+
+        Raises DiskFullError: no room for the last of it; the child has ended, and what was saved is whole.
+        """
+        try:
+            if self._stored is None:
+                self._process.kill()
+            elif self._process.exitcode is None:
+                self._finish("close")
+        except DiskFullError:
+            raise
+        except UniForceError as error:
+            log.error("%s", error)
+        finally:
+            self._end()
+
+    def _end(self) -> None:
         self._process.join(ANSWER_s)
         if self._process.exitcode is None:
             log.error("the storing process doesn't end; it is killed, saved episodes are whole")
@@ -225,18 +233,17 @@ def _gone() -> StoreGoneError:
 def serve(pipe: Connection, slots: RowSlots, facts: RigFacts, settings: StoreSettings) -> None:
     """Store until ``close`` or the pipe's end: what the child does."""
     os.nice(NICE)
-    disable_progress_bars()  # they would tear the loop's own line
     try:
         recorder = open_recorder(facts, settings)
+        _warm_up(recorder, facts)
     except UniForceError as error:
         pipe.send((error, None))
         return
-    with recorder:
-        _warm_up(recorder, facts)
-        try:
-            _obey_all(pipe, slots, recorder)
-        except (EOFError, OSError):
-            log.warning("the recording loop has gone; the running episode is dropped")
+    try:
+        _obey_all(pipe, slots, recorder)
+    except (EOFError, OSError):
+        log.warning("the recording loop has gone; the running episode is dropped")
+        recorder.close()
 
 
 def _warm_up(recorder: EpisodeRecorder, facts: RigFacts) -> None:
@@ -253,7 +260,7 @@ def _obey_all(pipe: Connection, slots: RowSlots, recorder: EpisodeRecorder) -> N
     """Do each order and answer it; after an error the rest of an episode is ignored, its save too."""
     order: tuple[Any, ...] = ("ready",)
     broken = False
-    while order[0] != "close":
+    while True:
         error = None
         try:
             match order:
@@ -266,8 +273,12 @@ def _obey_all(pipe: Connection, slots: RowSlots, recorder: EpisodeRecorder) -> N
                     recorder.save(*outcome, **more)
                 case ("discard",):
                     recorder.discard()
+                case ("close",):
+                    recorder.close()
         except UniForceError as came:
             error = came
         broken = (broken or error is not None) and order[0] == "add"
         pipe.send((error, (recorder.num_episodes, recorder.total_frames)))
+        if order[0] == "close":
+            return
         order = pipe.recv()
