@@ -29,6 +29,7 @@ from uniforce_datasets.features import (
 from uniforce_datasets.hashes import check_hashes, stage_hashes
 from uniforce_datasets.pooled_quantiles import write_pooled_stats
 from uniforce_datasets.raw_video import RawVideo
+from uniforce_datasets.rig_settings import Settings, write_settings
 from uniforce_datasets.staged_writer import open_writer
 from uniforce_datasets.staging import STAGING, claim, commit, lock, recover
 from uniforce_datasets.video_encoder import PerKeyEncoder, codec_of
@@ -148,7 +149,13 @@ class EpisodeRecorder:
         return tuple(key for key in AT_THE_END if key in self._features)
 
     def save(
-        self, success: bool, outcome: str, seed: int, cause: str = "none", card: Mapping[str, Any] | None = None
+        self,
+        success: bool,
+        outcome: str,
+        seed: int,
+        cause: str = "none",
+        card: Mapping[str, Any] | None = None,
+        settings: Settings | None = None,
     ) -> None:
         """Make the episode durable; on any error it is discarded and the saved ones stay as they are.
 
@@ -158,6 +165,7 @@ class EpisodeRecorder:
             seed: the integer that rebuilds the scene.
             cause: one of ``keys.ABORT_CAUSES``, stored where the dataset has the column.
             card: whatever else is to be known of the episode, kept as ``cards/episode_000017.json``.
+            settings: of the rig, see ``rig_settings``; compare them before the first episode.
         """
         require_one_of("outcome", outcome, OUTCOME_NAMES, "Take evaluation's outcome.")
         require_one_of("cause", cause, ABORT_CAUSES)
@@ -173,6 +181,7 @@ class EpisodeRecorder:
                 writer.save_episode()
                 self._raw.save(episode)
                 write_card(self.root / STAGING, episode, card)
+                write_settings(self.root, self.root / STAGING, episode, settings or {})
                 _name_marker_codec(writer)
                 writer.finalize()
                 check_stored(self.root / STAGING, frames, self._fps, self._ends)

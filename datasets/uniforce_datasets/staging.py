@@ -21,7 +21,7 @@ from uniforce_vtla.options import absolute
 STAGING, COMMIT = ".staging", ".commit"
 ORDER = (
     *("data", "videos", "raw", "cards"),
-    *("meta/episodes", "meta/tasks.parquet", "meta/stats.json", "meta/info.json", HASHES),
+    *("meta/episodes", "meta/tasks.parquet", "meta/stats.json", "meta/rig.json", "meta/info.json", HASHES),
 )
 
 

@@ -3,12 +3,14 @@
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TextIO, cast
 
 import numpy as np
 from lerobot.teleoperators import Teleoperator
 
+from uniforce_datasets.rig_settings import agreed_changes
 from uniforce_datasets.source import read_source
 from uniforce_robots.recorder.disk_guard import DiskGuard
 from uniforce_robots.recorder.episode import Parts, Store
@@ -55,7 +57,8 @@ def run_session(
     ``seed`` is that of the first episode of an empty dataset; without ``out`` no progress is shown; tests use another
     ``open_store`` and store in this process.
 
-    Raises UniForceError: nothing could be connected; KeyboardInterrupt: interrupted twice; everything has been let go.
+    Raises UniForceError: nothing could be connected, or the dataset was recorded with other settings;
+    KeyboardInterrupt: interrupted twice; everything has been let go.
     """
     steering, interrupts = Steering(teleop), Interrupts()
     with interrupts.counted(), ExitStack() as closing:
@@ -71,6 +74,10 @@ def run_session(
         disk = DiskGuard(store.root, recorder.features, raw_pixels, store.reserve_MB)
         view = LiveView(out and cast("TextIO", LastingText(out)), rig.facts.fps)
         parts = Parts(rig, steering, operator, recorder, disk, view, interrupts)
-        have = recorder.num_episodes
+        have = recorder.num_episodes  # from here on the dataset lies still
+        rig_settings = settings.rig | rig.stored_facts()
+        changes = agreed_changes(store.root, rig_settings, settings.accept_changes)
+        of_cards = {**settings.settings, "rig": rig_settings, "changed": changes}
+        settings = replace(settings, settings=of_cards, rig=rig_settings)
         judged, first = judged_episodes(store.root, have), next_seed(store.root, have, seed)
         return RecordingSession(parts, settings, judged, first).run()

@@ -29,6 +29,9 @@ class SessionSettings:
     keep_aborted: bool = True  # whether what was recorded until a fault is stored, labelled
     late_share: float = 0.1  # of its ticks that an episode may miss; one that missed more is ``aborted:late``
     settings: dict[str, Any] = field(default_factory=dict)  # of the whole command, for the cards
+    # of robot and teleoperator or of the scene, by dotted name: a dataset's later sessions have to have them alike
+    rig: dict[str, Any] = field(default_factory=dict)
+    accept_changes: bool = False  # whether other settings than a dataset's own will do
 
     def __post_init__(self) -> None:
         if not 0 <= self.late_share <= 1:  # NaN is not, either
@@ -202,7 +205,8 @@ class RecordingSession:
                 recorder.discard()
                 self._say(f"not stored: {ending.label}")
                 return
-            recorder.save(ending.clean, ending.outcome, self._seed, ending.cause, card | self._card(ending))
+            card |= self._card(ending)
+            recorder.save(ending.clean, ending.outcome, self._seed, ending.cause, card, self._settings.rig)
         except (errors.DatasetError, errors.ContractError) as error:  # the latter: a row the storing process refused
             self._say(f"not stored: {error}")
             raise _end(error) from error

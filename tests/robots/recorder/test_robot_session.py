@@ -338,6 +338,21 @@ def test_an_unattended_session_gives_up_on_a_fault_that_comes_back(fake: FakeRig
     assert end.exit_code == 3 and "3 times in a row" in end.message and len(end.endings) == 3
 
 
+def test_another_setting_of_the_rig_is_refused_before_the_first_episode(fake: FakeRig, tmp_path: Path) -> None:
+    """Also what the robot itself says once it is connected."""
+    root, load_kg = tmp_path / "data", [0.7]
+    fake.robot.stored_facts = lambda: {"load_kg": load_kg[0]}  # type: ignore[attr-defined]
+    assert go(fake, root, Unattended("success"), rig={"robot.gain": 1}).exit_code == 0
+    load_kg[0] = 0.9
+    with pytest.raises(ContractError, match=r"robot.gain 1 → 2, robot.stored.load_kg 0.7 → 0.9"):
+        go(fake, root, Unattended("success"), episodes=2, rig={"robot.gain": 2})
+    end = go(fake, root, Unattended("success"), episodes=2, rig={"robot.gain": 2}, accept_changes=True)
+    assert end.exit_code == 0
+    known = [read_card(root, episode)["settings"] for episode in (0, 1)]
+    assert known[0]["rig"] == {"robot.gain": 1, "robot.stored.load_kg": 0.7} and not known[0]["changed"]
+    assert known[1]["changed"] == {"robot.gain": [1, 2], "robot.stored.load_kg": [0.7, 0.9]}
+
+
 STEPS = 6
 
 
