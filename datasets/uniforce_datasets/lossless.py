@@ -10,7 +10,7 @@ from typing import Any
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
 from uniforce_datasets.content import check_content
-from uniforce_datasets.dataset_info import read_info
+from uniforce_datasets.dataset_info import is_foreign, parquet_files, read_info
 from uniforce_datasets.hashes import Verify, check_hashes, check_verify, write_hashes
 from uniforce_datasets.source import Source, read_source, read_table
 from uniforce_datasets.staged_writer import LOCAL
@@ -34,6 +34,11 @@ def open_dataset(
     Raises DatasetError: see ``check_dataset``.
     """
     source = check_dataset(root, verify)
+    for file in source.root.rglob("*.parquet"):
+        if is_foreign(file.name):
+            raise DatasetError(
+                expected(str(file), "none, LeRobot opens it as a table", "a system's file", "Delete it.")
+            )
     return LeRobotDataset(repo_id, **({"root": source.root, "revision": LOCAL, "video_backend": "pyav"} | options))
 
 
@@ -98,7 +103,7 @@ def _episodes(source: Source) -> dict[str, int]:
     for episode in source.episodes:
         for span in episode.videos.values():
             users[span.file].add(episode.index)
-    for file in (file for part in TABLES for file in (source.root / part).rglob("*.parquet")):
+    for file in (file for part in TABLES for file in parquet_files(source.root / part)):
         users[file] = set(read_table(file, ["episode_index"])["episode_index"].to_pylist())
     for file in (file for part in NUMBERED for file in (source.root / part).rglob(f"{STEM}*")):
         users[file] = {int(word) for word in [file.stem.removeprefix(STEM)] if word.isdecimal()}
