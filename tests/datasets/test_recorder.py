@@ -1,3 +1,4 @@
+import errno
 import json
 import os
 import resource
@@ -244,6 +245,43 @@ def test_a_file_that_grows_too_large_is_a_full_disk_whoever_writes_it(demos, tmp
             resource.setrlimit(resource.RLIMIT_FSIZE, before)
     session(root)
     assert len(check_dataset(root, "full").episodes) == EPISODES + 1
+
+
+def test_what_operating_systems_leave_in_a_folder_is_none_of_a_dataset(demos: Path, tmp_path: Path) -> None:
+    root = Path(shutil.copytree(demos, tmp_path / "data"))
+    for folder in (tmp_path / "new", *(path for path in (root, *root.rglob("*")) if path.is_dir())):
+        folder.mkdir(exist_ok=True)
+        for name in (".DS_Store", "._file-000.parquet", "Thumbs.db", "desktop.ini", ".nfs0001"):
+            (folder / name).write_bytes(b"\0\5\x16\7")
+    session(tmp_path / "new")
+    session(root)
+    assert len(check_dataset(root, "full").episodes) == EPISODES + 1
+    with pytest.raises(DatasetError, match=r"\._file-000\.parquet.*Delete it"):
+        open_dataset(root)
+
+
+@pytest.mark.parametrize("number", [errno.EINVAL, errno.ENOTSUP])
+def test_a_folder_that_cannot_be_synced_holds_a_dataset_nevertheless(tmp_path, monkeypatch, number: int) -> None:
+    sync = os.fsync
+
+    def unable(handle: int) -> None:
+        if os.path.isdir(f"/proc/self/fd/{handle}"):
+            raise OSError(number, os.strerror(number))
+        sync(handle)
+
+    monkeypatch.setattr(os, "fsync", unable)
+    session(tmp_path / "data")
+    assert len(check_dataset(tmp_path / "data", "full").episodes) == 1
+
+
+@pytest.mark.parametrize("error", [PermissionError(13, "Permission denied"), NotImplementedError("no flock")])
+def test_a_folder_that_cannot_be_locked_is_one_line_before_the_first_episode(tmp_path, monkeypatch, error) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(staging.FileLock, "acquire", refuse)
+    with pytest.raises(DatasetError, match="can be locked"):
+        open_recorder(tmp_path / "data")
 
 
 def test_damaged_marker_video_is_caught_before_it_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
