@@ -264,7 +264,7 @@ class EpisodeRecorder:
             self.discard()
             if isinstance(error, DatasetError):
                 raise
-            do = f"What it was about is dropped; {self.num_episodes} saved episodes are intact."
+            do = f"The running episode is dropped; {self.num_episodes} saved episodes are intact."
             raise not_stored(str(self.root), wanted, error, do) from error
 
 
