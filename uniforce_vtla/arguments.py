@@ -21,7 +21,7 @@ import numpy as np
 import yaml
 
 from uniforce_vtla.errors import ContractError, UniForceError, expected
-from uniforce_vtla.options import check_text, shortened, split
+from uniforce_vtla.options import Existing, Writable, at_home, check_text, shortened, split
 
 KINDS = {int: "a whole number", float: "a number", bool: "true | false", str: "text"}
 
@@ -165,7 +165,7 @@ def read_value(option: Option, text: str) -> Any:
     if text == "null" and option.optional:
         return None
     if option.kind is str or isinstance(option.default, str):
-        value: Any = text
+        value: Any = at_home(text) if isinstance(option.rule, Existing | Writable) else text
     else:
         value = _read(option, text)
     if get_origin(option.kind) is Literal and value not in get_args(option.kind):

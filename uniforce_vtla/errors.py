@@ -1,5 +1,7 @@
 """Every error a user can meet: what was expected, what came, what to do."""
 
+import errno
+import os
 import re
 from collections.abc import Collection
 
@@ -78,6 +80,24 @@ def without_credentials(text: str) -> str:
 def expected(what: str, wanted: object, came: object, do: str) -> str:
     """Compose a message in the one form all our errors share; credentials of an address never get into one."""
     return without_credentials(f"{what}: expected {wanted}, got {came}. {do}")
+
+
+# no room on the disk, in a user's share of it, or in the largest file that a file system or shell allows
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+def no_room(error: BaseException) -> bool:
+    """Return whether an error says that a disk is full, by number or, where a library handed on no more, in words."""
+    if isinstance(error, DiskFullError) or getattr(error, "errno", None) in FULL:
+        return True
+    return any(os.strerror(number) in str(error) for number in FULL)
+
+
+def not_stored(what: str, wanted: str, error: BaseException, do: str) -> DatasetError:
+    """Return the error for what could not be written: a DiskFullError where there is no room."""
+    if no_room(error):
+        return DiskFullError(expected(what, wanted, error, f"Free some space. {do}"))
+    return DatasetError(expected(what, wanted, error, do))
 
 
 def require_one_of(what: str, value: object, known: Collection[object], do: str = "Name one.") -> None:

@@ -86,6 +86,23 @@ class Plain:
         """Raise nothing: every text is checked by ``check_text``."""
 
 
+def absolute(path: str | Path) -> Path:
+    """Return where a path leads whatever folder a program changes to; ``~`` is the home folder.
+
+    Some shells leave the ``~`` of ``root=~/demos`` as it is, and every Python script does. Raises ContractError: a
+    user without a home.
+    """
+    try:
+        return Path(path).expanduser().absolute()
+    except (RuntimeError, OSError) as error:  # OSError: the current folder was deleted
+        raise ContractError(expected(str(path), "a folder that leads somewhere", error, "Name another.")) from error
+
+
+def at_home(text: str) -> str:
+    """Return a path, or several with commas between, with ``~`` replaced by the home folder; the rest as it came."""
+    return ",".join(str(absolute(word.strip())) if word.strip().startswith("~") else word for word in text.split(","))
+
+
 @dataclass(frozen=True)
 class Existing:
     """A file or folder that must be there; ``many``: several, commas between."""

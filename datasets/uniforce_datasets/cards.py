@@ -19,7 +19,7 @@ def write_card(staged: Path, episode: int, card: Mapping[str, Any] | None) -> No
         return
     path = card_path(staged, episode)
     path.parent.mkdir(parents=True, exist_ok=True)
-    text = json.dumps({"episode": episode, **card}, indent=1, ensure_ascii=False)
+    text = json.dumps({"episode": episode, **card}, indent=1, ensure_ascii=False, default=str)
     path.write_text(without_credentials(text) + "\n")
 
 

@@ -17,6 +17,19 @@ PLACEHOLDERS = ("video_key", "chunk_index", "file_index")
 FORMAT = re.compile(r"(0?\d)?d?")  # 03d at most: a width of a billion would fill the memory
 
 
+OF_SYSTEMS = re.compile(r"\..*|Thumbs\.db|ehthumbs\.db|desktop\.ini|__MACOSX", re.IGNORECASE)
+
+
+def is_foreign(name: str) -> bool:
+    """Return whether a file is an operating system's, as ``.DS_Store`` and ``._file.parquet``."""
+    return OF_SYSTEMS.fullmatch(name) is not None
+
+
+def parquet_files(folder: Path) -> list[Path]:
+    """Return the parquet files in a folder and below, in order."""
+    return sorted(file for file in folder.rglob("*.parquet") if not is_foreign(file.name))
+
+
 def inside(root: Path, path: Path) -> Path:
     """Return ``path`` if it lies in ``root`` once links and ".." are followed.
 

@@ -93,20 +93,21 @@ def sensor_index(name: str) -> int:
 
 
 class ColumnMaker:
-    """Makes columns of values; a reference, the same array object all episode long, is made only once."""
+    """Makes columns of values; a marker image that equals the last one, as a reference does, is made only once."""
 
     def __init__(self) -> None:
-        self._last: dict[str, tuple[Any, np.ndarray]] = {}
+        self._last: dict[str, tuple[np.ndarray, np.ndarray]] = {}
 
     def __call__(self, key: str, value: Any) -> np.ndarray:
         """Return the value as stored: marker images as (480, 640, 3) with R = G = B, the rest as it came.
 
-        An array that was passed must not be written to afterwards.
+        It shares no memory with ``value``: a driver may fill one array over and over.
         """
+        array = np.array(value)
         if key not in keys.TACTILE_KEYS:
-            return np.asarray(value)
-        if key not in self._last or self._last[key][0] is not value:
-            self._last[key] = value, _marker_column(key, np.asarray(value))
+            return array
+        if key not in self._last or not np.array_equal(self._last[key][0], array):
+            self._last[key] = array, _marker_column(key, array)
         return self._last[key][1]
 
 

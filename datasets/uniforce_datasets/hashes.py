@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal, get_args
 
-from uniforce_datasets.dataset_info import INFO
+from uniforce_datasets.dataset_info import INFO, is_foreign
 from uniforce_datasets.staging import COMMIT, STAGING
 from uniforce_vtla.errors import DatasetError, expected, require_one_of
 from uniforce_vtla.file_hashes import HASHES, Entries, Entry, differences, hash_files, read_hashes, store_hashes
@@ -26,11 +26,11 @@ def check_verify(verify: str) -> Verify:
 
 
 def files_of(root: Path) -> list[str]:
-    """Return the files that count as a dataset's or view's, relative to its folder, hidden ones left out."""
+    """Return the files that count as a dataset's or view's, relative to its folder; not a system's own."""
     parts = (".",) if (root / VIEW_MARKER).is_file() else PARTS
     walked = (Path(folder, name) for part in parts for folder, _, names in os.walk(root / part) for name in names)
     paths = [path.relative_to(root) for path in walked if path.is_file()]  # rglob fails where a recorder drops a folder
-    names = [str(path) for path in paths if not any(word.startswith(".") for word in path.parts)]
+    names = [str(path) for path in paths if not any(map(is_foreign, path.parts))]
     return [name for name in names if name != HASHES]
 
 

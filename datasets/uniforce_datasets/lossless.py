@@ -10,13 +10,14 @@ from typing import Any
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
 from uniforce_datasets.content import check_content
-from uniforce_datasets.dataset_info import read_info
+from uniforce_datasets.dataset_info import is_foreign, parquet_files, read_info
 from uniforce_datasets.hashes import Verify, check_hashes, check_verify, write_hashes
 from uniforce_datasets.source import Source, read_source, read_table
 from uniforce_datasets.staged_writer import LOCAL
 from uniforce_datasets.staging import claim, lock, recover
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.keys import tactile_key
+from uniforce_vtla.options import absolute
 
 
 def open_dataset(
@@ -33,6 +34,11 @@ def open_dataset(
     Raises DatasetError: see ``check_dataset``.
     """
     source = check_dataset(root, verify)
+    for file in source.root.rglob("*.parquet"):
+        if is_foreign(file.name):
+            raise DatasetError(
+                expected(str(file), "none, LeRobot opens it as a table", "a system's file", "Delete it.")
+            )
     return LeRobotDataset(repo_id, **({"root": source.root, "revision": LOCAL, "video_backend": "pyav"} | options))
 
 
@@ -48,7 +54,7 @@ def check_dataset(root: str | Path, verify: str = "quick", within: Path | None =
     Raises DatasetError: a file is missing, damaged, exchanged or never was saved there, a marker stream has no
     reference or is lossy, a number isn't one; names file and episode; ContractError: another ``verify``.
     """
-    depth, root = check_verify(verify), Path(root)
+    depth, root = check_verify(verify), absolute(root)
     read_info(root, within)  # paths first: none that leads outside is opened
     check_hashes(root, depth)
     return check_whole(root, depth, within)
@@ -79,8 +85,8 @@ def rehash(root: str | Path, verify: str = "full") -> Source:
     Raises DatasetError: content that can't be trusted (see ``check_dataset``), or a recorder at work; no hash is
     changed; ContractError: another ``verify``.
     """
-    root, depth = Path(root), check_verify(verify)
-    held = lock(claim(root), wait_s=0.0)
+    root, depth = claim(root), check_verify(verify)
+    held = lock(root, wait_s=0.0)
     try:
         recover(root)
         read_info(root)
@@ -97,7 +103,7 @@ def _episodes(source: Source) -> dict[str, int]:
     for episode in source.episodes:
         for span in episode.videos.values():
             users[span.file].add(episode.index)
-    for file in (file for part in TABLES for file in (source.root / part).rglob("*.parquet")):
+    for file in (file for part in TABLES for file in parquet_files(source.root / part)):
         users[file] = set(read_table(file, ["episode_index"])["episode_index"].to_pylist())
     for file in (file for part in NUMBERED for file in (source.root / part).rglob(f"{STEM}*")):
         users[file] = {int(word) for word in [file.stem.removeprefix(STEM)] if word.isdecimal()}

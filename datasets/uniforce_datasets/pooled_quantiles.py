@@ -16,6 +16,7 @@ from uniforce_datasets.staging import STAGING, commit
 from uniforce_vtla.errors import DatasetError
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import ACTION, STATE
+from uniforce_vtla.options import absolute
 
 QUANTILES = (0.01, 0.10, 0.50, 0.90, 0.99)
 POOLED_KEYS = (STATE, ACTION)
@@ -42,7 +43,7 @@ def write_pooled_stats(root: str | Path) -> None:
 
     Raises DatasetError: the statistics or the columns are damaged.
     """
-    root = Path(root)
+    root = absolute(root)
     stats = read_object(root / "meta" / "stats.json", DatasetError)
     columns = read_source(root).columns(tuple(key for key in POOLED_KEYS if key in stats))
     for key, values in columns.items():

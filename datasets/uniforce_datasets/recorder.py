@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import errno
-import logging
 import shutil
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -15,6 +13,7 @@ import numpy as np
 from lerobot.datasets.dataset_writer import DatasetWriter
 from lerobot.datasets.io_utils import write_info
 
+from datasets import disable_progress_bars
 from uniforce_datasets.cards import write_card
 from uniforce_datasets.content import check_stored
 from uniforce_datasets.dataset_info import INFO
@@ -30,14 +29,14 @@ from uniforce_datasets.features import (
 from uniforce_datasets.hashes import check_hashes, stage_hashes
 from uniforce_datasets.pooled_quantiles import write_pooled_stats
 from uniforce_datasets.raw_video import RawVideo
+from uniforce_datasets.rig_settings import Settings, write_settings
 from uniforce_datasets.staged_writer import open_writer
 from uniforce_datasets.staging import STAGING, claim, commit, lock, recover
 from uniforce_datasets.video_encoder import PerKeyEncoder, codec_of
 from uniforce_vtla.contracts import FINGERS, Finger
-from uniforce_vtla.errors import DatasetError, DiskFullError, DroppedFrameError, expected, require_one_of
+from uniforce_vtla.errors import DatasetError, DroppedFrameError, expected, not_stored, require_one_of
 from uniforce_vtla.keys import ABORT_CAUSES, CAUSE, OUTCOME, OUTCOME_NAMES, SEED, SUCCESS, TACTILE_KEYS, sensor_key
 
-logger = logging.getLogger(__name__)
 MIN_FRAMES = 2  # LeRobot computes no video statistics for fewer
 AT_THE_END = (SUCCESS, OUTCOME, SEED, CAUSE)  # columns known only when the episode is over
 
@@ -82,7 +81,8 @@ class EpisodeRecorder:
         lock_wait_s: float = 0.0,
         features: dict[str, dict] | None = None,
     ) -> None:
-        self.root = Path(root)
+        disable_progress_bars()  # LeRobot's own, one per saved episode: they tear other lines, and fail with stderr
+        self.root = claim(root)
         self._repo_id, self._fps = repo_id, fps
         self._realtime, self._queue_frames = realtime, queue_frames
         self._sensors = {
@@ -92,21 +92,27 @@ class EpisodeRecorder:
         self._features = dataset_features(cameras, truth, further) if features is None else features
         self._columns = ColumnMaker()
         self._raw_shapes = dict(raw_shapes or {})
-        self._lock = lock(claim(root), lock_wait_s)
-        recover(self.root)
-        if (self.root / INFO).exists():
-            check_hashes(self.root, "quick")
-        self._writer = self._open()
+        self._lock = lock(self.root, lock_wait_s)
+        self._writer: DatasetWriter | None = None  # of the running episode
+        self._stored = 0, 0  # episodes and frames
+        with ExitStack() as failed:
+            failed.callback(self._lock.release)
+            with self._storing("a dataset to go on with"):
+                recover(self.root)
+                if (self.root / INFO).exists():
+                    check_hashes(self.root, "quick")
+                self._open()
+            failed.pop_all()
 
     @property
     def num_episodes(self) -> int:
         """Saved episodes, those of earlier sessions included."""
-        return self._writer._meta.total_episodes
+        return self._stored[0]
 
     @property
     def total_frames(self) -> int:
         """Frames of all saved episodes."""
-        return int(self._writer._meta.total_frames)
+        return self._stored[1]
 
     @property
     def features(self) -> dict[str, dict]:
@@ -116,10 +122,10 @@ class EpisodeRecorder:
     @property
     def num_frames(self) -> int:
         """Frames waiting in the current episode."""
-        return self._writer.episode_buffer["size"]
+        return 0 if self._writer is None else self._writer.episode_buffer["size"]
 
     def add(self, frame: Mapping[str, Any], task: str, raw: Mapping[Finger, np.ndarray] | None = None) -> None:
-        """Append one observation and the action commanded at it.
+        """Append one observation and the action commanded at it; every array is copied.
 
         Args:
             frame: every column but provenance that the recorder knows: cameras (H, W, 3) uint8, marker images
@@ -130,9 +136,10 @@ class EpisodeRecorder:
         row = {key: self._columns(key, value) for key, value in frame.items()} | self._sensors
         row |= {key: np.zeros(1, dtype=self._features[key]["dtype"]) for key in self._at_the_end}
         check_row(row, self._features)
-        with _typed_errors(self):
+        with self._storing("room to store it"):
+            writer = self._open() if self._writer is None else self._writer
             self._raw.add(raw or {})
-            self._writer.add_frame(row | {"task": task})
+            writer.add_frame(row | {"task": task})
         for key in TACTILE_KEYS:
             self._ends[key] = (self._ends.get(key, (row[key],))[0], row[key])
         self._refuse_dropped()
@@ -142,7 +149,13 @@ class EpisodeRecorder:
         return tuple(key for key in AT_THE_END if key in self._features)
 
     def save(
-        self, success: bool, outcome: str, seed: int, cause: str = "none", card: Mapping[str, Any] | None = None
+        self,
+        success: bool,
+        outcome: str,
+        seed: int,
+        cause: str = "none",
+        card: Mapping[str, Any] | None = None,
+        settings: Settings | None = None,
     ) -> None:
         """Make the episode durable; on any error it is discarded and the saved ones stay as they are.
 
@@ -152,48 +165,62 @@ class EpisodeRecorder:
             seed: the integer that rebuilds the scene.
             cause: one of ``keys.ABORT_CAUSES``, stored where the dataset has the column.
             card: whatever else is to be known of the episode, kept as ``cards/episode_000017.json``.
+            settings: of the rig, see ``rig_settings``; compare them before the first episode.
         """
         require_one_of("outcome", outcome, OUTCOME_NAMES, "Take evaluation's outcome.")
         require_one_of("cause", cause, ABORT_CAUSES)
-        if self.num_frames < MIN_FRAMES:
-            came = self.num_frames
+        writer, frames, episode = self._writer, self.num_frames, self.num_episodes
+        if writer is None or frames < MIN_FRAMES:
             self.discard()
-            raise DatasetError(expected("episode", f"≥ {MIN_FRAMES} frames", came, "Record longer."))
+            raise DatasetError(expected("episode", f"≥ {MIN_FRAMES} frames", frames, "Record longer."))
         self._refuse_dropped()
         ends = (float(success), OUTCOME_NAMES.index(outcome), seed, ABORT_CAUSES.index(cause))
-        self._write_at_the_end(dict(zip(AT_THE_END, ends, strict=True)))
-        frames, episode = self.num_frames, self.num_episodes
-        with _typed_errors(self):
-            self._writer.save_episode()
-            self._raw.save(episode)
-            write_card(self.root / STAGING, episode, card)
-            self._name_marker_codec()
-            self._writer.finalize()
-            check_stored(self.root / STAGING, frames, self._fps, self._ends)
-            stage_hashes(self.root, episode)
-            commit(self.root)
-        self._writer = self._open()
+        self._write_at_the_end(writer, dict(zip(AT_THE_END, ends, strict=True)))
+        try:
+            with self._storing("room to store it"):
+                writer.save_episode()
+                self._raw.save(episode)
+                write_card(self.root / STAGING, episode, card)
+                write_settings(self.root, self.root / STAGING, episode, settings or {})
+                _name_marker_codec(writer)
+                writer.finalize()
+                check_stored(self.root / STAGING, frames, self._fps, self._ends)
+                stage_hashes(self.root, episode)
+                commit(self.root)
+            self._stored = episode + 1, self.total_frames + frames
+            self.discard()
+        except DatasetError:
+            with suppress(OSError, RuntimeError, DatasetError):
+                self._open()  # which finishes what was interrupted on its way in
+            if self.num_episodes == episode:
+                raise
 
     def discard(self) -> None:
-        """Forget the current episode."""
-        self._writer.clear_episode_buffer(delete_images=False)
-        self._reopen()
+        """Let go of the running episode without writing: what it staged is deleted."""
+        writer, self._writer = self._writer, None
+        if writer is not None:
+            self._raw.cancel()
+            writer.cancel_pending_videos()
+            writer._meta._metadata_buffer.clear()
+            with suppress(OSError, RuntimeError):  # a full disk, and all of it is deleted now
+                writer.finalize()
+        shutil.rmtree(self.root / STAGING, ignore_errors=True)
 
     def close(self) -> None:
-        """Drop an unfinished episode, pool the statistics over all data, let others record here."""
+        """Drop an unfinished episode, pool the statistics over all data, let others record here.
+
+        Raises DatasetError: no room for the statistics, others can record nevertheless; see ``write_pooled_stats``.
+        """
         if not self._lock.is_locked:
             return
-        self._abandon()
-        if (self.root / INFO).exists():
-            self._pool()
-        self._lock.release()
-
-    def _pool(self) -> None:
         try:
-            write_pooled_stats(self.root)
-        except OSError as error:  # a full disk: the dataset is whole, and the next session's end pools again
-            do = "Free some space and resume, which pools them."
-            logger.error("%s", expected("statistics of all episodes", "room to write them", error, do))
+            self.discard()
+            with self._storing("room for the statistics of all episodes"):
+                recover(self.root)
+                if (self.root / INFO).exists():
+                    write_pooled_stats(self.root)
+        finally:
+            self._lock.release()
 
     def __enter__(self) -> EpisodeRecorder:
         return self
@@ -204,61 +231,47 @@ class EpisodeRecorder:
         self.close()
 
     def _open(self) -> DatasetWriter:
-        """A LeRobot writer whose files all go to the staging folder."""
+        """Finish an interrupted save; return a LeRobot writer whose files all go to the staging folder."""
+        recover(self.root)
         writer = open_writer(self.root, self._repo_id, self._fps, self._features, self._queue_frames, self._realtime)
         refuse_other_features(writer._meta, self._fps, self._features)
         encoder = PerKeyEncoder(self._fps, self._queue_frames, self._realtime)
         self._raw = RawVideo(self.root / STAGING, self._raw_shapes, encoder)
         self._ends: dict[str, tuple[np.ndarray, ...]] = {}  # first and last marker images of the episode
+        self._stored = writer._meta.total_episodes, int(writer._meta.total_frames)
+        self._writer = writer
         return writer
 
-    def _reopen(self) -> None:
-        self._abandon()
-        self._writer = self._open()
-
-    def _abandon(self) -> None:
-        """Let go of the LeRobot writer without writing: what it staged is deleted."""
-        writer = self._writer
-        self._raw.cancel()
-        writer.cancel_pending_videos()
-        writer._meta._metadata_buffer.clear()
-        if (self.root / STAGING).exists():
-            self._writer.finalize()
-        shutil.rmtree(self.root / STAGING, ignore_errors=True)
-
     def _refuse_dropped(self) -> None:
-        dropped = self._writer._streaming_encoder.dropped | self._raw.dropped
+        dropped = self._raw.dropped | (self._writer._streaming_encoder.dropped if self._writer else {})
         if dropped:
             self.discard()
             do = "Episode discarded; record it again."
             raise DroppedFrameError(expected("video", "every frame stored", f"{dropped} dropped", do))
 
-    def _write_at_the_end(self, ends: Mapping[str, float]) -> None:
-        buffer = self._writer.episode_buffer
+    def _write_at_the_end(self, writer: DatasetWriter, ends: Mapping[str, float]) -> None:
+        buffer = writer.episode_buffer
         for key in self._at_the_end:
             value = ends[key]
             buffer[key] = [np.array([value], dtype=self._features[key]["dtype"])] * buffer["size"]
 
-    def _name_marker_codec(self) -> None:
-        """Say crf 0 in info.json: LeRobot writes its one codec for every key, at the first episode."""
-        meta = self._writer._meta
-        if meta.total_episodes == 1:
-            for key in TACTILE_KEYS:
-                meta.update_video_info(key, video_encoder=codec_of(key))
-            write_info(meta.info, meta.root)
+    @contextmanager
+    def _storing(self, wanted: str) -> Iterator[None]:
+        """Turn what goes wrong while storing into a DatasetError, with the running episode discarded."""
+        try:
+            yield
+        except (OSError, RuntimeError, DatasetError) as error:
+            self.discard()
+            if isinstance(error, DatasetError):
+                raise
+            do = f"The running episode is dropped; {self.num_episodes} saved episodes are intact."
+            raise not_stored(str(self.root), wanted, error, do) from error
 
 
-@contextmanager
-def _typed_errors(recorder: EpisodeRecorder) -> Iterator[None]:
-    """Turn what goes wrong while storing into a DatasetError, with the episode discarded."""
-    try:
-        yield
-    except (OSError, RuntimeError, DatasetError) as error:
-        recorder._reopen()
-        if isinstance(error, DatasetError):
-            raise
-        full = getattr(error, "errno", None) == errno.ENOSPC or "No space left" in str(error)
-        do = "Free some space" if full else "See the error above"
-        saved = f"{recorder.num_episodes} saved episodes are intact"
-        kind = DiskFullError if full else DatasetError
-        raise kind(expected("episode", "room to store it", error, f"{do} and record it again; {saved}.")) from error
+def _name_marker_codec(writer: DatasetWriter) -> None:
+    """Say crf 0 in info.json: LeRobot writes its one codec for every key, at the first episode."""
+    meta = writer._meta
+    if meta.total_episodes == 1:
+        for key in TACTILE_KEYS:
+            meta.update_video_info(key, video_encoder=codec_of(key))
+        write_info(meta.info, meta.root)

@@ -11,10 +11,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from uniforce_datasets.dataset_info import read_info, videos
+from uniforce_datasets.dataset_info import parquet_files, read_info, videos
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.keys import tactile_key
+from uniforce_vtla.options import absolute
 
 BROKEN_VIDEO = (av.error.FFmpegError, OSError, IndexError, ValueError)  # the last: metadata that is no text, no codec
 MAX_PIXELS = 4096 * 2304  # of a frame; a damaged header may announce gigabytes
@@ -84,7 +85,7 @@ def read_source(root: str | Path, within: Path | None = None) -> Source:
 
     Raises DatasetError: no dataset there, no episode, broken metadata, or a path or link that leads out of it.
     """
-    root = Path(root)
+    root = absolute(root)
     info = read_info(root, within)
     return Source(root, info, _episodes(root, info))
 
@@ -93,7 +94,7 @@ def _episodes(root: Path, info: dict[str, Any]) -> tuple[Episode, ...]:
     keys = videos(info)
     spans = [f"videos/{k}/{part}" for k in keys for part in ("chunk_index", "file_index", "from_timestamp")]
     columns = ["episode_index", "dataset_from_index", "length", "tasks", *spans]
-    files = sorted((root / "meta" / "episodes").rglob("*.parquet"))
+    files = parquet_files(root / "meta" / "episodes")
     rows = [row for file in files for row in read_table(file, columns).to_pylist()]
     where, total = str(root / "meta" / "episodes"), info["total_episodes"]
     for row in rows:
@@ -136,7 +137,7 @@ def read_columns(root: Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
 
     Raises DatasetError: no data file, or one that can't be read.
     """
-    files = sorted((root / "data").rglob("*.parquet"))
+    files = parquet_files(root / "data")
     if not files:
         raise DatasetError(expected(str(root), "data/**/*.parquet", "none", "Record episodes first."))
     tables = {file: read_table(file, list(keys)) for file in files}

@@ -12,6 +12,7 @@ from lerobot.datasets.dataset_metadata import LeRobotDatasetMetadata
 from lerobot.datasets.dataset_writer import DatasetWriter
 from lerobot.datasets.io_utils import load_info, load_stats, load_tasks
 
+from uniforce_datasets.dataset_info import parquet_files
 from uniforce_datasets.staging import STAGING
 from uniforce_datasets.video_encoder import PerKeyEncoder, camera_codec
 from uniforce_vtla.errors import DatasetError, expected
@@ -31,7 +32,7 @@ class StagedMetadata(LeRobotDatasetMetadata):
             self.tasks = load_tasks(self.root) if self.total_tasks else None
             self.stats = load_stats(self.root)
             self.episodes = [_last_row(self.root, self.video_keys)] if self.total_episodes else None
-        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
             do = "Restore it from a copy, or record into a new folder."
             came = f"{type(error).__name__}: {error}"
             raise DatasetError(expected(f"{self.root}/meta", "a dataset's metadata", came, do)) from error
@@ -41,7 +42,7 @@ def _last_row(root: Path, video_keys: list[str]) -> dict[str, Any]:
     """Return the columns a writer goes on from."""
     prefixes = ["data", "meta/episodes", *(f"videos/{key}" for key in video_keys)]
     columns = [f"{prefix}/{place}" for prefix in prefixes for place in PLACES]
-    file = max((root / "meta" / "episodes").rglob("*.parquet"))
+    file = parquet_files(root / "meta" / "episodes")[-1]
     rows = pq.ParquetFile(file).read(columns=["episode_index", "dataset_to_index", *columns]).to_pylist()
     return max(rows, key=lambda row: row["episode_index"])
 
@@ -53,7 +54,7 @@ def open_writer(
     staged = root / STAGING
     if (root / "meta" / "info.json").exists():
         meta = StagedMetadata(repo_id, root, LOCAL)
-        (staged / "meta").mkdir(parents=True)
+        (staged / "meta").mkdir(parents=True, exist_ok=True)
         meta.root = staged
     else:
         meta = StagedMetadata.create(repo_id, fps, dict(features), root=staged)

@@ -7,6 +7,7 @@ whatever a power loss or kill -9 left behind. One recorder at a time holds a dat
 process, however that ends.
 """
 
+import errno
 import os
 import shutil
 import tempfile
@@ -14,13 +15,16 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from uniforce_vtla.errors import DatasetError, expected
+from uniforce_datasets.dataset_info import is_foreign
+from uniforce_vtla.errors import DatasetError, expected, not_stored
 from uniforce_vtla.file_hashes import HASHES
+from uniforce_vtla.options import absolute
 
+UNSYNCED = (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS)  # of file systems that can't, e.g. for a folder on a network
 STAGING, COMMIT = ".staging", ".commit"
 ORDER = (
     *("data", "videos", "raw", "cards"),
-    *("meta/episodes", "meta/tasks.parquet", "meta/stats.json", "meta/info.json", HASHES),
+    *("meta/episodes", "meta/tasks.parquet", "meta/stats.json", "meta/rig.json", "meta/info.json", HASHES),
 )
 
 
@@ -32,13 +36,13 @@ def claim(root: str | Path) -> Path:
     do = "Give root=… a folder you may write to."
     if not str(root).strip():
         raise DatasetError(expected("root", "a folder", repr(str(root)), do))
-    folder = Path(root)
+    folder = absolute(root)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
-            foreign = [path.name for path in folder.iterdir() if not path.name.startswith(".")]
+            foreign = [path.name for path in folder.iterdir() if not is_foreign(path.name)]
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
-        raise DatasetError(expected(f"root={root}", "a folder to write to", error, do)) from error
+        raise not_stored(f"root={root}", "a folder to write to", error, do) from error
     if foreign and not any((folder / name).exists() for name in (COMMIT, "meta/info.json")):
         raise DatasetError(expected(str(folder), "an empty folder or a dataset", foreign[:3], "Choose another root."))
     return folder
@@ -55,6 +59,8 @@ def lock(root: Path, wait_s: float) -> FileLock:
     except Timeout as error:
         do = "Wait, or use another root."
         raise DatasetError(expected(str(root), "one recorder at a time", "another one", do)) from error
+    except (OSError, NotImplementedError) as error:  # another user's file, a file system without locks
+        raise not_stored(str(held.lock_file), "a file that can be locked", error, "Use another root.") from error
     return held
 
 
@@ -78,6 +84,9 @@ def _sync(path: Path) -> None:
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
+    except OSError as error:
+        if error.errno not in UNSYNCED:
+            raise
     finally:
         os.close(handle)
 
@@ -91,4 +100,4 @@ def _move_in(root: Path) -> None:
             target.parent.mkdir(parents=True, exist_ok=True)
             os.replace(file, target)
             _sync(target.parent)
-    shutil.rmtree(staged)
+    shutil.rmtree(staged, ignore_errors=True)  # empty but for what an operating system put there

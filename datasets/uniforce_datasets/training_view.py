@@ -22,6 +22,7 @@ from uniforce_vtla import keys
 from uniforce_vtla.array_file import read_array
 from uniforce_vtla.contracts import FINGERS, check_finger
 from uniforce_vtla.errors import DatasetError, expected, require_one_of
+from uniforce_vtla.options import absolute
 
 __all__ = ["TrainingView", "ViewMetadata", "build_view", "make_training_dataset"]
 
@@ -84,7 +85,7 @@ class TrainingView(Dataset):
         image_transforms: Callable[[torch.Tensor], torch.Tensor] | None = None,
         verify: str = "quick",
     ) -> None:
-        self.root = Path(root)
+        self.root = absolute(root)
         self.marker = read_marker(self.root)
         if check_verify(verify) != "off":
             check_hashes(self.root)

@@ -5,6 +5,7 @@ Stock LeRobot decodes six videos for every training sample.  A view reads arrays
 
 import json
 import logging
+import os
 import shutil
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
@@ -25,6 +26,7 @@ from uniforce_datasets.view_plan import TOUCH_STREAMS, EpisodeFacts, ViewPlan, V
 from uniforce_vtla.contracts import FINGERS, Finger, check_marker_image
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.keys import CAMERAS, VIEW_MARKER, camera_key, tactile_key
+from uniforce_vtla.options import absolute
 from uniforce_vtla.results_file import only_writer, write_json
 from uniforce_vtla.tokenizer import Tokenizer, pool_latent
 from uniforce_vtla.tokenizer.plain_touch import descriptors, marker_pairs
@@ -97,7 +99,7 @@ def build_view(
     encoder = encoder or PooledTokenizer(tokenizer, latent_grid)
     settings = ViewSettings(image_side, latent_grid, dict(slots or DEFAULT_SLOTS), encoder.hash)
     plan = plan_view([roots] if isinstance(roots, str | Path) else roots, settings, keep, verify)
-    out = Path(out)
+    out = absolute(out)
     if _same_view(out, plan):
         return out
     building = out.with_name(out.name + ".building")
@@ -192,8 +194,12 @@ def _resume(plan: ViewPlan, building: Path) -> int:
 def _open(building: Path, name: str, frames: int, block: np.ndarray) -> np.ndarray:
     path, shape = building / f"{name}.npy", (frames, *block.shape[1:])
     if path.is_file():
-        return np.lib.format.open_memmap(path, mode="r+")
-    return np.lib.format.open_memmap(path, mode="w+", dtype=block.dtype, shape=shape)
+        array = np.lib.format.open_memmap(path, mode="r+")
+    else:
+        array = np.lib.format.open_memmap(path, mode="w+", dtype=block.dtype, shape=shape)
+    with path.open("rb+") as file:  # a full disk is an error now, and none when a page is written: that is a SIGBUS
+        os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
+    return array
 
 
 def _episode_blocks(job: _Job) -> dict[str, np.ndarray]:

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from typing import Any, ClassVar
 
+import cv2
 import gymnasium
 import numpy as np
 from gymnasium import spaces
@@ -115,7 +116,7 @@ class WipeEnv(gymnasium.Env):
             SensorError: a canonicalizer refuses its frame.
         """
         pad = self._touch[finger]
-        return pad.reference[..., 0], pad.image(self.sim)[..., 0]
+        return pad.reference.copy(), pad.image(self.sim).copy()
 
     def result(self) -> EpisodeResult:
         """Score the episode as it stands."""
@@ -192,15 +193,15 @@ class WipeEnv(gymnasium.Env):
         return self.observe(), reward, terminated, truncated, info
 
     def observe(self) -> dict[str, Any]:
-        """Render cameras and pads now.
+        """Render cameras and pads now; the arrays are the caller's own.
 
         Raises:
             SensorError: a canonicalizer refuses its frame, as it would on a robot.
         """
         pixels = dict(zip(CAMERAS, self._painter.render(), strict=True))
         for finger, pad in self._touch.items():
-            pixels[tactile_name(finger)] = pad.image(self.sim)
-            pixels[tactile_name(finger, reference=True)] = pad.reference
+            for reference, image in ((False, pad.image(self.sim)), (True, pad.reference)):
+                pixels[tactile_name(finger, reference)] = cv2.cvtColor(image, cv2.COLOR_GRAY2RGB)
         observation: dict[str, Any] = {"pixels": pixels, "agent_pos": self.state}
         if self.expose_wrench:
             observation |= {f"wrench_{f}": w for f, w in self.true_wrench().items()}

@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ
@@ -51,7 +50,7 @@ class PadImages:
         self._late = np.zeros(4)
         self._steps = 0
         self._shown: np.ndarray | None = None  # the latest image
-        self.reference = cv2.cvtColor(self._view.reference, cv2.COLOR_GRAY2RGB)
+        self.reference = self._view.reference  # (480, 640) uint8
 
     def follow(self, sim: WipeSimulation) -> None:
         """Look at the pad after a control step."""
@@ -63,7 +62,7 @@ class PadImages:
         self._past.append(Load(wrench, *sim.block_from_pad(self.finger)))
 
     def image(self, sim: WipeSimulation) -> np.ndarray:
-        """Return (480, 640, 3) uint8: the marker image, repeated on three channels.
+        """Return the marker image, (480, 640) uint8; a stalled camera shows the same array again.
 
         Raises:
             SensorError: the canonicalizer refuses the frame.
@@ -74,7 +73,7 @@ class PadImages:
         if not self._view.simulator.faces_object(contact)[0]:  # forces are the step's mean: the eraser left within it
             contact = free_air(1)
         with self._named():
-            self._shown = cv2.cvtColor(self._view.images(contact)[0], cv2.COLOR_GRAY2RGB)
+            self._shown = self._view.images(contact)[0]
         return self._shown
 
     @contextmanager

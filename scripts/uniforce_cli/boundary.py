@@ -16,11 +16,12 @@ import yaml
 from draccus.utils import DraccusException
 
 from uniforce_vtla.arguments import parse, split_words
-from uniforce_vtla.errors import ContractError, UniForceError, without_credentials
+from uniforce_vtla.errors import ContractError, UniForceError, no_room, without_credentials
 from uniforce_vtla.options import Names, Pattern
 from uniforce_vtla.sensors import list_sensors
+from uniforce_vtla.terminal import LastingText, stops_like_ctrl_c
 
-REFUSED, FAULT, STOPPED = 2, 70, 130
+REFUSED, NO_ROOM, FAULT, STOPPED = 2, 4, 70, 130
 DEBUG = "--debug"
 LONGEST_LINE = 600
 GROWN_bytes = 4_000_000_000  # a process of rollouts may grow by
@@ -38,7 +39,8 @@ Sensors = Annotated[str, Names(list_sensors(), many=True)]
 class Command:
     """An entry point that knows its options: a command line in, one line for an error.
 
-    Exit codes: the command's own; 2 for what a user can put right, 130 after Ctrl-C, 70 for a fault of the program.
+    Exit codes: the command's own; 2 for what a user can put right, 4 for a full disk, 70 for a fault of the program,
+    130 after Ctrl-C, kill or a closed terminal.
 
     Args:
         main: gets the config, the words themselves where there is no config class; returns an exit code, None for 0.
@@ -65,7 +67,8 @@ class Command:
         words = list(sys.argv[1:] if argv is None else argv)
         plain = [word for word in words if word != DEBUG]
         run = partial(self._run, plain)
-        return run() if len(plain) < len(words) else guarded(self._name, run)
+        with stops_like_ctrl_c():
+            return run() if len(plain) < len(words) else guarded(self._name, run)
 
     def _run(self, words: list[str]) -> int:
         if self.config_class is None:
@@ -109,18 +112,18 @@ def worker_process() -> None:
 
 
 def guarded(name: str, run: Callable[[], int]) -> int:
-    """Return what ``run`` returns; say in one line what it raises, and return 2, 70 or 130."""
+    """Return what ``run`` returns; say in one line what it raises, and return 2, 4, 70 or 130."""
     try:
         with usage_as_error():
             return run()
     except KeyboardInterrupt:
         return _end(name, "stopped", STOPPED)
     except (UniForceError, DraccusException, yaml.YAMLError, json.JSONDecodeError) as error:
-        return _end(name, str(error), REFUSED)
+        return _end(name, str(error), NO_ROOM if no_room(error) else REFUSED)
     except Exception as error:
-        if isinstance(error, OSError) and error.filename is not None:
-            do = "Check the path and the room on its disk."
-            return _end(name, f"{error.filename}: {error.strerror}. {do}", REFUSED)
+        if isinstance(error, OSError) and (error.filename is not None or no_room(error)):
+            where, do = error.filename or "disk", "Check the path and the room on its disk."
+            return _end(name, f"{where}: {error.strerror}. {do}", NO_ROOM if no_room(error) else REFUSED)
         what = f"a fault of this program, {type(error).__name__}: {error}. Run it with {DEBUG} and report it."
         return _end(name, what, FAULT)
 
@@ -129,7 +132,7 @@ def _end(name: str, text: str, code: int) -> int:
     line = without_credentials(" ".join(text.split()))
     if len(line) > LONGEST_LINE:  # what to do stands at the end
         line = f"{line[: LONGEST_LINE // 2]} … {line[-LONGEST_LINE // 2 :]}"
-    print(f"{name}: {line}", file=sys.stderr)
+    print(f"{name}: {line}", file=LastingText(sys.stderr))
     return code
 
 

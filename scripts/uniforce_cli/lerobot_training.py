@@ -29,7 +29,7 @@ from uniforce_vtla.errors import CheckpointError, ContractError, UniForceError, 
 from uniforce_vtla.file_hashes import write_hashes
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import VIEW_MARKER
-from uniforce_vtla.options import Range, Writable, check_text, shortened
+from uniforce_vtla.options import Range, Writable, at_home, check_text, shortened
 
 VERIFY = "verify="
 CHOICES = ("policy", "env")  # LeRobot wants --policy.type=NAME
@@ -216,11 +216,16 @@ def _said(error: object) -> str:
     return shortened(f"{type(error).__name__}: {error}" if isinstance(error, Exception) else str(error), 300)
 
 
+def _at_home(flag: str) -> str:
+    name, equals, text = flag.partition("=")
+    return name + equals + at_home(text)
+
+
 def train(argv: Sequence[str]) -> None:
     """Run ``lerobot-train`` on the given arguments; UniForceError: settings, data or a checkpoint it can't use."""
     register_third_party_plugins()
     verify, settings = take_verify(argv)
-    flags = to_lerobot(settings)
+    flags = [_at_home(flag) for flag in to_lerobot(settings)]
     before, sys.argv = sys.argv, [sys.argv[0], *flags]  # LeRobot's parser reads sys.argv itself
     try:
         if "--help" in flags:

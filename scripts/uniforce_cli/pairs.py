@@ -217,10 +217,7 @@ def _check(config: RecordPairsConfig, robot_flags: Sequence[str], given: Collect
 
 @command(RecordPairsConfig, others=("robot.",))
 def main(config: RecordPairsConfig, robot_flags: Sequence[str], given: Sequence[str]) -> None:
-    import datasets
-
     one_thread()
-    datasets.disable_progress_bars()  # LeRobot's own, one per saved chunk, would tear ours apart
     content = record_pairs(config, robot_flags, given)
     print(f"{sum(content['pairs'].values())} pairs in {content['dataset']} and {content['layout']}")
     if "truth" in content and content["truth"]["kept"]:

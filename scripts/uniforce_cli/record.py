@@ -8,12 +8,13 @@ from collections.abc import Collection, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from uniforce_cli.boundary import Level, Worn, command, one_thread
 from uniforce_vtla import options
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.json_file import read_object
+from uniforce_vtla.terminal import LastingText
 
 if TYPE_CHECKING:
     from lerobot.robots import RobotConfig
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from uniforce_robots.recorder.rig import Rig
     from uniforce_robots.recorder.session import SessionEnd
 
+PLACES = ("root", "resume", "rig")  # that mean something on this machine only
 INTERRUPTED = 130  # exit code of a program that Ctrl-C ended
 EpisodeSeconds = Annotated[float, options.Range(0, 3600, above=True)]
 
@@ -35,7 +37,8 @@ class RecordConfig:
     Simulation, by hand:  uniforce record teleop=keyboard root=outputs/by_hand
     Robot, for example:   uniforce record robot=franka rig=rig.yaml teleop=spacemouse root=outputs/real
     ``robot.KEY=…`` and ``teleop.KEY=…`` are LeRobot's own settings of both; ``rig`` is a file with them. The keys to
-    press are in docs/recording.md. Exit codes: 0 done, 2 could not start, 3 a fault, 4 disk full, 130 interrupted.
+    press are in docs/recording.md. Exit codes: 0 done, 2 could not start, 3 a fault, 4 disk full, 130 interrupted: by
+    Ctrl-C, kill or a closed terminal, which end an episode in order.
     """
 
     robot: Literal["sim", "franka"] = "sim"  # what records
@@ -61,6 +64,8 @@ class RecordConfig:
     late_share: options.Share = 0.1  # of its ticks that an episode may miss; one that missed more is aborted:late
     keep_raw: bool = True  # robot: raw tactile frames beside the dataset
     window: options.Count = 17  # robot: taxel scans per tick; 17 are one tick at 500 Hz
+    # where the rig's settings (mounts, turns, cameras, gains, …) are others than the dataset was recorded with
+    settings_changed: Literal["refuse", "accept"] = "refuse"
     reserve_MB: options.NotNegative = 500.0  # MB that have to stay free on the disk
     unwell_s: options.NotNegative = 10.0  # s, operator=unattended: how long to wait for a sensor to become well
     real_time: bool = True  # simulation by hand: keep to the wall clock
@@ -80,7 +85,7 @@ def record(config: RecordConfig, device_flags: Sequence[str] = (), given: Collec
     if config.robot == "sim" and config.teleop == "expert":
         return _record_expert(config)
     from uniforce_robots.recorder.assemble import run_session
-    from uniforce_robots.recorder.build import make_teleoperator, read_devices
+    from uniforce_robots.recorder.build import device_settings, make_teleoperator, read_devices
     from uniforce_robots.recorder.session import SessionSettings
     from uniforce_robots.recorder.store import StoreSettings
 
@@ -88,23 +93,45 @@ def record(config: RecordConfig, device_flags: Sequence[str] = (), given: Collec
     teleop = make_teleoperator(steering)
     store = StoreSettings(Path(config.root), config.repo_id, config.reserve_MB)
     limits = config.drive_between, config.unwell_s, config.keep_aborted, config.late_share
-    facts = {**asdict(config), "devices": list(device_flags)}
-    settings = SessionSettings(config.episodes, tuple(config.prompts), config.episode_s, *limits, facts)
     devices = _rig(config, robot, teleop), teleop, _operator(config, teleop)
+    worn = _scene(config) if robot is None else _robot(config, robot)
+    rig = worn | device_settings("teleop", steering)
+    command = {name: value for name, value in asdict(config).items() if name not in PLACES}
+    settings = SessionSettings(
+        config.episodes,
+        tuple(config.prompts),
+        config.episode_s,
+        *limits,
+        settings={**command, "rig": rig},
+        rig=rig,
+        accept_changes=config.settings_changed == "accept",
+    )
     return run_session(*devices, store, settings, config.seed, sys.stdout)
 
 
 def _record_expert(config: RecordConfig) -> SessionEnd:
     from lerobot_env_uniforce_wiping import WipeEnv
+    from uniforce_datasets.rig_settings import agreed_changes
     from uniforce_robots.recorder.expert_demos import record_expert
     from uniforce_robots.recorder.session import SessionEnd
 
-    drawn = config.episodes, config.seed, config.keep_failures
+    drawn, settings = (config.episodes, config.seed, config.keep_failures), _scene(config)
+    agreed_changes(options.absolute(config.root), settings, config.settings_changed == "accept")
     with closing(WipeEnv(config.level, config.left_sensor, config.right_sensor)) as env:
-        new = record_expert(env, Path(config.root), config.repo_id, *drawn)
+        new = record_expert(env, Path(config.root), config.repo_id, *drawn, settings)
     if not new:
         return SessionEnd(0, f"nothing new, {config.root} holds {config.episodes} or more; set episodes= or root=")
     return SessionEnd(0, f"{config.episodes} episodes, {new} of them new")
+
+
+def _scene(config: RecordConfig) -> dict[str, Any]:
+    return {f"scene.{name}": getattr(config, name) for name in ("level", "left_sensor", "right_sensor")}
+
+
+def _robot(config: RecordConfig, robot: RobotConfig) -> dict[str, Any]:
+    from uniforce_robots.recorder.build import device_settings
+
+    return {"keep_raw": config.keep_raw, "window": config.window} | device_settings("robot", robot)
 
 
 def _operator(config: RecordConfig, teleop: Teleoperator) -> Operator:
@@ -178,13 +205,14 @@ def main(config: RecordConfig, flags: Sequence[str], given: Sequence[str]) -> in
     os.environ.setdefault("HF_HUB_OFFLINE", "1")
     if config.robot == "sim":
         one_thread()
+    out = LastingText(sys.stdout)
     try:
         end = record(config, flags, given)
     except KeyboardInterrupt:
         stopped = "" if config.robot == "sim" else "; the robot has stopped"
-        print(f"record: interrupted{stopped}. Saved episodes are whole: run the same command again to go on")
+        print(f"record: interrupted{stopped}. Saved episodes are whole: run the same command again to go on", file=out)
         return INTERRUPTED
-    print(f"record: {end.message}")
-    print(f"demos in {config.root} (LeRobot v3 dataset {config.repo_id})")
-    print(f"next: uniforce view roots={config.root} out={Path(config.root).parent / 'view'}")
+    print(f"record: {end.message}", file=out)
+    print(f"demos in {config.root} (LeRobot v3 dataset {config.repo_id})", file=out)
+    print(f"next: uniforce view roots={config.root} out={Path(config.root).parent / 'view'}", file=out)
     return end.exit_code

@@ -63,3 +63,18 @@ def test_matrices_are_computed_once_and_read_afterwards(tmp_path, monkeypatch) -
     np.testing.assert_array_equal(first.skin, again.skin)
     assert len(list(tmp_path.rglob("*.npz"))) == 1
     elastic._load.cache_clear()
+
+
+@pytest.mark.parametrize("why", ["no home", "damaged", "not ours"])
+def test_a_cache_that_cannot_be_used_costs_time_only(why: str, tmp_path, monkeypatch, caplog) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", "/proc/nothing" if why == "no home" else str(tmp_path))
+    elastic._load.cache_clear()
+    first = influence(SMALL)
+    elastic._load.cache_clear()
+    for file in tmp_path.rglob("*.npz"):
+        file.write_bytes(file.read_bytes()[:1000])
+    if why == "not ours":
+        monkeypatch.setattr(np, "load", lambda path: (_ for _ in ()).throw(PermissionError(13, "Permission denied")))
+    np.testing.assert_array_equal(influence(SMALL).skin, first.skin)
+    assert "XDG_CACHE_HOME" in caplog.text
+    elastic._load.cache_clear()

@@ -1,14 +1,16 @@
 import errno
 import json
 import os
+import resource
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import av
-import lerobot.datasets.dataset_writer as dataset_writer
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -24,7 +26,7 @@ from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_datasets.source import read_source, stored_frames
 from uniforce_datasets.synthetic import FPS, dots, synthetic_frame
 from uniforce_datasets.video_encoder import PerKeyEncoder
-from uniforce_vtla.errors import ContractError, DatasetError, SensorError
+from uniforce_vtla.errors import FULL, ContractError, DatasetError, DiskFullError, SensorError
 from uniforce_vtla.keys import (
     ACTION,
     OUTCOME,
@@ -40,6 +42,7 @@ from uniforce_vtla.keys import (
 from uniforce_vtla.sensors import list_sensors
 
 SHORT = 4  # frames
+EPISODES = 3  # of the fixture ``demos``
 
 
 def open_recorder(root: Path, **options: object) -> EpisodeRecorder:
@@ -47,10 +50,16 @@ def open_recorder(root: Path, **options: object) -> EpisodeRecorder:
 
 
 def add_frames(recorder: EpisodeRecorder, count: int = SHORT, seed: int = 0) -> list[dict]:
+    """Add frames from memory that is filled over and over, as a camera's driver does; return what was passed."""
     rng = np.random.default_rng(seed)
     frames = [synthetic_frame(step, rng) for step in range(count)]
+    memory = {key: np.empty_like(value) for key, value in frames[0].items()}
     for frame in frames:
-        recorder.add(frame, "wipe")
+        for key, value in frame.items():
+            memory[key][:] = value
+        recorder.add(memory, "wipe")
+    for array in memory.values():
+        array[:] = 1
     return frames
 
 
@@ -64,6 +73,23 @@ def test_a_root_that_cannot_be_written_is_refused(root: str, tmp_path: Path) -> 
     (tmp_path / "file").write_text("mine")
     with pytest.raises(DatasetError, match="a folder"):
         EpisodeRecorder(root.format(file=tmp_path / "file"), "local/x", "gelsight", "tactip")
+
+
+@pytest.mark.parametrize("root", ["~/demos", "demos", "../home/demos"])
+def test_a_root_leads_to_one_folder_wherever_the_program_goes(root, tmp_path, monkeypatch) -> None:
+    home, elsewhere = tmp_path / "home", tmp_path / "elsewhere"
+    home.mkdir()
+    elsewhere.mkdir()
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.chdir(home)
+    with open_recorder(root) as recorder:
+        monkeypatch.chdir(elsewhere)
+        save_one(recorder)
+    monkeypatch.chdir(home)
+    source = check_dataset(root)
+    monkeypatch.chdir(elsewhere)
+    assert source.columns((STATE,))[STATE].shape == (SHORT, 5) and source.root.samefile(home / "demos")
+    assert [path.name for path in tmp_path.rglob("*") if "~" in path.name] == [] == list(elsewhere.iterdir())
 
 
 def test_round_trip_with_stock_loader(tmp_path: Path) -> None:
@@ -158,40 +184,104 @@ def save_one_slowly(recorder: EpisodeRecorder) -> None:
     recorder.save(success=True, outcome="success", seed=0)
 
 
-@pytest.mark.parametrize("where", ["_save_episode_data", "_save_episode_video"])
-def test_full_disk_is_a_typed_error_and_keeps_what_was_saved(tmp_path, monkeypatch, where) -> None:
-    def full(*_: object, **__: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    with open_recorder(tmp_path / "data") as recorder:
-        save_one(recorder)
-        monkeypatch.setattr(dataset_writer.DatasetWriter, where, full)
-        add_frames(recorder)
-        with pytest.raises(DatasetError, match=r"Free some space.*1 saved episodes"):
-            recorder.save(success=True, outcome="success", seed=1)
-        monkeypatch.undo()
-        save_one(recorder)
-    assert open_dataset(tmp_path / "data").num_episodes == 2
+WRITES = ((os, "replace"), (os, "fsync"), (os, "mkdir"), (Path, "write_text"), (pq.ParquetWriter, "close"))
 
 
-def test_a_disk_full_to_the_last_byte_lets_go_of_the_dataset(tmp_path, monkeypatch, caplog) -> None:
-    """Statistics can't be pooled then: that is logged, the old ones stay whole, the next session pools them."""
-    recorder = open_recorder(tmp_path / "d")
-    save_one(recorder)
-    before = (tmp_path / "d" / "meta" / "stats.json").read_text()
+@contextmanager
+def full_disk(monkeypatch: pytest.MonkeyPatch, number: int, writes: int) -> Iterator[list[str]]:
+    """Let all but the first ``writes`` of a recorder's writes fail; yield the names of those that came."""
+    came: list[str] = []
 
-    def full(self: Path, *_: object) -> int:
-        self.touch()
-        raise OSError(errno.ENOSPC, "No space left on device")
+    def counted(name: str, write: Callable[..., object]) -> Callable[..., object]:
+        def counting(*given: object, **named: object) -> object:
+            came.append(name)
+            if len(came) > writes:
+                raise OSError(number, os.strerror(number))
+            return write(*given, **named)
+
+        return counting
 
     with monkeypatch.context() as patch:
-        patch.setattr(Path, "write_text", full)
-        recorder.close()
-    assert "statistics" in caplog.text and (tmp_path / "d" / "meta" / "stats.json").read_text() == before
-    assert not list((tmp_path / "d" / "meta").glob("*.new"))
-    with open_recorder(tmp_path / "d") as again:
-        assert again.num_episodes == 1
-    assert (tmp_path / "d" / "meta" / "stats.json").read_text() != before
+        for owner, name in WRITES:
+            patch.setattr(owner, name, counted(name, getattr(owner, name)))
+        yield came
+
+
+def session(root: Path) -> None:
+    """Open, record one episode, close."""
+    with open_recorder(root) as recorder:
+        add_frames(recorder)
+        recorder.save(success=True, outcome="success", seed=1, card={"label": "success"})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("turn", range(3))
+def test_a_disk_that_fills_up_at_any_moment_is_one_error_and_costs_no_saved_episode(demos, tmp_path, monkeypatch, turn):
+    whole = Path(shutil.copytree(demos, tmp_path / "whole"))
+    with full_disk(monkeypatch, FULL[turn], 10_000) as came:
+        session(whole)
+    assert set(came) == {name for _, name in WRITES}
+    for writes in range(3 * turn, len(came), 17):
+        root = Path(shutil.copytree(demos, tmp_path / str(writes)))
+        with full_disk(monkeypatch, FULL[turn], writes), pytest.raises(DiskFullError, match="Free some space"):
+            session(root)
+        with open_recorder(root) as after:
+            assert after.num_episodes in (EPISODES, EPISODES + 1), writes
+        assert len(check_dataset(root, "full").episodes) == after.num_episodes
+
+
+@pytest.mark.parametrize("limit", [0, 2_000, 20_000])
+def test_a_file_that_grows_too_large_is_a_full_disk_whoever_writes_it(demos, tmp_path, limit: int) -> None:
+    """A limit of this process: videos and tables are written by libraries, out of a test's reach."""
+    root, before = Path(shutil.copytree(demos, tmp_path / "data")), resource.getrlimit(resource.RLIMIT_FSIZE)
+    with open_recorder(root) as recorder:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
+        try:
+            with pytest.raises(DiskFullError, match=f"{EPISODES} saved episodes"):
+                save_one(recorder)
+            with pytest.raises(DiskFullError, match="statistics"):
+                recorder.close()
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    session(root)
+    assert len(check_dataset(root, "full").episodes) == EPISODES + 1
+
+
+def test_what_operating_systems_leave_in_a_folder_is_none_of_a_dataset(demos: Path, tmp_path: Path) -> None:
+    root = Path(shutil.copytree(demos, tmp_path / "data"))
+    for folder in (tmp_path / "new", *(path for path in (root, *root.rglob("*")) if path.is_dir())):
+        folder.mkdir(exist_ok=True)
+        for name in (".DS_Store", "._file-000.parquet", "Thumbs.db", "desktop.ini", ".nfs0001"):
+            (folder / name).write_bytes(b"\0\5\x16\7")
+    session(tmp_path / "new")
+    session(root)
+    assert len(check_dataset(root, "full").episodes) == EPISODES + 1
+    with pytest.raises(DatasetError, match=r"\._file-000\.parquet.*Delete it"):
+        open_dataset(root)
+
+
+@pytest.mark.parametrize("number", [errno.EINVAL, errno.ENOTSUP])
+def test_a_folder_that_cannot_be_synced_holds_a_dataset_nevertheless(tmp_path, monkeypatch, number: int) -> None:
+    sync = os.fsync
+
+    def unable(handle: int) -> None:
+        if os.path.isdir(f"/proc/self/fd/{handle}"):
+            raise OSError(number, os.strerror(number))
+        sync(handle)
+
+    monkeypatch.setattr(os, "fsync", unable)
+    session(tmp_path / "data")
+    assert len(check_dataset(tmp_path / "data", "full").episodes) == 1
+
+
+@pytest.mark.parametrize("error", [PermissionError(13, "Permission denied"), NotImplementedError("no flock")])
+def test_a_folder_that_cannot_be_locked_is_one_line_before_the_first_episode(tmp_path, monkeypatch, error) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(staging.FileLock, "acquire", refuse)
+    with pytest.raises(DatasetError, match="can be locked"):
+        open_recorder(tmp_path / "data")
 
 
 def test_damaged_marker_video_is_caught_before_it_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

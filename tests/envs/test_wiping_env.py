@@ -1,15 +1,19 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env
 from lerobot.envs.factory import make_env, make_env_config
 from lerobot.envs.utils import env_to_policy_features, preprocess_observation
 
 from lerobot_env_uniforce_wiping import ExpertNoise, UniforceWipingConfig, WipeEnv, WipeExpert, draw_scene
 from lerobot_env_uniforce_wiping.episodes import walk
 from lerobot_env_uniforce_wiping.sequence import Sweep
+from uniforce_vtla.contact.virtual import as_virtual
+from uniforce_vtla.contact.worn import drawing
 from uniforce_vtla.contracts import FINGERS, check_marker_image
 from uniforce_vtla.errors import ContractError, RolloutError, SensorError
 from uniforce_vtla.evaluation.episode import EpisodeTrace
@@ -45,6 +49,20 @@ def test_observation_is_inside_its_space_and_finite(grasped: WipeEnv) -> None:
     assert env.observation_space.contains(observation)
     assert np.isfinite(observation["agent_pos"]).all() and not info["is_success"]
     assert WipeEnv().observation_space.contains(grasped.observe())
+
+
+def test_gymnasium_finds_no_fault_and_no_two_observations_share_memory() -> None:
+    stalled = replace(drawing(as_virtual("tactip")), stall_steps=2)
+    env = WipeEnv(left_sensor=stalled, right_sensor="tactip:drawing", expose_wrench=True)
+    check_env(env)
+    given = [env.reset(seed=SEED)[0], env.step(env.state)[0], env.step(env.state)[0], env.observe()]
+    arrays = [array for seen in given for array in (*seen["pixels"].values(), seen["agent_pos"], seen["wrench_left"])]
+    arrays += [image for _ in range(2) for image in env.marker_pair("left")]
+    reference = given[0]["pixels"]["tactile_left_ref"].copy()
+    for n, array in enumerate(arrays):
+        array[:] = n  # a wrapper that works in place
+    assert all((array == n).all() for n, array in enumerate(arrays))
+    assert np.array_equal(env.observe()["pixels"]["tactile_left_ref"], reference)
 
 
 def test_marker_images_hold_only_black_and_white_on_three_equal_channels(grasped: WipeEnv) -> None:

@@ -1,6 +1,9 @@
 """What a command raises becomes one line and an exit code; what options declare is checked before the work begins."""
 
+import os
+import signal
 from collections.abc import Callable
+from contextlib import redirect_stderr
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal, get_args
@@ -9,7 +12,7 @@ import pytest
 
 from uniforce_cli.boundary import Level, command, guarded
 from uniforce_vtla.arguments import help_text, options_of, parse
-from uniforce_vtla.errors import ContractError
+from uniforce_vtla.errors import FULL, ContractError, DiskFullError
 from uniforce_vtla.options import (
     Count,
     Dataset,
@@ -24,6 +27,7 @@ from uniforce_vtla.options import (
     Texts,
     try_to_write,
 )
+from uniforce_vtla.terminal import STOPS
 
 
 @dataclass
@@ -68,6 +72,19 @@ def test_what_is_given_reaches_the_config(here: Path) -> None:
     assert (config.count, config.inner.share, config.names) == (7, 0.25, "b,a")
     assert (config.seeds, config.note, config.flag) == ([1, 2], "on: [3]", True)
     assert not list(here.iterdir())  # what tried the outputs is gone
+
+
+def test_a_tilde_that_the_shell_left_leads_home(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    home = here / "home"
+    (home / "demos" / "meta").mkdir(parents=True)
+    (home / "demos" / "meta" / "info.json").touch()
+    monkeypatch.setenv("HOME", str(home))
+    config = parse(Config, ["data=~/demos", "out=~/new/folder", "file=~/x.json", "note=~/not a path"])
+    assert config.data == f"{home}/demos" and config.note == "~/not a path"
+    assert (config.out, config.file) == (f"{home}/new/folder", f"{home}/x.json")
+    assert [path.name for path in here.iterdir()] == ["home"]
+    with pytest.raises(ContractError, match=r"~no_such_user/x.*leads somewhere"):
+        parse(Config, ["out=~no_such_user/x"])
 
 
 @pytest.mark.parametrize(
@@ -147,12 +164,36 @@ def failing(error: BaseException) -> Callable[[], int]:
         (KeyboardInterrupt(), 130, "uniforce-x: stopped"),
         (ZeroDivisionError("by zero"), 70, "uniforce-x: a fault of this program, ZeroDivisionError: by zero"),
         (ContractError("http://anna:s3cret@cam"), 2, "uniforce-x: http://***@cam"),
+        (DiskFullError("no room"), 4, "uniforce-x: no room"),
+        *((OSError(number, os.strerror(number)), 4, f"uniforce-x: disk: {os.strerror(number)}") for number in FULL),
+        (PermissionError(13, "Permission denied", "/x"), 2, "uniforce-x: /x: Permission denied"),
     ],
 )
 def test_an_error_is_one_line(error: BaseException, code: int, line: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert guarded("uniforce-x", failing(error)) == code
     out, err = capsys.readouterr()
     assert not out and err.startswith(line) and err.count("\n") == 1
+
+
+@pytest.mark.parametrize("come", ["INT", "TERM", "HUP", "TERM HUP"])
+def test_kill_and_a_closed_terminal_end_a_command_like_ctrl_c(come: str) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    tidied: list[str] = []
+
+    def main(words: list[str]) -> int:
+        try:
+            signal.raise_signal(signal.Signals[f"SIG{come.split()[0]}"])
+        finally:
+            for name in come.split()[1:]:
+                signal.raise_signal(signal.Signals[f"SIG{name}"])
+            tidied.append("all")
+        return 0
+
+    before = [signal.getsignal(number) for number in STOPS]
+    with open(writer, "w") as gone, redirect_stderr(gone):
+        assert command(None)(main)([]) == 130 and tidied == ["all"]
+    assert [signal.getsignal(number) for number in STOPS] == before
 
 
 def test_debug_shows_where_it_came_from() -> None:

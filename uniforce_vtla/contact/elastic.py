@@ -8,7 +8,9 @@ Axes are the image's: x right, y down, z into the pad.
 import hashlib
 import itertools
 import json
+import logging
 import os
+import zipfile
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import cached_property, lru_cache
@@ -18,9 +20,14 @@ import numpy as np
 from filelock import FileLock
 from tqdm import tqdm
 
+from uniforce_vtla.errors import expected
 from uniforce_vtla.sensors.material import Layer
 
+logger = logging.getLogger(__name__)
+
 VERSION = 1  # of the equations below; a cached file of another one isn't read
+# a home that is missing or read-only, a file of another user, a full disk, no locks, half a file
+UNUSABLE = (OSError, RuntimeError, NotImplementedError, zipfile.BadZipFile, ValueError)
 _HEIGHTS = 6  # element layers at least; twice as many move a marker by less than 2 %
 _SPLIT_MM = 1e-6
 
@@ -72,13 +79,22 @@ def cache_folder() -> Path:
 @lru_cache(maxsize=16)
 def _load(gel: Gel) -> Influence:
     key = hashlib.sha256(json.dumps([VERSION, asdict(gel)]).encode()).hexdigest()[:16]
-    path = cache_folder() / f"{key}.npz"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with FileLock(path.with_suffix(".lock")):  # several processes want the same pad at once
-        if not path.exists():
-            part = path.with_suffix(".part.npz")
-            np.savez(part, **vars(compute_influence(gel)))
-            part.replace(path)
+    try:
+        return _cached(cache_folder() / f"{key}.npz", gel)
+    except UNUSABLE as error:
+        do = "It is computed anew each time; set XDG_CACHE_HOME to a folder of yours."
+        logger.warning("%s", expected("cache of pads", "one to read and write", repr(error), do))
+        return compute_influence(gel)
+
+
+def _cached(path: Path, gel: Gel) -> Influence:
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with FileLock(path.with_suffix(".lock")):  # several processes want the same pad at once
+            if not path.exists():
+                part = path.with_suffix(".part.npz")
+                np.savez(part, **vars(compute_influence(gel)))
+                part.replace(path)
     with np.load(path) as stored:
         return Influence(**{name: stored[name] for name in stored.files})
 

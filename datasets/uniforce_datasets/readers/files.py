@@ -10,6 +10,7 @@ import pandas as pd
 from uniforce_datasets.dataset_info import inside
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
 from uniforce_vtla.errors import DatasetError, expected
+from uniforce_vtla.options import absolute
 
 MIDDLE = (64, 192)  # grey levels that JPEG rings of a binary image don't reach, but for edges
 MAX_MIDDLE_SHARE = 0.05  # of pixels; the antialiased edges of 16 large discs make 2 %
@@ -18,7 +19,7 @@ _ENDS = {b"\xff\xd8": b"\xff\xd9", b"\x89P": b"IEND\xaeB`\x82"}  # how JPEG and 
 
 def existing_folder(folder: str | Path) -> Path:
     """Return ``folder`` as a path; raise DatasetError where it is none."""
-    path = Path(folder).expanduser()
+    path = absolute(folder)
     if not path.is_dir():
         raise DatasetError(expected("data set", "a folder", f"none at {path}", "Check the path."))
     return path

@@ -25,6 +25,7 @@ from uniforce_robots.pairs.rig import RigFrame
 from uniforce_vtla import keys
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.options import absolute
 
 LAYOUT, DATASET = "uniforce_pairs", "lerobot"
 PATTERN = "uniforce"
@@ -89,7 +90,7 @@ class PairStore:
     def __init__(
         self, root: str | Path, left_sensor: str, right_sensor: str, indenters: tuple[str, ...], rate_hz: int
     ) -> None:
-        self.root, self.indenters = Path(root), indenters
+        self.root, self.indenters = absolute(root), indenters
         self.dataset, self.layout = self.root / DATASET, self.root / LAYOUT
         # the layout names left and right by folders, which two sensors of one kind would share
         same = left_sensor == right_sensor

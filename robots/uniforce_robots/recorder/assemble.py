@@ -3,12 +3,14 @@
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
-from typing import TextIO
+from typing import TextIO, cast
 
 import numpy as np
 from lerobot.teleoperators import Teleoperator
 
+from uniforce_datasets.rig_settings import agreed_changes
 from uniforce_datasets.source import read_source
 from uniforce_robots.recorder.disk_guard import DiskGuard
 from uniforce_robots.recorder.episode import Parts, Store
@@ -19,6 +21,7 @@ from uniforce_robots.recorder.session import RecordingSession, SessionEnd, Sessi
 from uniforce_robots.recorder.steering import Steering
 from uniforce_robots.recorder.store import StoreProcess, StoreSettings
 from uniforce_vtla.keys import OUTCOME, OUTCOME_NAMES, SEED
+from uniforce_vtla.terminal import LastingText
 
 # Python's own 5 ms between two threads' turns would be the largest part of a tick's lateness.
 SWITCH_s = 0.0005
@@ -54,7 +57,8 @@ def run_session(
     ``seed`` is that of the first episode of an empty dataset; without ``out`` no progress is shown; tests use another
     ``open_store`` and store in this process.
 
-    Raises UniForceError: nothing could be connected; KeyboardInterrupt: interrupted twice; everything has been let go.
+    Raises UniForceError: nothing could be connected, or the dataset was recorded with other settings;
+    KeyboardInterrupt: interrupted twice; everything has been let go.
     """
     steering, interrupts = Steering(teleop), Interrupts()
     with interrupts.counted(), ExitStack() as closing:
@@ -68,7 +72,12 @@ def run_session(
         operator.start()
         raw_pixels = sum(shape[0] * shape[1] for shape in rig.facts.raw_frames.values())
         disk = DiskGuard(store.root, recorder.features, raw_pixels, store.reserve_MB)
-        parts = Parts(rig, steering, operator, recorder, disk, LiveView(out, rig.facts.fps), interrupts)
-        have = recorder.num_episodes
+        view = LiveView(out and cast("TextIO", LastingText(out)), rig.facts.fps)
+        parts = Parts(rig, steering, operator, recorder, disk, view, interrupts)
+        have = recorder.num_episodes  # from here on the dataset lies still
+        rig_settings = settings.rig | rig.stored_facts()
+        changes = agreed_changes(store.root, rig_settings, settings.accept_changes)
+        of_cards = {**settings.settings, "rig": rig_settings, "changed": changes}
+        settings = replace(settings, settings=of_cards, rig=rig_settings)
         judged, first = judged_episodes(store.root, have), next_seed(store.root, have, seed)
         return RecordingSession(parts, settings, judged, first).run()

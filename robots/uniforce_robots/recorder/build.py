@@ -10,6 +10,7 @@ from lerobot.robots import RobotConfig
 from lerobot.teleoperators import Teleoperator, TeleoperatorConfig, make_teleoperator_from_config
 
 import uniforce_robots.teleop  # noqa: F401  registers ours
+from uniforce_datasets.rig_settings import plain_settings
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka.arm import ROLLOUT
 from uniforce_vtla.arguments import Option, check, options_of, own_cause, read_value, refuse_unknown
@@ -87,6 +88,12 @@ def teleoperator_names() -> dict[str, str]:
     known = list(TeleoperatorConfig.get_known_choices())
     ours = {name.removeprefix("uniforce_"): name for name in known if name.startswith("uniforce_")}
     return {name: name for name in known} | ours
+
+
+def device_settings(part: str, config: RobotConfig | TeleoperatorConfig) -> dict[str, Any]:
+    """Return the settings of ``robot`` or ``teleop`` by dotted name, as a dataset may store them."""
+    kind = RobotConfig if isinstance(config, RobotConfig) else TeleoperatorConfig
+    return plain_settings(part, draccus.encode(config, kind))
 
 
 def make_teleoperator(config: TeleoperatorConfig) -> Teleoperator:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from uniforce_vtla.errors import DiskFullError, expected
+from uniforce_vtla.errors import DatasetError, DiskFullError, expected
 
 MB = 1e6
 MARGIN = 1.5  # over the estimate; scenes differ
@@ -45,8 +45,14 @@ class DiskGuard:
         return f"{need_MB:.0f} MB, {free_MB / 1000:.1f} GB free"
 
     def check(self, beside_MB: float = 0.0, why: str = "") -> float:
-        """Return the free MB; raise DiskFullError once less than the reserve is left. Takes a few microseconds."""
-        free_MB, wanted_MB = free_bytes(self._root) / MB, beside_MB + self._reserve_MB
+        """Return the free MB; takes a few microseconds.
+
+        Raises DiskFullError: less than the reserve is left; DatasetError: the disk has gone.
+        """
+        try:
+            free_MB, wanted_MB = free_bytes(self._root) / MB, beside_MB + self._reserve_MB
+        except OSError as error:
+            raise DatasetError(expected(str(self._root), "a disk", error, "Was it unplugged?")) from error
         if free_MB < wanted_MB:
             wanted = f"{wanted_MB:.0f} MB free{why}"
             raise DiskFullError(expected(str(self._root), wanted, f"{free_MB:.0f} MB", "Free some space."))

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from datasets import disable_progress_bars
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.rewrite import Rewrite
 from uniforce_datasets.recorder import EpisodeRecorder
+from uniforce_datasets.rig_settings import Settings
 from uniforce_robots.recorder.assemble import next_seed
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, expected
@@ -20,12 +20,13 @@ from uniforce_vtla.keys import ACTION, STATE, age_key, time_key, truth_wrench_ke
 GIVE_UP_FACTOR = 4  # attempts per wanted episode before a run without failures kept stops
 
 
-def record_expert(env: WipeEnv, root: Path, repo_id: str, episodes: int, seed: int, keep_failures: bool) -> int:
+def record_expert(
+    env: WipeEnv, root: Path, repo_id: str, episodes: int, seed: int, keep_failures: bool, settings: Settings
+) -> int:
     """Record what is missing; ``uniforce record --help`` says what each setting is. Return how many are new.
 
     Raises ContractError: an expert that fails too often; DatasetError: see ``EpisodeRecorder``.
     """
-    disable_progress_bars()  # LeRobot's own, one per saved episode, would tear ours apart
     worn, fps = env.sensors, int(env.metadata["render_fps"])
     with EpisodeRecorder(root, repo_id, worn["left"], worn["right"], fps) as recorder:
         have = recorder.num_episodes
@@ -35,7 +36,7 @@ def record_expert(env: WipeEnv, root: Path, repo_id: str, episodes: int, seed: i
             while recorder.num_episodes < episodes and (seed := next(seeds, -1)) >= 0:
                 result = record_episode(env, recorder, seed)
                 if result.clean or keep_failures:
-                    recorder.save(success=result.clean, outcome=result.outcome, seed=seed)
+                    recorder.save(result.clean, result.outcome, seed, settings=settings)
                 else:
                     recorder.discard()
                 bar.update(recorder.num_episodes - bar.n)

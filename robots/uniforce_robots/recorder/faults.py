@@ -10,6 +10,7 @@ from typing import Literal
 from uniforce_robots.sensors.faults import FrozenSensorError, LostSensorError, StaleSensorError
 from uniforce_vtla import errors
 from uniforce_vtla.keys import ABORT_CAUSES
+from uniforce_vtla.terminal import STOPS
 
 log = logging.getLogger(__name__)
 
@@ -23,7 +24,7 @@ class DeviceError(errors.UniForceError):
 
 
 class StopRequestedError(errors.UniForceError):
-    """Ctrl-C or SIGTERM: the program is to end."""
+    """Ctrl-C, SIGTERM or a closed terminal: the program is to end."""
 
 
 HOW = {LostSensorError: "lost", StaleSensorError: "stale", FrozenSensorError: "frozen"}
@@ -57,15 +58,21 @@ def cause_of(error: errors.UniForceError) -> str:
 
 
 class Interrupts:
-    """Ctrl-C: the first one ends the session in order, each further one raises KeyboardInterrupt where it stands."""
+    """Ctrl-C, SIGTERM, SIGHUP: the first one ends the session in order.
+
+    Each further Ctrl-C or SIGTERM raises KeyboardInterrupt where it stands; SIGHUP comes from kernel, shell and login
+    manager alike, and nobody insists by it.
+    """
 
     def __init__(self) -> None:
-        self.count = 0
+        self.count = self._asked = 0
 
     @contextmanager
     def counted(self) -> Iterator[None]:
         """Count while the block lasts; in the main thread only, as signals are."""
-        before = {number: signal.signal(number, self._take) for number in (signal.SIGINT, signal.SIGTERM)}
+        before = {number: signal.signal(number, self._take) for number in STOPS}
+        if before[signal.SIGHUP] is signal.SIG_IGN:  # nohup: it is to go on without its terminal
+            signal.signal(signal.SIGHUP, signal.SIG_IGN)
         try:
             yield
         finally:
@@ -74,6 +81,7 @@ class Interrupts:
 
     def _take(self, number: int, frame: FrameType | None) -> None:
         self.count += 1
+        self._asked += number != signal.SIGHUP
         log.warning("interrupted (%s), %d time(s)", signal.Signals(number).name, self.count)
-        if self.count > 1:
+        if self._asked > 1:
             raise KeyboardInterrupt

@@ -100,5 +100,9 @@ class Rig(Protocol):
         """Return how the episode went, where the rig knows better than a person."""
         return None
 
+    def stored_facts(self) -> dict[str, Any]:
+        """Return what a connected robot holds beyond the end of programs, as JSON values; a scene has none."""
+        return {}
+
     def summary(self) -> dict[str, Any]:
         """Return what a card says of the rig: guards that acted, samples lost, settings read back."""

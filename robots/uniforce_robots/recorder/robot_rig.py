@@ -11,6 +11,7 @@ import numpy as np
 from lerobot.cameras import Camera
 
 from uniforce_datasets.features import vector_column
+from uniforce_datasets.rig_settings import plain_settings
 from uniforce_robots.franka import UniforceFranka
 from uniforce_robots.recorder.faults import named
 from uniforce_robots.recorder.rig import FingerTouch, Observation, Rig, RigFacts
@@ -123,6 +124,11 @@ class RobotRig(Rig):
     def recover(self) -> None:
         """Clear a reflex on a person's word."""
         self.robot.recover()
+
+    def stored_facts(self) -> dict[str, Any]:
+        """Return the robot's own, if it says any, as end-effector frame and load."""
+        facts = getattr(self.robot, "stored_facts", dict)
+        return plain_settings("robot.stored", facts())
 
     def summary(self) -> dict[str, Any]:
         """Return how often each guard acted so far, and how the sensors read in the background did."""

@@ -18,7 +18,6 @@ from uniforce_vtla.errors import ContractError, expected
 
 TAXEL_NUMBERS = int(np.prod(TAXEL_SHAPE))
 RECORDERS_OWN = {keys.SUCCESS, keys.OUTCOME, keys.SEED, keys.CAUSE, *(keys.sensor_key(finger) for finger in FINGERS)}
-REFERENCES = tuple(keys.tactile_key(finger, reference=True) for finger in FINGERS)
 
 
 def further_columns(facts: RigFacts) -> dict[str, dict[str, Any]]:
@@ -98,7 +97,6 @@ class RowSlots:
         self._dtype = np.dtype([(key, *kind) for key, kind in form.items()], align=True)
         self._memory = context.RawArray(ctypes.c_uint8, self._dtype.itemsize * count)
         self._raw_fingers = tuple(facts.raw_frames)
-        self._references: dict[str, np.ndarray] = {}  # as the reader gave them last
 
     def _slot(self, slot: int) -> dict[str, np.ndarray]:
         slots = np.frombuffer(self._memory, self._dtype)
@@ -122,16 +120,10 @@ class RowSlots:
             np.copyto(place, value)
 
     def read(self, slot: int) -> tuple[dict[str, np.ndarray], dict[Finger, np.ndarray]]:
-        """Return (row, raw) of a slot: pictures in place, valid until it is written again, numbers copied.
-
-        A reference that hasn't changed is the same array as before: the recorder prepares it once.
-        """
-        row = {key: value.copy() if value.ndim == 1 else value for key, value in self._slot(slot).items()}
-        for key in REFERENCES:
-            if key not in self._references or not np.array_equal(self._references[key], row[key]):
-                self._references[key] = row[key].copy()
+        """Return (row, raw) of a slot, in place: valid until it is written again."""
+        row = self._slot(slot)
         raw = {finger: row.pop(_raw(finger)) for finger in self._raw_fingers}
-        return row | self._references, raw
+        return row, raw
 
 
 def _form(key: str, feature: Mapping[str, Any]) -> tuple[str, tuple[int, ...]]:

@@ -29,6 +29,9 @@ class SessionSettings:
     keep_aborted: bool = True  # whether what was recorded until a fault is stored, labelled
     late_share: float = 0.1  # of its ticks that an episode may miss; one that missed more is ``aborted:late``
     settings: dict[str, Any] = field(default_factory=dict)  # of the whole command, for the cards
+    # of robot and teleoperator or of the scene, by dotted name: a dataset's later sessions have to have them alike
+    rig: dict[str, Any] = field(default_factory=dict)
+    accept_changes: bool = False  # whether other settings than a dataset's own will do
 
     def __post_init__(self) -> None:
         if not 0 <= self.late_share <= 1:  # NaN is not, either
@@ -49,6 +52,10 @@ class _End(Exception):  # noqa: N818  the way out of nested phases
     def __init__(self, exit_code: int, message: str) -> None:
         super().__init__(message)
         self.exit_code = exit_code
+
+
+def _end(error: errors.UniForceError) -> _End:
+    return _End(DISK_FULL if errors.no_room(error) else FAULT, str(error))
 
 
 class RecordingSession:
@@ -162,8 +169,8 @@ class RecordingSession:
         """See to room and references; a refusal is said, and attended it means waiting again."""
         try:
             room = self._parts.disk.before_episode(frames, self._parts.recorder.total_frames)
-        except errors.DiskFullError as error:
-            raise _End(DISK_FULL, str(error)) from error
+        except errors.DatasetError as error:
+            raise _end(error) from error
         self._say(f"the episode may take {room}")
         deadline_s, said = time.monotonic() + self._settings.unwell_s, ""
         while True:
@@ -183,6 +190,8 @@ class RecordingSession:
 
     def _judge(self, ending: Ending) -> Ending:
         """Return the ending with an outcome: the rig's where it knows better than a person, else the operator's."""
+        if ending.cause == "teleop" and self._parts.interrupts.count:
+            return replace(ending, cause="interrupt")  # a terminal that hangs up takes its keys along
         if ending.how not in ("open", "judged"):
             return ending
         verdict = self._parts.rig.verdict()
@@ -205,15 +214,16 @@ class RecordingSession:
     def _store(self, ending: Ending, card: dict[str, Any]) -> None:
         recorder, frames = self._parts.recorder, self._parts.recorder.num_frames
         keeps = ending.how == "judged" or (ending.how == "aborted" and self._settings.keep_aborted)
-        if not keeps or frames < MIN_FRAMES:
-            recorder.discard()
-            self._say(f"not stored: {ending.label}")
-            return
         try:
-            recorder.save(ending.clean, ending.outcome, self._seed, ending.cause, card | self._card(ending))
+            if not keeps or frames < MIN_FRAMES:
+                recorder.discard()
+                self._say(f"not stored: {ending.label}")
+                return
+            card |= self._card(ending)
+            recorder.save(ending.clean, ending.outcome, self._seed, ending.cause, card, self._settings.rig)
         except (errors.DatasetError, errors.ContractError) as error:  # the latter: a row the storing process refused
             self._say(f"not stored: {error}")
-            raise _End(DISK_FULL if isinstance(error, errors.DiskFullError) else FAULT, str(error)) from error
+            raise _end(error) from error
         self._judged += ending.how == "judged"
         counted = f"{self._judged}/{self._settings.episodes} episodes"
         self._say(f"stored {ending.label}, {frames / self._fps:.1f} s; {counted}")

@@ -23,7 +23,9 @@ from uniforce_datasets.staging import claim
 from uniforce_robots.recorder.rig import RigFacts
 from uniforce_robots.recorder.rows import RECORDERS_OWN, RowSlots, further_columns, rig_features
 from uniforce_vtla.contracts import Finger
-from uniforce_vtla.errors import DatasetError, DroppedFrameError, UniForceError, expected
+from uniforce_vtla.errors import DatasetError, DiskFullError, DroppedFrameError, UniForceError, expected
+from uniforce_vtla.options import absolute
+from uniforce_vtla.terminal import STOPS
 
 log = logging.getLogger(__name__)
 LOCK_WAIT_s = 20.0  # a session that was killed leaves a storing process that finishes its orders first
@@ -43,6 +45,9 @@ class StoreSettings:
     root: Path
     repo_id: str
     reserve_MB: float = 500.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "root", absolute(self.root))
 
 
 def open_recorder(facts: RigFacts, settings: StoreSettings) -> EpisodeRecorder:
@@ -90,12 +95,13 @@ class StoreProcess:
         self._pipe, other = context.Pipe()
         given = (other, self._slots, facts, settings)
         self._process = context.Process(target=serve, args=given, name="store", daemon=True)
-        # Ctrl-C goes to the whole group; the child inherits that it is ignored, and ignores it while it still imports.
-        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        # Signals go to the whole group; the child inherits that they are ignored: the loop gives the orders.
+        before = {number: signal.signal(number, signal.SIG_IGN) for number in STOPS}
         try:
             self._process.start()
         finally:
-            signal.signal(signal.SIGINT, before)
+            for number, handler in before.items():
+                signal.signal(number, handler)
         self.pid = self._process.pid or 0
         other.close()
 
@@ -141,14 +147,23 @@ class StoreProcess:
             log.info("discarded after %s", error)
 
     def close(self) -> None:
-        """Let the child finish and end; one that isn't ready yet has nothing to finish."""
-        if self._stored is None:
-            self._process.kill()
-        elif self._process.exitcode is None:
-            try:
-                self._order("close")
-            except DatasetError as error:
-                log.error("%s", error)
+        """Let the child finish and end; one that isn't ready yet has nothing to finish.
+
+        Raises DiskFullError: no room for the last of it; the child has ended, and what was saved is whole.
+        """
+        try:
+            if self._stored is None:
+                self._process.kill()
+            elif self._process.exitcode is None:
+                self._finish("close")
+        except DiskFullError:
+            raise
+        except UniForceError as error:
+            log.error("%s", error)
+        finally:
+            self._end()
+
+    def _end(self) -> None:
         self._process.join(ANSWER_s)
         if self._process.exitcode is None:
             log.error("the storing process doesn't end; it is killed, saved episodes are whole")
@@ -217,20 +232,18 @@ def _gone() -> StoreGoneError:
 
 def serve(pipe: Connection, slots: RowSlots, facts: RigFacts, settings: StoreSettings) -> None:
     """Store until ``close`` or the pipe's end: what the child does."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)  # Ctrl-C goes to the whole group; the loop gives the orders
     os.nice(NICE)
     try:
         recorder = open_recorder(facts, settings)
+        _warm_up(recorder, facts)
     except UniForceError as error:
         pipe.send((error, None))
         return
-    with recorder:
-        _warm_up(recorder, facts)
-        try:
-            _obey_all(pipe, slots, recorder)
-        except (EOFError, OSError):
-            log.warning("the recording loop has gone; the running episode is dropped")
+    try:
+        _obey_all(pipe, slots, recorder)
+    except (EOFError, OSError):
+        log.warning("the recording loop has gone; the running episode is dropped")
+        recorder.close()
 
 
 def _warm_up(recorder: EpisodeRecorder, facts: RigFacts) -> None:
@@ -247,7 +260,7 @@ def _obey_all(pipe: Connection, slots: RowSlots, recorder: EpisodeRecorder) -> N
     """Do each order and answer it; after an error the rest of an episode is ignored, its save too."""
     order: tuple[Any, ...] = ("ready",)
     broken = False
-    while order[0] != "close":
+    while True:
         error = None
         try:
             match order:
@@ -260,8 +273,12 @@ def _obey_all(pipe: Connection, slots: RowSlots, recorder: EpisodeRecorder) -> N
                     recorder.save(*outcome, **more)
                 case ("discard",):
                     recorder.discard()
+                case ("close",):
+                    recorder.close()
         except UniForceError as came:
             error = came
         broken = (broken or error is not None) and order[0] == "add"
         pipe.send((error, (recorder.num_episodes, recorder.total_frames)))
+        if order[0] == "close":
+            return
         order = pipe.recv()

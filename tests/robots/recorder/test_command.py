@@ -22,7 +22,9 @@ def test_a_scene_by_hand_and_its_resume(tmp_path: Path, capsys: pytest.CaptureFi
     assert "1 of 1 episodes" in capsys.readouterr().out
     assert main([*QUICK, *own, f"resume={root}", "episodes=2", "prompts=[tidy up]"]) == 0
     assert open_dataset(root).num_episodes == 2 and read_card(root, 1)["prompt"] == "tidy up"
-    assert "--teleop.width_m=0.07" in read_card(root, 1)["settings"]["devices"]
+    assert read_card(root, 1)["settings"]["rig"]["teleop.width_m"] == 0.07
+    assert main([*QUICK, *own, f"root={root}", "episodes=3", "left_sensor=uskin"]) == 2
+    assert "scene.left_sensor 'gelsight' → 'uskin'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

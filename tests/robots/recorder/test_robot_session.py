@@ -1,10 +1,12 @@
 """A whole session on a fake robot: episodes, labels, faults, resume; the same one in the simulated scene."""
 
 import io
+import os
 import signal
 import threading
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +29,7 @@ from uniforce_robots.recorder.store import StoreSettings, open_recorder
 from uniforce_robots.sensors.faults import WrongSensorError
 from uniforce_vtla import keys
 from uniforce_vtla.errors import ContractError
+from uniforce_vtla.terminal import STOPS
 
 SHORT_S = 0.5
 
@@ -233,23 +236,52 @@ def test_a_full_disk_stops_at_the_next_tick_and_what_was_saved_stays(fake, tmp_p
     assert end.exit_code == 4 and not end.endings, "no room for another one"
 
 
-@pytest.mark.parametrize("times", [1, 2])
-def test_ctrl_c(fake: FakeRig, tmp_path: Path, times: int) -> None:
+@pytest.mark.parametrize("come", ["INT", "TERM", "HUP", "HUP HUP HUP", "TERM HUP", "INT INT", "HUP TERM INT"])
+def test_a_stop_from_outside_ends_the_episode_in_order_unless_somebody_insists(fake, tmp_path, come: str) -> None:
+    """Whoever reads what is shown may be gone by then."""
+    reader, writer = os.pipe()
+
     def say(phase: Phase, asked: int) -> list[Command]:
         if phase is Phase.RUNNING and asked == 5:
-            for _ in range(times):
-                signal.raise_signal(signal.SIGINT)
+            os.close(reader)
+            for name in come.split():
+                signal.raise_signal(signal.Signals[f"SIG{name}"])
         return [Command.GO] if phase is Phase.WAITING else []
 
-    before = signal.getsignal(signal.SIGINT)
-    if times == 1:
-        end = go(fake, tmp_path / "data", Script(say), episode_s=5.0)
+    before = [signal.getsignal(number) for number in STOPS]
+    insists = len(come.replace("HUP", "").split()) > 1
+    with open(writer, "w") as out, pytest.raises(KeyboardInterrupt) if insists else nullcontext():
+        end = go(fake, tmp_path / "data", Script(say), out=out, episode_s=5.0)
         assert end.exit_code == 130 and labels(tmp_path / "data") == ["aborted:interrupt"]
-    else:
-        with pytest.raises(KeyboardInterrupt):
-            go(fake, tmp_path / "data", Script(say), episode_s=5.0)
-        assert not fake.robot.is_connected and not (tmp_path / "data" / "data").exists()
-    assert signal.getsignal(signal.SIGINT) is before
+    assert not fake.robot.is_connected and insists is not (tmp_path / "data" / "data").exists()
+    assert [signal.getsignal(number) for number in STOPS] == before
+
+
+def test_nohup_goes_on_without_its_terminal(fake: FakeRig, tmp_path: Path) -> None:
+    def say(phase: Phase, asked: int) -> list[Command]:
+        if phase is Phase.RUNNING and asked == 5:
+            signal.raise_signal(signal.SIGHUP)
+        return [Command.GO] if phase is Phase.WAITING else [Command.SUCCESS] * (asked == 8)
+
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        assert go(fake, tmp_path / "data", Script(say)).exit_code == 0
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_a_terminal_that_takes_its_keyboard_along_is_an_interrupt_too(fake: FakeRig, tmp_path: Path) -> None:
+    teleop = sway(tmp_path)
+
+    def say(phase: Phase, asked: int) -> list[Command]:
+        if phase is Phase.RUNNING and asked == 5:
+            teleop.error = RuntimeError("hung up")
+        return [Command.GO] if phase is Phase.WAITING else []
+
+    hold = fake.rig.hold
+    fake.rig.hold = lambda: (teleop.error and signal.raise_signal(signal.SIGHUP), hold())  # type: ignore[method-assign,assignment,func-returns-value]
+    assert go(fake, tmp_path / "data", Script(say), teleop, episode_s=5.0).exit_code == 130
+    assert labels(tmp_path / "data") == ["aborted:interrupt"]
 
 
 def test_a_person_clears_a_reflex_and_goes_on(fake: FakeRig, tmp_path: Path) -> None:
@@ -304,6 +336,21 @@ def test_an_unattended_session_gives_up_on_a_fault_that_comes_back(fake: FakeRig
     teleop = Flaky(SwayConfig(id="test", calibration_dir=tmp_path))
     end = go(fake, tmp_path / "data", Unattended("success"), teleop, episode_s=3.0)
     assert end.exit_code == 3 and "3 times in a row" in end.message and len(end.endings) == 3
+
+
+def test_another_setting_of_the_rig_is_refused_before_the_first_episode(fake: FakeRig, tmp_path: Path) -> None:
+    """Also what the robot itself says once it is connected."""
+    root, load_kg = tmp_path / "data", [0.7]
+    fake.robot.stored_facts = lambda: {"load_kg": load_kg[0]}  # type: ignore[attr-defined]
+    assert go(fake, root, Unattended("success"), rig={"robot.gain": 1}).exit_code == 0
+    load_kg[0] = 0.9
+    with pytest.raises(ContractError, match=r"robot.gain 1 → 2, robot.stored.load_kg 0.7 → 0.9"):
+        go(fake, root, Unattended("success"), episodes=2, rig={"robot.gain": 2})
+    end = go(fake, root, Unattended("success"), episodes=2, rig={"robot.gain": 2}, accept_changes=True)
+    assert end.exit_code == 0
+    known = [read_card(root, episode)["settings"] for episode in (0, 1)]
+    assert known[0]["rig"] == {"robot.gain": 1, "robot.stored.load_kg": 0.7} and not known[0]["changed"]
+    assert known[1]["changed"] == {"robot.gain": [1, 2], "robot.stored.load_kg": [0.7, 0.9]}
 
 
 STEPS = 6

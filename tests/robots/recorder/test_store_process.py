@@ -20,6 +20,7 @@ from uniforce_robots.recorder.store import StoreProcess, StoreSettings, open_rec
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.keys import STATE, camera_key, tactile_key
+from uniforce_vtla.terminal import STOPS
 
 WORN, CAMERAS = {"left": "uskin", "right": "tactip"}, {"front": (48, 64, 3)}
 FACTS = RigFacts("test", 30, WORN, CAMERAS, windows={"left": 3}, paced=False)
@@ -42,17 +43,25 @@ def store(tmp_path: Path) -> Iterator[StoreProcess]:
 
 
 def record(store: Store, steps: int = 4) -> None:
+    memory = {key: value.copy() for key, value in row(0).items()}
     for step in range(steps):
-        store.add(row(step), "wipe")
+        for key, value in row(step).items():
+            memory[key][:] = value  # one array, filled over and over, as a camera's driver does
+        store.add(memory, "wipe")
     store.save(True, "success", 3, card={"label": "success"})
+
+
+def signal_all(store: StoreProcess) -> None:
+    for number in STOPS:
+        os.kill(store.pid, number)
 
 
 @pytest.mark.slow
 def test_it_stores_what_the_recorder_itself_would(store: StoreProcess, tmp_path: Path) -> None:
-    """Whatever comes between: Ctrl-C while it starts and later, rows that are refused at once or in the child."""
-    os.kill(store.pid, signal.SIGINT)
+    """Whatever comes between: signals while it starts and later, rows that are refused at once or in the child."""
+    signal_all(store)
     record(store)
-    os.kill(store.pid, signal.SIGINT)
+    signal_all(store)
     with pytest.raises(ContractError, match="others"):
         store.add({**row(0), "something": np.zeros(1)}, "wipe")
     store.add(row(0), "wipe")
@@ -74,6 +83,7 @@ def test_it_stores_what_the_recorder_itself_would(store: StoreProcess, tmp_path:
         a, b = ours[index], theirs[index]
         assert a.keys() == b.keys()
         assert all(np.array_equal(a[k], b[k]) for k in a if k != "task")
+        assert np.array_equal(a[STATE], row(index % 4)[STATE])
 
 
 @pytest.mark.slow

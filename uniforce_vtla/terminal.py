@@ -1,0 +1,59 @@
+"""A program's end from outside, and its terminal, which may be gone before the program is."""
+
+import io
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import TextIO
+
+STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # Ctrl-C, kill, a terminal that was closed
+
+
+class LastingText(io.TextIOBase):
+    """Writes to a terminal or pipe; once that is gone, what is written is lost and nothing is raised."""
+
+    def __init__(self, out: TextIO) -> None:
+        self._out = out
+
+    def isatty(self) -> bool:
+        """Return whether it is a terminal."""
+        return self._out.isatty()
+
+    def write(self, text: str) -> int:
+        """Write at once."""
+        try:
+            self._out.write(text)
+            self._out.flush()
+        except OSError:
+            null = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null, self._out.fileno())  # for what is still buffered, and for everybody else's words
+            os.close(null)
+        return len(text)
+
+
+@contextmanager
+def stops_like_ctrl_c() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP raise KeyboardInterrupt while the block lasts, so that it is left in order.
+
+    Who started the program with a signal ignored, as nohup does, wants it to go on.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.getsignal(number) for number in STOPS[1:]}
+    plain = [number for number, handler in before.items() if handler is signal.SIG_DFL]
+    for number in plain:
+        signal.signal(number, _interrupt)
+    try:
+        yield
+    finally:
+        for number in plain:
+            signal.signal(number, before[number])
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)  # kernel, shell and login manager each send it
+    raise KeyboardInterrupt
