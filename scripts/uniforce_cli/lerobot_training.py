@@ -30,6 +30,7 @@ from uniforce_vtla.file_hashes import write_hashes
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import VIEW_MARKER
 from uniforce_vtla.options import Range, Writable, check_text, shortened
+from uniforce_vtla.results_file import PROVENANCE, provenance, write_json
 
 VERIFY = "verify="
 CHOICES = ("policy", "env")  # LeRobot wants --policy.type=NAME
@@ -142,8 +143,9 @@ def _stock_dataset(stock: Any, cfg: Any) -> Any:
 
 
 def _save_hashed(stock: Any, checkpoint_dir: Path, **given: Any) -> None:
-    """Save a checkpoint and end it with ``hashes.json``: LeRobot saves the processors after the policy."""
+    """Save a checkpoint, where it comes from and its ``hashes.json``: LeRobot saves the processors after the policy."""
     stock(checkpoint_dir=checkpoint_dir, **given)
+    write_json(checkpoint_dir / PRETRAINED_MODEL_DIR / PROVENANCE, provenance())
     write_hashes(checkpoint_dir / PRETRAINED_MODEL_DIR)
 
 

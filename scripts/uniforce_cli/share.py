@@ -18,14 +18,14 @@ from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.file_hashes import HASHES, hashed_names, write_hashes
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.options import Dataset, Existing, FilePath, HubName, OutFolder, Pattern
-from uniforce_vtla.results_file import write_json
+from uniforce_vtla.results_file import PROVENANCE, write_json
 
 if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
 
 SCORES, TRAIN_CONFIG, ADAPTER = "scores.json", "train_config.json", "adapter_config.json"
 TOKENIZER = "model.tactile_encoder."
-CARD, PROVENANCE_FILE = "README.md", "provenance.json"
+CARD = "README.md"
 SCENE_FILES = ("env.py", CARD)
 SCENE_NAMES = re.compile(r"env\.py|README\.md")
 TAGS = ["lerobot", "robotics", "tactile", "uniforce"]
@@ -69,7 +69,7 @@ def share(config: ShareConfig) -> Path:
     from lerobot_policy_pi05_uniforce.model_card import model_card
 
     source, out = Path(config.checkpoint), Path(config.out)
-    scores, trained = _read(Path(config.scores)), _read(source / PROVENANCE_FILE)
+    scores, trained = _read(Path(config.scores)), _read(source / PROVENANCE)
     _check_scores(scores, source)
     policy = _load(source)
     processors = make_pre_post_processors(policy.config, pretrained_path=str(source))
@@ -87,7 +87,7 @@ def share(config: ShareConfig) -> Path:
         for part in (policy, *processors):
             part.save_pretrained(fresh)
         card.save(fresh / CARD)
-        for name, content, kind in ((SCORES, scores, allowed.SCORES), (PROVENANCE_FILE, trained, allowed.PROVENANCE)):
+        for name, content, kind in ((SCORES, scores, allowed.SCORES), (PROVENANCE, trained, allowed.PROVENANCE)):
             if content is not None:
                 write_json(fresh / name, allowed.allowed(content, kind))
         allowed.refuse_paths(fresh)
