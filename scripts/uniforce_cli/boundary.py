@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal, NoReturn
 import yaml
 from draccus.utils import DraccusException
 
-from uniforce_vtla.arguments import parse, split_words
+from uniforce_vtla.arguments import parse, reason_of, split_words
 from uniforce_vtla.errors import ContractError, UniForceError, expected, without_credentials
 from uniforce_vtla.options import Names, Pattern
 from uniforce_vtla.sensors import list_sensors
@@ -121,7 +121,9 @@ def guarded(name: str, run: Callable[[], int]) -> int:
             return run()
     except KeyboardInterrupt:
         return _end(name, "stopped", STOPPED)
-    except (UniForceError, DraccusException, yaml.YAMLError, json.JSONDecodeError) as error:
+    except DraccusException as error:
+        return _end(name, expected("settings", "what it takes", reason_of(error), "See --help."), REFUSED)
+    except (UniForceError, yaml.YAMLError, json.JSONDecodeError) as error:
         return _end(name, str(error), REFUSED)
     except Exception as error:
         if surroundings := _surroundings(error):
@@ -143,6 +145,8 @@ def _surroundings(error: Exception) -> str:
             return expected("text files", "UTF-8", error, "Save them as UTF-8.")
         case ImportError() if not str(error.name).startswith(OURS):
             return f"{error}. Install it; README.md names what is optional."
+        case Exception() if type(error).__module__.startswith("wandb."):
+            return expected("wandb", "a login", str(error).rstrip("."), "wandb.enable=false does without.")
     return ""
 
 
