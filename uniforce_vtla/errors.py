@@ -69,7 +69,7 @@ class TeleoperatorError(FaultError):
 LOGIN = re.compile(r"(?<=://)[^\s\"]*@")
 ADDRESS = re.compile(r"(?i)(\b[a-z][\w+.-]*://[^\s\"'<>/?#]*)((?:[^\s\"'<>\\]|\\(?!\"))*)")
 SHOWN_WORDS = re.compile(  # of an address' path: a key may stand there as well as behind a question mark
-    r"\d{0,3}|api|axis-cgi|cams?|camera|cgi|cgi-bin|channel|feed|front|image|jpg|left|live|main|mjpe?g|raw|right|"
+    r"\d{0,3}|api|axis-cgi|cams?|camera|cgi|cgi-bin|channel|feed|front|image|jpg|left|live|main|mjpe?g|path|raw|right|"
     r"snapshot|stream(ing)?|sub|tactile|v\d|video(\.cgi|\.mjpe?g|_feed)?|webcam|wrist"
 )
 SHOWN_SETTINGS = re.compile(  # behind its question mark
