@@ -7,8 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
-from uniforce_vtla.results_file import write_json
+from uniforce_vtla import results_file
+from uniforce_vtla.results_file import provenance, write_json
 
 PRINTS = "import json\nfrom uniforce_vtla.results_file import provenance\nprint(json.dumps(provenance()))\n"
 
@@ -33,3 +35,19 @@ def test_what_json_does_not_know_becomes_null(tmp_path: Path) -> None:
     assert json.loads(text, parse_constant=pytest.fail) == {
         "alarm_s": None, "rows": [{"recall": None}, [1.5, None]], "n": 3
     }  # fmt: skip
+
+
+def test_a_result_names_commit_device_and_whether_the_sources_were_changed(monkeypatch: pytest.MonkeyPatch) -> None:
+    answers = {"rev-parse": "a" * 40, "status": " M uniforce_vtla/errors.py"}
+    monkeypatch.setattr(results_file, "_git", lambda word, *_: answers[word])
+    monkeypatch.setattr(results_file, "SOURCES", Path(__file__).parents[1])
+    found = results_file._checkout.__wrapped__()
+    assert found == ("a" * 40, True)
+    answers["status"] = ""
+    assert results_file._checkout.__wrapped__() == ("a" * 40, False)
+    monkeypatch.setattr(results_file, "SOURCES", Path(__file__).parent)  # as in an installed package
+    assert results_file._checkout.__wrapped__() == (None, None)
+    assert {"commit", "dirty", "device", "version", "machine"} <= provenance().keys()
+    monkeypatch.setattr(torch.cuda, "is_initialized", lambda: True)
+    monkeypatch.setattr(torch.cuda, "get_device_name", lambda: "a card")
+    assert provenance()["device"] == "a card"

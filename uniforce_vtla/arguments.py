@@ -8,7 +8,7 @@ import io
 import math
 import sys
 import tokenize
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, reduce
 from operator import attrgetter, getitem
@@ -19,11 +19,12 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 import draccus
 import numpy as np
 import yaml
+from draccus.utils import DraccusException
 
 from uniforce_vtla.errors import ContractError, UniForceError, expected
-from uniforce_vtla.options import Existing, Writable, at_home, check_text, shortened, split
+from uniforce_vtla.options import Existing, Writable, at_home, check_text, named_path, shortened, split
 
-KINDS = {int: "a whole number", float: "a number", bool: "true | false", str: "text"}
+KINDS = {int: "a whole number", float: "a number", bool: "true | false", str: "text", Any: "a value"}
 
 
 @dataclass(frozen=True)
@@ -223,10 +224,72 @@ def _decode[ConfigT](config_class: type[ConfigT], nested: dict[str, Any]) -> Con
 
 def own_cause(error: BaseException) -> UniForceError | None:
     """Return the error of ours that draccus wrapped: a config that refused what it was made of has said why."""
-    cause = error.__cause__
-    while cause is not None and not isinstance(cause, UniForceError):
-        cause = cause.__cause__
-    return cause
+    cause = reason_of(error)
+    return cause if isinstance(cause, UniForceError) else None
+
+
+def reason_of(error: BaseException) -> BaseException:
+    """Return what began a chain of wrapped errors; an error of ours has said it in our words."""
+    reason = error
+    while reason.__cause__ is not None and not isinstance(reason, UniForceError):
+        reason = reason.__cause__
+    return reason
+
+
+def read_yaml(path: Path) -> Any:
+    """Return the content of a YAML or JSON file, UTF-8 or UTF-16.
+
+    Raises ContractError: it can't be read, is no text of these encodings, or no YAML.
+    """
+    with named_path(str(path), "a settings file"):
+        content = path.read_bytes()
+    try:
+        return yaml.safe_load(content)
+    except (ValueError, RecursionError, yaml.YAMLError) as error:
+        do = "Save it as plain UTF-8 text, with the settings indented below their section."
+        raise ContractError(expected(str(path), "YAML or JSON in UTF-8", shortened(str(error), 200), do)) from error
+
+
+def section(name: str, content: Any) -> dict[str, Any]:
+    """Return a section of a settings file, empty where nothing stands in it; ContractError: it is no section."""
+    if content is not None and not isinstance(content, dict):
+        do = "Write them as NAME: value, indented below it."
+        raise ContractError(expected(name, "settings by name", shortened(repr(content)), do))
+    return {str(key): value for key, value in (content or {}).items()}
+
+
+def decode_file[ConfigT](config_class: type[ConfigT], name: str, content: Any) -> ConfigT:
+    """Return the config that a section of a settings file describes; empty sections in it keep their defaults.
+
+    Raises ContractError: names the setting and says why: no section, nothing where a value must be, an unknown name, a
+    wrong type, or whatever the class itself refuses.
+    """
+    settings = _without_empty(name, content, options_of(config_class))
+    try:
+        decoded: ConfigT = draccus.decode(config_class, settings)
+    except (UniForceError, DraccusException, ValueError, TypeError) as error:
+        path, reason = ".".join((name, *getattr(error, "key_path", ()))), reason_of(error)
+        if isinstance(reason, UniForceError):
+            raise ContractError(f"{path}: {reason}") from error
+        came = str(getattr(reason, "message", reason)).rstrip(".")
+        raise ContractError(expected(path, "settings it has", came, "See docs/recording.md.")) from error
+    return decoded
+
+
+def _without_empty(name: str, content: Any, options: Mapping[str, Option]) -> dict[str, Any]:
+    """Return a section without the empty ones in it; ContractError: nothing where an option needs a value."""
+    kept = {}
+    for key, value in section(name, content).items():
+        inner = {path.removeprefix(f"{key}."): o for path, o in options.items() if path.startswith(f"{key}.")}
+        option = options.get(key)
+        if inner and value is not None:
+            kept[key] = _without_empty(f"{name}.{key}", value, inner)
+        elif value is None and option is not None and not option.optional and get_origin(option.kind) is not dict:
+            do = "Give a value, or leave it out."
+            raise ContractError(expected(f"{name}.{key}", option.wanted, "nothing", do))
+        elif value is not None or (option is not None and option.optional):
+            kept[key] = value
+    return kept
 
 
 def check(option: Option, value: Any) -> None:

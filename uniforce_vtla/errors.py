@@ -69,12 +69,39 @@ class TeleoperatorError(FaultError):
 
 # user:password@ of an address; a password may hold a slash or a quote
 LOGIN = re.compile(r"(?<=://)[^\s\"]*@")
-SECRET = re.compile(r"(?i)([?&][\w-]*(?:auth|key|pass|pwd|secret|sig|token)[\w-]*=)[^&\s'\"]+")
+ADDRESS = re.compile(r"(?i)(\b[a-z][\w+.-]*://[^\s\"'<>/?#]*)((?:[^\s\"'<>\\]|\\(?!\"))*)")
+SHOWN_WORDS = re.compile(  # of an address' path: a key may stand there as well as behind a question mark
+    r"\d{0,3}|api|axis-cgi|cams?|camera|cgi|cgi-bin|channel|feed|front|image|jpg|left|live|main|mjpe?g|path|raw|right|"
+    r"snapshot|stream(ing)?|sub|tactile|v\d|video(\.cgi|\.mjpe?g|_feed)?|webcam|wrist"
+)
+SHOWN_SETTINGS = re.compile(  # behind its question mark
+    r"action|camera|channel|codec|compression|fps|height|quality|rate|resolution|rotation|size|stream|video|width|x|y"
+)
+PUBLIC = ("https://huggingface.co/", "https://hf.co/", "https://github.com/", "https://ai.google.dev/")
 
 
 def without_credentials(text: str) -> str:
-    """Return a text with logins and secrets of the addresses in it replaced by stars."""
-    return SECRET.sub(r"\1***", LOGIN.sub("***@", text))
+    """Return a text with logins, and whatever else of its addresses isn't known to be harmless, replaced by stars."""
+    return ADDRESS.sub(_harmless, LOGIN.sub("***@", text))
+
+
+def _harmless(address: re.Match[str]) -> str:
+    if address.group().startswith(PUBLIC) and "?" not in address.group():
+        return address.group()
+    where, tail = address.groups()
+    shown = tail.rstrip(".,;:!)]}")
+    path, mark, settings = shown.partition("#")[0].partition("?")
+    words = [word if SHOWN_WORDS.fullmatch(word) else "***" for word in path.split("/")]
+    pairs = [_setting(pair) for pair in settings.split("&")]
+    hidden = "#***" if "#" in shown else ""
+    return where + "/".join(words) + mark + "&".join(pairs) + hidden + tail[len(shown) :]
+
+
+def _setting(pair: str) -> str:
+    name, equals, _ = pair.partition("=")
+    if not pair or SHOWN_SETTINGS.fullmatch(name):
+        return pair
+    return f"{name}=***" if equals else "***"
 
 
 def expected(what: str, wanted: object, came: object, do: str) -> str:

@@ -6,8 +6,10 @@ import json
 import math
 import os
 import platform
+import subprocess
 import sys
 import tempfile
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,16 +18,55 @@ from filelock import FileLock, Timeout
 from uniforce_vtla.errors import ContractError, expected, without_credentials
 
 DISTRIBUTION = "lerobot_policy_pi05_uniforce"
+PROVENANCE = "provenance.json"  # in every checkpoint
+SOURCES = Path(__file__).parents[1]
+GIT_s = 10.0  # s, on a busy disk
 
 
 def provenance() -> dict[str, Any]:
-    """Return command line, package version, machine and date of this process."""
+    """Return command line, package version, commit, machine, device and date of this process.
+
+    ``commit`` and ``dirty`` (tracked files differ from it) are null where the package isn't run from a checkout.
+    """
+    commit, dirty = _checkout()
     return {
         "command": without_credentials(" ".join([_program(), *sys.argv[1:]])),
         "version": importlib.metadata.version(DISTRIBUTION),
-        "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, no accelerator used",
+        "commit": commit,
+        "dirty": dirty,
+        "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
+        "device": _device(),
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     }
+
+
+@cache
+def _checkout() -> tuple[str | None, bool | None]:
+    """Return the commit of the checkout this package lies in, and whether its tracked files were changed.
+
+    Read once: a checkout that changes while a long run works is another one than it imported.
+    """
+    if not (SOURCES / ".git").exists():  # a repository of somebody else's may lie further up
+        return None, None
+    try:
+        asked = [("rev-parse", "HEAD"), ("status", "--porcelain", "--untracked-files=no")]
+        commit, changed = (_git(*words) for words in asked)
+    except (OSError, subprocess.SubprocessError):  # no git, or a folder that git distrusts
+        return None, None
+    return commit, bool(changed)
+
+
+def _git(*words: str) -> str:
+    call = ["git", "-C", str(SOURCES), *words]
+    return subprocess.run(call, capture_output=True, text=True, check=True, timeout=GIT_s).stdout.strip()
+
+
+def _device() -> str:
+    """Return what torch computed on: the accelerator that this process has opened, else the processor."""
+    torch = sys.modules.get("torch")
+    if torch is not None and torch.cuda.is_initialized():
+        return str(torch.cuda.get_device_name())
+    return "cpu"
 
 
 def _program() -> str:

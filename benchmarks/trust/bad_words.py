@@ -8,13 +8,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
+from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
 from uniforce_datasets.synthetic import record_synthetic
 from uniforce_datasets.training_view import build_view
 from uniforce_vtla.arguments import Option
 from uniforce_vtla.keys import VIEW_MARKER
 from uniforce_vtla.options import LONGEST, Existing, Names, Pattern, Range, Writable
+from uniforce_vtla.tokenizer.weights import ASSETS, DEFAULT_SIZE
 
-GARBAGE = b"\xff\xfe{]garbage\x00" * 16
+CONTENTS = {  # of files that a user may name by mistake
+    "garbage": b"\xff\xfe{]garbage\x00" * 16,
+    "empty": b"",
+    "latin1": "robot: # Größe\n".encode("latin-1"),
+    "list": b"[1, 2]",
+    "number": b"7",
+    "object": b'{"a": null}',
+}
+TOKENIZER = ASSETS / DEFAULT_SIZE / "tokenizer"
 WRONG_TYPE = {
     int: ("many", "1.5", "true", "[1]", "null", "1:30", "nan"),
     float: ("much", "true", "[1.0]", "null", "nan", "inf", "-inf", "1e999"),
@@ -57,7 +67,7 @@ class Room:
         record_synthetic(self.folder / "dataset", 1, 20)
         build_view(self.folder / "dataset", self.folder / "view")
         (self.folder / "some_folder").mkdir()
-        for name, content in (("garbage", GARBAGE), ("empty", b"")):
+        for name, content in CONTENTS.items():
             (self.folder / name).write_bytes(content)
             for marker in ("meta/info.json", VIEW_MARKER, "config.json"):
                 file = self.damaged(name, marker) / marker
@@ -150,7 +160,11 @@ def _bad_sources(rule: Existing, room: Room) -> Iterator[tuple[str, str]]:
         yield "folder for file", str(here / "some_folder")
     if rule.marker not in ("", "."):
         yield "missing", str(here / "some_folder")
-    for name in ("garbage", "empty"):
+    if rule.marker == "config.json":
+        yield "another kind", str(TOKENIZER if "checkpoint" in rule.what else shipped_checkpoint())
+    if rule.marker == ".":
+        yield "nothing in it", str(here / "some_folder")
+    for name in CONTENTS:
         if rule.marker != ".":
             yield "damaged", str(room.damaged(name, rule.marker) if rule.marker else here / name)
 

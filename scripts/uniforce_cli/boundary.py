@@ -15,14 +15,20 @@ from typing import Annotated, Any, Literal, NoReturn
 import yaml
 from draccus.utils import DraccusException
 
-from uniforce_vtla.arguments import parse, split_words
-from uniforce_vtla.errors import ContractError, UniForceError, no_room, without_credentials
+from uniforce_vtla.arguments import parse, reason_of, split_words
+from uniforce_vtla.errors import ContractError, UniForceError, expected, no_room, without_credentials
 from uniforce_vtla.options import Names, Pattern
 from uniforce_vtla.sensors import list_sensors
 from uniforce_vtla.terminal import LastingText, stops_like_ctrl_c
 
 REFUSED, NO_ROOM, FAULT, STOPPED = 2, 4, 70, 130
 DEBUG = "--debug"
+OURS = (
+    "uniforce_",
+    "lerobot_policy_pi05_uniforce",
+    "lerobot_env_uniforce",
+    "benchmarks",
+)  # packages; a fault is ours there
 LONGEST_LINE = 600
 GROWN_bytes = 4_000_000_000  # a process of rollouts may grow by
 
@@ -118,14 +124,51 @@ def guarded(name: str, run: Callable[[], int]) -> int:
             return run()
     except KeyboardInterrupt:
         return _end(name, "stopped", STOPPED)
-    except (UniForceError, DraccusException, yaml.YAMLError, json.JSONDecodeError) as error:
+    except DraccusException as error:
+        return _end(name, expected("settings", "what it takes", reason_of(error), "See --help."), REFUSED)
+    except (UniForceError, yaml.YAMLError, json.JSONDecodeError) as error:
         return _end(name, str(error), NO_ROOM if no_room(error) else REFUSED)
     except Exception as error:
-        if isinstance(error, OSError) and (error.filename is not None or no_room(error)):
-            where, do = error.filename or "disk", "Check the path and the room on its disk."
-            return _end(name, f"{where}: {error.strerror}. {do}", NO_ROOM if no_room(error) else REFUSED)
+        if surroundings := _surroundings(error):
+            return _end(name, surroundings, NO_ROOM if no_room(error) else REFUSED)
         what = f"a fault of this program, {type(error).__name__}: {error}. Run it with {DEBUG} and report it."
         return _end(name, what, FAULT)
+
+
+def _surroundings(error: Exception) -> str:
+    """Return a line about what a user can put right: files, disks, network, login, packages; "" for anything else."""
+    if "huggingface_hub" in sys.modules and (said := _said_by_hub(error)):
+        return said
+    match error:
+        case OSError(filename=str() | bytes() | Path() as path):
+            return f"{path!s}: {error.strerror}. Check the path and the room on its disk."
+        case OSError():
+            return f"{error}. Check files, devices and the network."
+        case UnicodeDecodeError():
+            return expected("text files", "UTF-8", error, "Save them as UTF-8.")
+        case ImportError() if not str(error.name).startswith(OURS):
+            return f"{error}. Install it; README.md names what is optional."
+        case Exception() if type(error).__module__.startswith("wandb."):
+            return expected("wandb", "a login", str(error).rstrip("."), "wandb.enable=false does without.")
+    return ""
+
+
+def _said_by_hub(error: Exception) -> str:
+    """Return a line about an answer of the Hugging Face hub, or none; "" for another error."""
+    import httpx
+    from huggingface_hub import errors
+
+    match error:
+        case errors.OfflineModeIsEnabled():
+            return expected("hub", "a connection", "HF_HUB_OFFLINE", "Unset this variable.")
+        case errors.HfHubHTTPError(response=httpx.Response(status_code=401 | 403 as code)):
+            do = "Log in with `hf auth login`, as one who may write there."
+            return expected("hub", "a login", f"answer {code}", do)
+        case httpx.TransportError():
+            return expected("hub", "a connection", error, "Is the network there? Try again.")
+        case errors.HfHubHTTPError() | errors.EntryNotFoundError() | errors.HFValidationError():
+            return expected("hub", "what was asked for", str(error).rstrip("."), "Check the name and your login.")
+    return ""
 
 
 def _end(name: str, text: str, code: int) -> int:

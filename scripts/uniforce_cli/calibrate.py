@@ -122,6 +122,9 @@ def main(config: CalibrateCommand) -> None:
     from uniforce_vtla.tokenizer.calibration import AXES
 
     one_thread()
+    if config.rig and not config.loads_N:
+        do = "Give loads_N=3,6,9, or leave rig out: recorded grasps are pairs=."
+        raise ContractError(expected("rig", "known loads beside it", "none", do))
     then = f"uniforce score policy=… right_sensor={config.new} right_calibration={config.out}"
     if config.loads_N:
         found = weigh_sensor(config, Tokenizer.from_pretrained(config.tokenizer or None))

@@ -16,6 +16,7 @@ from uniforce_vtla.file_hashes import write_hashes
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import ACTION
 from uniforce_vtla.options import Existing, OutFolder, Pattern, Slots, View
+from uniforce_vtla.results_file import PROVENANCE, provenance, write_json
 
 if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce import PI05UniforceConfig
@@ -77,6 +78,7 @@ def convert(config: ConvertConfig) -> Path:
     before, after = make_processors(settings, view.meta.stats)
     for part in (policy, before, after):
         part.save_pretrained(config.out)
+    write_json(Path(config.out) / PROVENANCE, provenance())
     write_hashes(config.out)
     return Path(config.out)
 

@@ -15,8 +15,9 @@ from typing import Any
 import torch
 from accelerate import Accelerator
 from accelerate.utils import DistributedDataParallelKwargs
+from draccus.utils import DraccusException
 from lerobot.configs import parser
-from lerobot.configs.train import TrainPipelineConfig
+from lerobot.configs.train import TRAIN_CONFIG_NAME, TrainPipelineConfig
 from lerobot.datasets import factory
 from lerobot.scripts import lerobot_train
 from lerobot.utils.constants import PRETRAINED_MODEL_DIR
@@ -24,14 +25,15 @@ from lerobot.utils.import_utils import register_third_party_plugins
 
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig
 from uniforce_cli.boundary import one_thread
-from uniforce_vtla.arguments import Option, check, options_of, read_value, split_words
-from uniforce_vtla.errors import CheckpointError, ContractError, UniForceError, expected
+from uniforce_vtla.arguments import Option, check, options_of, read_value, reason_of, split_words
+from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError, UniForceError, expected
 from uniforce_vtla.file_hashes import write_hashes
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import VIEW_MARKER
 from uniforce_vtla.options import Range, Writable, at_home, check_text, shortened
+from uniforce_vtla.results_file import PROVENANCE, provenance, write_json
 
-VERIFY = "verify="
+VERIFY, EPISODES = "verify=", "dataset.episodes"
 CHOICES = ("policy", "env")  # LeRobot wants --policy.type=NAME
 OURS = "pi05_uniforce"
 DEFAULTS = {"policy.push_to_hub": "false", "wandb.enable": "false"}
@@ -142,8 +144,9 @@ def _stock_dataset(stock: Any, cfg: Any) -> Any:
 
 
 def _save_hashed(stock: Any, checkpoint_dir: Path, **given: Any) -> None:
-    """Save a checkpoint and end it with ``hashes.json``: LeRobot saves the processors after the policy."""
+    """Save a checkpoint, where it comes from and its ``hashes.json``: LeRobot saves the processors after the policy."""
     stock(checkpoint_dir=checkpoint_dir, **given)
+    write_json(checkpoint_dir / PRETRAINED_MODEL_DIR / PROVENANCE, provenance())
     write_hashes(checkpoint_dir / PRETRAINED_MODEL_DIR)
 
 
@@ -174,8 +177,9 @@ def read_settings(flags: Sequence[str]) -> TrainPipelineConfig:
         raise _with_nearest(error) from error
     except SystemExit as error:  # LeRobot's way to end after a wrong type; it printed why
         raise ContractError(f"settings: {_said(said.getvalue())} See --help.") from error
-    except LEROBOTS_ERRORS as error:
-        raise ContractError(expected("settings", "what LeRobot takes", _said(error), "See --help.")) from error
+    except (*LEROBOTS_ERRORS, DraccusException) as error:
+        reason = reason_of(error) if isinstance(error, DraccusException) else error
+        raise ContractError(expected("settings", "what LeRobot takes", _said(reason), "See --help.")) from error
     finally:
         logging.disable(logging.NOTSET)
     return settings
@@ -197,12 +201,45 @@ def _check(given: Mapping[str, str], ours: bool) -> None:
         check_text(name, text)
         if name in known and (ours or not name.startswith("policy.")):
             check(known[name], read_value(known[name], text))
+    _check_config_path(given)
     root, out = given.get("dataset.root"), given.get("output_dir")
     markers = (VIEW_MARKER, "meta/info.json")
     if root is not None and not any((Path(root) / name).is_file() for name in markers):
         raise ContractError(expected("dataset.root", "a dataset or a training view", root, "Check the path."))
+    if root is not None and (episodes := given.get(EPISODES, "null")) != "null":
+        _check_episodes(Path(root), read_value(known[EPISODES], episodes))
     if out is not None:
         Writable().check("output_dir", out)
+
+
+def _check_episodes(root: Path, chosen: Sequence[int]) -> None:
+    """Raise ContractError for episodes that a dataset or view hasn't got, none at all, or one that comes twice."""
+    from uniforce_datasets.view_plan import read_marker
+
+    if (root / VIEW_MARKER).is_file():
+        stored = len(read_marker(root)["episodes"])
+    else:
+        stored = int(read_object(root / "meta" / "info.json", DatasetError).get("total_episodes") or 0)
+    if not chosen or len({*chosen}) < len(chosen) or not {*chosen} <= {*range(stored)}:
+        wanted = f"numbers from 0 to {stored - 1}, each once"
+        raise ContractError(expected(EPISODES, wanted, chosen, "Leave it out to take all."))
+
+
+def _check_config_path(given: Mapping[str, str]) -> None:
+    """Raise ContractError where a run to go on with names no checkpoint's settings; a hub's name is LeRobot's to find.
+
+    Raises CheckpointError: they are damaged.
+    """
+    named = given.get("config_path", "")
+    file = Path(named)
+    if file.is_dir():
+        file /= TRAIN_CONFIG_NAME
+    is_missing = not file.is_file() and (file.suffix == ".json" or file.parent.exists())
+    if (is_missing and named) or (not named and given.get("resume", "false").lower() == "true"):
+        do = f"Give config_path=…/checkpoints/last/{PRETRAINED_MODEL_DIR}/{TRAIN_CONFIG_NAME}"
+        raise ContractError(expected("config_path", f"a checkpoint's {TRAIN_CONFIG_NAME}", named or "none", do))
+    if file.is_file() and file.suffix == ".json":
+        read_object(file, CheckpointError)
 
 
 def _with_nearest(error: UniForceError) -> UniForceError:

@@ -21,10 +21,12 @@ from uniforce_vtla.keys import AXES, STATE, TACTILE_KEYS, counts_key, sensor_key
 from uniforce_vtla.markers.mirror import to_canonical
 from uniforce_vtla.sensors import list_sensors
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
+from uniforce_vtla.tokenizer.descriptor import UNTOUCHED
 from uniforce_vtla.tokenizer.descriptor_head import DescriptorHead
 from uniforce_vtla.tokenizer.plain_touch import descriptors
 
 PLACE = [AXES.index(axis) for axis in ("x.pos", "y.pos", "z.pos")]
+FREE_FRAMES = 5  # at an episode's beginning; one alone is as noisy as its markers
 FILM = 12  # pictures in a film strip: square ones fill a line of it
 UNKNOWN_FRICTION = (np.inf, np.inf)  # no pad ever reaches its limit: slippage isn't judged
 
@@ -84,14 +86,18 @@ class RecordingForces:
 def descriptor_heads(folder: str = "") -> ForceReader:
     """Return a reader of hand descriptors, never through the tokenizer a policy may have acted on: for scores.
 
+    An episode begins in free air: what its first frames differ in from their reference is no touch, and is taken away.
+    Undone, a GelSight drawn without its camera reads 7 N there.
+
     ``folder`` is of python -m benchmarks.descriptor_heads; empty for the shipped ones, of the wiping scene.
     """
     load = cache(lambda sensor: DescriptorHead.from_pretrained(sensor, folder or None))
 
     def read(source: Source, episode: Episode, finger: Finger) -> np.ndarray:
         reference, current = marker_images(source, episode, finger)
-        described = [descriptors(reference, image[None], finger)[0] for image in current]
-        return load(worn(source, episode, finger)).read(np.stack(described))
+        described = np.stack([descriptors(reference, image[None], finger)[0] for image in current])
+        tared = described - described[:FREE_FRAMES].mean(axis=0) + UNTOUCHED
+        return load(worn(source, episode, finger)).read(tared)
 
     return read
 

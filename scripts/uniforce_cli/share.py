@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import atexit
+import glob
+import re
+import shutil
+import tempfile
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from uniforce_cli import allowed
 from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
-from uniforce_vtla.file_hashes import write_hashes
+from uniforce_vtla.file_hashes import HASHES, hashed_names, write_hashes
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.options import Dataset, Existing, FilePath, HubName, OutFolder, Pattern
-from uniforce_vtla.results_file import write_json
+from uniforce_vtla.results_file import PROVENANCE, write_json
 
 if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
@@ -20,7 +26,8 @@ if TYPE_CHECKING:
 SCORES, TRAIN_CONFIG, ADAPTER = "scores.json", "train_config.json", "adapter_config.json"
 TOKENIZER = "model.tactile_encoder."
 CARD = "README.md"
-UPLOADED = ["*.safetensors", "*.json", "*.py", CARD]
+SCENE_FILES = ("env.py", CARD)
+SCENE_NAMES = re.compile(r"env\.py|README\.md")
 TAGS = ["lerobot", "robotics", "tactile", "uniforce"]
 DESCRIPTION = "Demonstrations with marker images of tactile sensors, recorded with uniforce-vtla."
 TrainedPolicy = Annotated[str, Existing("a checkpoint's folder", "config.json")]
@@ -31,6 +38,9 @@ Licence = Annotated[str, Pattern("a licence's name", r"[a-z0-9][a-z0-9.-]{0,60}"
 class ShareConfig:
     """Write weights, processors, tokenizers, model card and scores of a policy into one folder; push it on request.
 
+    Every file that would be uploaded is named first, and no other one is: none that happens to lie beside them. Cards
+    and settings lose notes, addresses and paths; allowed.py lists what stays.
+
     Example: uniforce share checkpoint=outputs/train/checkpoints/last/pretrained_model scores=outputs/score/wiping.json
     then: uniforce share … push=your-name/pi05-wiping  (needs `hf auth login`)
     a dataset: uniforce share dataset=outputs/demos push=your-name/wiping licence=cc-by-4.0
@@ -38,7 +48,8 @@ class ShareConfig:
     """
 
     checkpoint: TrainedPolicy = ""  # what the trainer saved: …/checkpoints/last/pretrained_model
-    out: OutFolder = "outputs/shared"  # folder to hand on; no path of this machine is left in it
+    # folder to hand on, with nothing else in it; no path of this machine is left in it
+    out: OutFolder = "outputs/shared"
     scores: FilePath = ""  # wiping.json of uniforce score; "" = the card says "not scored"
     push: HubName = ""  # hub repository, name/model; "" = nothing leaves this machine
     private: bool = False  # of a new hub repository
@@ -58,7 +69,7 @@ def share(config: ShareConfig) -> Path:
     from lerobot_policy_pi05_uniforce.model_card import model_card
 
     source, out = Path(config.checkpoint), Path(config.out)
-    scores = _read(Path(config.scores))
+    scores, trained = _read(Path(config.scores)), _read(source / PROVENANCE)
     _check_scores(scores, source)
     policy = _load(source)
     processors = make_pre_post_processors(policy.config, pretrained_path=str(source))
@@ -70,12 +81,19 @@ def share(config: ShareConfig) -> Path:
     if config.half:  # the frozen tokenizer's weights stay, since its hash is of every bit
         for name, weight in policy.named_parameters():
             weight.data = weight.data if name.startswith(TOKENIZER) else weight.data.half()
-    for part in (policy, *processors):
-        part.save_pretrained(out)
-    card.save(out / CARD)
-    if scores is not None:
-        write_json(out / SCORES, scores)
-    write_hashes(out)
+    out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=out, prefix=".share-") as folder:
+        fresh = Path(folder)
+        for part in (policy, *processors):
+            part.save_pretrained(fresh)
+        card.save(fresh / CARD)
+        for name, content, kind in ((SCORES, scores, allowed.SCORES), (PROVENANCE, trained, allowed.PROVENANCE)):
+            if content is not None:
+                write_json(fresh / name, allowed.allowed(content, kind))
+        allowed.refuse_paths(fresh)
+        write_hashes(fresh)
+        for file in fresh.iterdir():
+            file.replace(out / file.name)
     return out
 
 
@@ -118,38 +136,84 @@ def _merged(source: Path, base: str) -> PI05UniforcePolicy:
     return policy
 
 
+def files_to_share(folder: Path, config: ShareConfig) -> list[str]:
+    """Return the names of the files that ``share`` or ``share_scene`` wrote into a folder."""
+    if config.scene:
+        return sorted(file.name for file in _scene_files())
+    return sorted([*hashed_names(folder, CheckpointError), HASHES])
+
+
 def push(folder: Path, config: ShareConfig) -> str:
-    """Upload the folder in one commit; return the repository's address."""
+    """Upload what was written into the folder, in one commit; return the repository's address."""
     from huggingface_hub import HfApi
 
-    api = HfApi()
+    api, names = HfApi(), files_to_share(folder, config)
+    _say(folder, names, config.push)
     repository = api.create_repo(repo_id=config.push, private=config.private, exist_ok=True)
-    api.upload_folder(repo_id=repository.repo_id, folder_path=folder, allow_patterns=UPLOADED)
+    api.upload_folder(repo_id=repository.repo_id, folder_path=folder, allow_patterns=_exactly(names))
     return str(repository)
+
+
+def _say(folder: Path, names: list[str], repository: str) -> None:
+    """Print every file that is about to be uploaded."""
+    total_MB = sum((folder / name).stat().st_size for name in names) / 1e6
+    print(f"these go to {repository}, {total_MB:.1f} MB, and nothing else:")
+    names = sorted({*names, CARD})  # LeRobot writes a dataset's, of meta/info.json
+    print("\n".join(f"  {name}" for name in names), flush=True)
+
+
+def _exactly(names: list[str]) -> list[str]:
+    """Return the hub's patterns for these files alone."""
+    return [glob.escape(name) for name in names]
+
+
+def check_login(config: ShareConfig) -> None:
+    """Make the repository, before anything that takes long: only one who is logged in and may write there can."""
+    if config.dataset:
+        from lerobot.datasets.lerobot_dataset import HfApi  # with which it uploads
+    else:
+        from huggingface_hub import HfApi
+    kind = "dataset" if config.dataset else "model"
+    HfApi().create_repo(repo_id=config.push, private=config.private, repo_type=kind, exist_ok=True)
 
 
 def share_dataset(config: ShareConfig) -> str:
     """Check a recorded dataset in full and push it where asked; return a line about it.
 
+    Pushed is a copy without what isn't on the lists of ``allowed.py``; the dataset itself stays as it is.
+
     Raises DatasetError: it isn't what was saved; nothing is pushed.
     """
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
     from uniforce_datasets.lossless import open_dataset
+    from uniforce_datasets.staged_writer import LOCAL
 
     dataset = open_dataset(config.dataset, config.push or "local/dataset", verify="full")
     if not config.push:
         return f"{config.dataset} is whole: {dataset.num_episodes} episodes; push=name/dataset uploads it"
+    staged = Path(tempfile.mkdtemp(prefix="uniforce_share_"))
+    atexit.register(shutil.rmtree, staged, ignore_errors=True)
+    names = allowed.stage_dataset(Path(config.dataset), staged)
+    dataset = LeRobotDataset(config.push, staged, revision=LOCAL, video_backend="pyav")
+    _say(staged, names, config.push)
     card = {"tags": TAGS, "license": config.licence or None, "dataset_description": DESCRIPTION}
-    dataset.push_to_hub(private=config.private, **card)
+    dataset.push_to_hub(private=config.private, allow_patterns=_exactly(names), **card)
     return f"pushed {dataset.num_episodes} episodes to {config.push}"
+
+
+def _scene_files() -> list[Path]:
+    import lerobot_env_uniforce_wiping
+
+    hub = Path(lerobot_env_uniforce_wiping.__file__).with_name("hub")
+    return [hub / name for name in SCENE_FILES]
 
 
 def share_scene(config: ShareConfig) -> Path:
     """Write the EnvHub form of the wiping scene and return the folder."""
-    import lerobot_env_uniforce_wiping
-
     out = Path(config.out)
     out.mkdir(parents=True, exist_ok=True)
-    for file in Path(lerobot_env_uniforce_wiping.__file__).with_name("hub").iterdir():
+    for file in _scene_files():
         (out / file.name).write_text(file.read_text().replace("NAME/REPOSITORY", config.push or "NAME/REPOSITORY"))
     return out
 
@@ -166,6 +230,10 @@ def main(config: ShareConfig) -> int:
     if len(named) != 1:
         came = " and ".join(named) or "none"
         raise ContractError(expected("share", "checkpoint=…, dataset=… or scene=true", came, "Name one."))
+    if not config.dataset:
+        allowed.refuse_others(Path(config.out), SCENE_NAMES if config.scene else allowed.POLICY_FILES)
+    if config.push:
+        check_login(config)
     if config.dataset:
         print(share_dataset(config))
         return 0

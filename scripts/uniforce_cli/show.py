@@ -88,8 +88,9 @@ def _forces(config: ShowDatasetConfig, tokenizer: Tokenizer) -> ForceReader:
 
     if not config.head:
         return descriptor_heads(config.heads)
-    folder = Path(config.head)
-    return force_head(tokenizer, ForceHead.from_pretrained(config.head, folder if folder.is_dir() else None))
+    is_folder = Path(config.head).is_dir()
+    head = ForceHead.from_pretrained(path=config.head) if is_folder else ForceHead.from_pretrained(config.head)
+    return force_head(tokenizer, head)
 
 
 def _chosen(source: Source, text: str) -> list[Episode]:

@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
+import httpx
 import pytest
+from huggingface_hub.errors import HfHubHTTPError, HFValidationError, LocalTokenNotFoundError, OfflineModeIsEnabled
 
 from uniforce_cli.boundary import Level, command, guarded
 from uniforce_vtla.arguments import help_text, options_of, parse
@@ -156,12 +158,31 @@ def failing(error: BaseException) -> Callable[[], int]:
     return run
 
 
+def answer(code: int) -> HfHubHTTPError:
+    request = httpx.Request("POST", "https://huggingface.co/api/repos/create")
+    return HfHubHTTPError(f"answered {code}", response=httpx.Response(code, request=request))
+
+
 @pytest.mark.parametrize(
     ("error", "code", "line"),
     [
         (ContractError("a: expected b,\ngot c."), 2, "uniforce-x: a: expected b, got c."),
         (FileNotFoundError(2, "No such file", "here.txt"), 2, "uniforce-x: here.txt: No such file"),
         (KeyboardInterrupt(), 130, "uniforce-x: stopped"),
+        (PermissionError(13, "Permission denied", Path("here.txt")), 2, "uniforce-x: here.txt: Permission denied"),
+        (OSError(28, "No space left on device"), 2, "uniforce-x: [Errno 28] No space left on device"),
+        (UnicodeDecodeError("utf-8", b"\xf6", 0, 1, "invalid start byte"), 2, "uniforce-x: text files: expected UTF-8"),
+        (ModuleNotFoundError("No module named 'franky'", name="franky"), 2, "uniforce-x: No module named 'franky'"),
+        (ImportError("'x' is required but not installed"), 2, "uniforce-x: 'x' is required"),
+        (ModuleNotFoundError("No module named 'uniforce_cli.x'", name="uniforce_cli.x"), 70, "uniforce-x: a fault"),
+        (OfflineModeIsEnabled("no"), 2, "uniforce-x: hub: expected a connection, got HF_HUB_OFFLINE"),
+        (httpx.ConnectError("refused"), 2, "uniforce-x: hub: expected a connection, got refused"),
+        (httpx.ReadTimeout("slow"), 2, "uniforce-x: hub: expected a connection, got slow"),
+        (answer(401), 2, "uniforce-x: hub: expected a login, got answer 401"),
+        (answer(403), 2, "uniforce-x: hub: expected a login, got answer 403"),
+        (answer(404), 2, "uniforce-x: hub: expected what was asked for, got answered 404"),
+        (LocalTokenNotFoundError("Token is required"), 2, "uniforce-x: Token is required"),
+        (HFValidationError("Repo id must"), 2, "uniforce-x: hub: expected what was asked for, got Repo id must"),
         (ZeroDivisionError("by zero"), 70, "uniforce-x: a fault of this program, ZeroDivisionError: by zero"),
         (ContractError("http://anna:s3cret@cam"), 2, "uniforce-x: http://***@cam"),
         (DiskFullError("no room"), 4, "uniforce-x: no room"),

@@ -14,6 +14,7 @@ from benchmarks.trust.bad_words import Room
 from benchmarks.trust.command_line import COMMANDS, MODULES, PUBLISHED, ROOT, entry, hashes, judge, prepare, trials
 from benchmarks.trust.command_worker import Ended, _code
 from uniforce_cli import main as command
+from uniforce_cli.boundary import REFUSED
 from uniforce_vtla.arguments import Option, options_of
 from uniforce_vtla.options import Existing, Names, Pattern, Plain, Range, Writable
 
@@ -35,6 +36,55 @@ def test_bad_inputs_end_in_one_line(name, room, monkeypatch, capfd) -> None:
         ended = Ended(code, "".join(capfd.readouterr()))
         assert judge(trial, ended) == "one_line", f"{trial.words}: {ended}"
     assert hashes(ROOT / PUBLISHED) == published
+
+
+FILES = ("damaged", "another kind", "nothing in it", "file for folder", "folder for file")
+
+
+@pytest.mark.parametrize("name", sorted({*command.VERBS} - {"train"}))
+def test_every_file_or_folder_of_a_wrong_kind_is_a_users_error(name, room, monkeypatch, capfd) -> None:
+    """Whatever a verb is pointed at: one line at the end, after any progress bar, and never a fault of the program."""
+    monkeypatch.chdir(room.folder.parent / "work")
+    for trial in trials(name, room):
+        if trial.bad.kind in FILES:
+            code, said = _code(entry(name), trial.words), capfd.readouterr().err.splitlines()
+            assert code == REFUSED and said[-1].startswith(f"uniforce {name}: "), f"{trial.words}: {code} {said[-1:]}"
+
+
+ADDRESSES = ("http://[::1", "http://", "http://127.0.0.1:99999/s", "ftp://x/y", "/nowhere", "/etc/passwd", "/tmp")
+
+
+@pytest.mark.parametrize("source", ADDRESSES)
+def test_a_source_that_is_none_is_a_users_error(source: str, capfd) -> None:
+    assert _code(entry("touch"), ["sensor=tactip", f"source={source}", "tokenizer=nano"]) == REFUSED
+    assert capfd.readouterr().err.splitlines()[-1].startswith("uniforce touch: ")
+
+
+TRAINED = ("policy=pi05_uniforce", "policy.size=tiny", "policy.device=cpu", "dataset.repo_id=local/x", "steps=1")
+EPISODES = ("[99]", "[-1]", "[]", "[0, 0]", "[0.5]", "3", "all", "[a]", "{a: 1}")
+
+
+@pytest.mark.parametrize("data", ["view", "dataset"])
+@pytest.mark.parametrize("episodes", EPISODES)
+def test_episodes_that_are_not_there_are_named(data, episodes, room, tmp_path, capfd) -> None:
+    words = [*TRAINED, f"dataset.root={room.folder / data}", f"output_dir={tmp_path / 'out'}"]
+    assert _code(entry("train"), [*words, f"dataset.episodes={episodes}"]) == REFUSED
+    assert capfd.readouterr().err.splitlines()[-1].startswith("uniforce train: dataset.episodes: expected")
+
+
+@pytest.mark.parametrize("given", ["", "{run}", "{run}/checkpoints/last/pretrained_model", "{run}/none.json"])
+def test_a_run_to_go_on_with_names_its_settings(given: str, tmp_path, capfd) -> None:
+    (tmp_path / "checkpoints" / "last" / "pretrained_model").mkdir(parents=True)
+    words = ["resume=true", "steps=6", *([f"config_path={given.format(run=tmp_path)}"] if given else [])]
+    assert _code(entry("train"), words) == REFUSED
+    assert "config_path: expected a checkpoint's train_config.json" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["garbage", "empty", "latin1", "list", "number", "object"])
+def test_settings_of_a_run_that_are_none_are_a_users_error(name: str, room, capfd) -> None:
+    for file in (room.folder / name, room.damaged(name, "config.json") / "config.json"):
+        assert _code(entry("train"), ["resume=true", f"config_path={file}"]) == REFUSED
+        assert capfd.readouterr().err.splitlines()[-1].startswith("uniforce train: ")
 
 
 def undeclared(option: Option) -> bool:

@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 import torch
 from huggingface_hub import DatasetCard, ModelCard
+from huggingface_hub.errors import OfflineModeIsEnabled
+from huggingface_hub.utils import filter_repo_objects
 from policy_samples import small_config
 
 from benchmarks.policy import text_tokenizer
@@ -22,7 +24,10 @@ from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TouchSettin
 from lerobot_policy_pi05_uniforce.model_card import model_card
 from uniforce_cli import share
 from uniforce_cli.score import content_of
-from uniforce_datasets.synthetic import record_synthetic
+from uniforce_datasets.cards import read_card
+from uniforce_datasets.lossless import check_dataset, rehash
+from uniforce_datasets.recorder import EpisodeRecorder
+from uniforce_datasets.synthetic import FPS, record_synthetic, synthetic_frame
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
 
 SHIPPED = "assets/wiping_vt/README.md"
@@ -106,7 +111,7 @@ def test_a_card_does_not_carry_another_policys_scores(trained, tmp_path, capsys)
     assert "expected those of this checkpoint, got another policy's" in capsys.readouterr().err
 
 
-def test_what_is_pushed_is_the_whole_folder(trained, tmp_path, monkeypatch) -> None:
+def test_what_is_pushed_is_what_was_named_first(trained, tmp_path, monkeypatch, capsys) -> None:
     pushed: list[dict[str, object]] = []
     hub = SimpleNamespace(
         create_repo=lambda repo_id, **_: SimpleNamespace(repo_id=repo_id),
@@ -119,6 +124,7 @@ def test_what_is_pushed_is_the_whole_folder(trained, tmp_path, monkeypatch) -> N
     there = {path.name for path in (tmp_path / "shared").iterdir()}
     assert json.loads((tmp_path / "shared" / "hashes.json").read_text()).keys() == there - {"hashes.json"}
     assert {"config.json", "model.safetensors", "README.md", "policy_preprocessor.json"} <= there
+    assert set(pushed[0]["allow_patterns"]) == there <= set(capsys.readouterr().out.split())
     card = ModelCard.load(tmp_path / "shared" / "README.md")
     assert "# pi05-wipe" in card.text and ModelCard(str(card)).data.to_dict() == card.data.to_dict()
     assert (card.data.license, card.data.library_name, card.data.pipeline_tag) == ("apache-2.0", "lerobot", "robotics")
@@ -136,6 +142,106 @@ def test_a_pushed_datasets_card_is_what_the_hub_reads(tmp_path, monkeypatch, cap
     assert stated.license == "cc-by-4.0" and unstated.license is None
     assert stated.task_categories == ["robotics"] and {"LeRobot", "robotics", "tactile"} <= set(stated.tags)
     assert "marker images" in cards[0].text and '"total_episodes": 1' in cards[0].text
+
+
+HOME = "/home/jane.doe"
+SECRETS = (HOME, "jane.doe", "172.16.0.2", "Jane was late", "s3cret", "patient")
+CARD_BEFORE = {
+    "label": "success",
+    "prompt": "wipe",
+    "message": f"robot at 172.16.0.2: see {HOME}/log",
+    "notes": ["Jane was late"],
+    "peak_force_N": 5.5,
+    "sensors": {"tactile_left": {"rate_hz": 30.0, "source": "http://jane.doe:s3cret@cam", "settings": {"fps": 30.0}}},
+    "rig": {"address": "172.16.0.2"},
+    "settings": {
+        "robot": "franka",
+        "rig": f"{HOME}/rig.yaml",
+        "root": f"{HOME}/patient_7",
+        "devices": ["--x=172.16.0.2"],
+    }
+    | {"prompts": ["wipe"], "window": 17, "quick_notes": ["patient"]},
+}
+CARD_AFTER = {
+    "episode": 0,
+    "label": "success",
+    "prompt": "wipe",
+    "peak_force_N": 5.5,
+    "sensors": {"tactile_left": {"rate_hz": 30.0, "settings": {"fps": 30.0}}},
+    "settings": {"robot": "franka", "prompts": ["wipe"], "window": 17},
+}
+STRAYS = ("notes.txt", "meta/rig.json", "data/chunk-000/file-000.csv", "cards/todo.json", "meta/info.json.bak", ".env")
+
+
+@pytest.fixture
+def demos(tmp_path: Path) -> Path:
+    """A recorded dataset whose card tells of this machine, and other files between its own."""
+    root, random = tmp_path / "demos", np.random.default_rng(0)
+    with EpisodeRecorder(root, "local/s", "gelsight", "tactip", FPS) as recorder:
+        for step in range(2):
+            recorder.add(synthetic_frame(step, random), "wipe")
+        recorder.save(True, "success", 1, card=CARD_BEFORE)
+    info = json.loads((root / "meta" / "info.json").read_text())
+    (root / "meta" / "info.json").write_text(json.dumps(info | {"recorded_by": HOME}))
+    rehash(root)
+    return root
+
+
+def test_a_pushed_dataset_tells_nothing_of_this_machine_and_stays_whole(demos, tmp_path, monkeypatch, capsys) -> None:
+    hub = MagicMock()
+    monkeypatch.setattr("lerobot.datasets.lerobot_dataset.HfApi", lambda: hub)
+    cards: list[DatasetCard] = []
+    monkeypatch.setattr(DatasetCard, "push_to_hub", lambda card, **_: cards.append(card))
+    for name in STRAYS:
+        (demos / name).write_text("s3cret")
+    before = {path: path.read_bytes() for path in demos.rglob("*") if path.is_file()}
+    monkeypatch.setattr("uniforce_datasets.lossless.check_hashes", lambda *_: None)  # it would refuse the strays
+    assert share.main([f"dataset={demos}", "push=somebody/wiping"]) == 0
+    sent = hub.upload_folder.call_args.kwargs
+    named = [line.strip() for line in capsys.readouterr().out.splitlines() if line.startswith("  ")]
+    goes = {*filter_repo_objects(named, allow_patterns=sent["allow_patterns"])}
+    assert goes == {*named} - {"README.md"} and not goes & {*STRAYS}
+    downloaded = shutil.copytree(sent["folder_path"], tmp_path / "downloaded")  # links become files
+    for content in (str(cards[0]).encode(), *((downloaded / name).read_bytes() for name in goes)):
+        assert not [secret for secret in SECRETS if secret.encode() in content]
+    assert read_card(downloaded, 0) == CARD_AFTER
+    monkeypatch.undo()
+    assert len(check_dataset(downloaded, "full").episodes) == 1
+    assert before == {path: path.read_bytes() for path in demos.rglob("*") if path.is_file()}
+
+
+def test_who_may_not_write_there_hears_it_before_the_long_check(demos, monkeypatch, capsys) -> None:
+    hub = MagicMock()
+    hub.create_repo.side_effect = OfflineModeIsEnabled("no")
+    monkeypatch.setattr("lerobot.datasets.lerobot_dataset.HfApi", lambda: hub)
+    monkeypatch.setattr(share, "share_dataset", lambda _: pytest.fail("it was checked"))
+    assert share.main([f"dataset={demos}", "push=somebody/wiping"]) == 2
+    assert "HF_HUB_OFFLINE" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("other", ["wandb.json", "notes/credentials.json", "train_config.json", "model.bin"])
+def test_a_folder_with_other_files_is_not_handed_on(trained, tmp_path, other, capsys) -> None:
+    file = tmp_path / "shared" / other
+    file.parent.mkdir(parents=True)
+    file.write_text("{}")
+    for given in (f"checkpoint={trained[0]}", "scene=true"):
+        assert share.main([given, f"out={tmp_path / 'shared'}"]) == 2
+        assert other in capsys.readouterr().err
+    assert not (tmp_path / "shared" / "README.md").exists()
+
+
+def test_scores_and_provenance_lose_their_paths_and_a_config_with_one_is_refused(trained, tmp_path, capsys) -> None:
+    checkpoint, file = trained[0], tmp_path / "wiping.json"
+    file.write_text(json.dumps(SCORES | {"command": f"uniforce score policy={HOME}/x", "version": "1", "tests": []}))
+    (checkpoint / "provenance.json").write_text(json.dumps({"command": HOME, "device": "cpu", "dirty": False}))
+    given = [f"checkpoint={checkpoint}", f"scores={file}", f"out={tmp_path / 'shared'}"]
+    assert share.main(given) == 0
+    assert json.loads((tmp_path / "shared" / "scores.json").read_text()) == SCORES | {"version": "1", "tests": []}
+    assert json.loads((tmp_path / "shared" / "provenance.json").read_text()) == {"device": "cpu", "dirty": False}
+    config = json.loads((checkpoint / "config.json").read_text())
+    (checkpoint / "config.json").write_text(json.dumps(config | {"trained_on": {"repo_id": f"{HOME}/demos"}}))
+    assert share.main(given) == 2
+    assert "repo_id in config.json: expected no path of this machine" in capsys.readouterr().err
 
 
 def test_the_shipped_policys_card_parses_and_a_local_dataset_is_no_link() -> None:

@@ -73,11 +73,16 @@ def test_cache_resumes_and_refuses_another_recipe(tmp_path: Path) -> None:
 def test_a_run_from_before_an_option_goes_on(data: PairCache, settings: PretrainSettings, tmp_path: Path) -> None:
     Pretraining(settings, tmp_path, data).run(until=2)
     recipe = json.loads((tmp_path / "recipe.json").read_text())
-    del recipe["pairs"]
+    del recipe["pairs"], recipe["model"]["warp"], recipe["loss"]["equilibrium_scale"], recipe["data"]["left_out"]
     (tmp_path / "recipe.json").write_text(json.dumps(recipe))
     assert Pretraining(settings, tmp_path, data).step == 2
-    with pytest.raises(DatasetError, match="another"):
-        Pretraining(replace(settings, pairs="elsewhere"), tmp_path, data)
+    others = {"pairs": "elsewhere", "loss": replace(settings.loss, equilibrium_scale="per_unit")}
+    for name, other in others.items():
+        with pytest.raises(DatasetError, match=f"another.*{name}"):
+            Pretraining(replace(settings, **{name: other}), tmp_path, data)
+    (tmp_path / "recipe.json").write_text(json.dumps(recipe | {"model": 3}))
+    with pytest.raises(DatasetError, match=r"another.*model"):
+        Pretraining(settings, tmp_path, data)
 
 
 def test_a_tiny_batch_is_overfitted(data: PairCache, tiny: TokenizerConfig) -> None:

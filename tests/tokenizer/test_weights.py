@@ -10,6 +10,7 @@ from benchmarks.probes.labelled_set import FROZEN, HEAD_TRAINING, SENSORS, draw_
 from benchmarks.probes.zero_shot import encode_set, predict, score, shipped_cell
 from uniforce_vtla.errors import CheckpointError
 from uniforce_vtla.file_hashes import drop_hashes
+from uniforce_vtla.json_file import read_object
 from uniforce_vtla.tokenizer import Latent, Tokenizer, TokenizerConfig
 from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig, HeadTrainingConfig, train_head
 from uniforce_vtla.tokenizer.weights import ASSETS, SIZES
@@ -96,6 +97,10 @@ def test_force_head_round_trip_and_missing_source(tmp_path: Path) -> None:
     torch.testing.assert_close(loaded(z), head(z))
     with pytest.raises(CheckpointError):
         ForceHead.from_pretrained("unheard-of")
+    assert read_object(tmp_path / "head" / "provenance.json", CheckpointError).keys() >= {"device", "commit", "dirty"}
+    assert ForceHead.from_pretrained("tactip", tmp_path / "head").source == "tactip"
+    with pytest.raises(CheckpointError, match="expected gelsight, got tactip"):
+        ForceHead.from_pretrained("gelsight", tmp_path / "head")
 
 
 @pytest.fixture(scope="module")

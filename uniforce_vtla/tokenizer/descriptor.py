@@ -14,6 +14,7 @@ from uniforce_vtla.markers.marker_blobs import spacing
 
 DESCRIPTOR_NAMES = ("dx", "dy", "divergence", "curl", "area_change", "count")
 NATURAL_UNITS = (1.0, 1.0, 0.01, 0.01, 0.05, 0.05)  # of the above: what is worth telling apart, px or ratios
+UNTOUCHED = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0)  # nothing has moved, every marker is there
 MIN_BLOB_PX = 4  # smaller specks are no markers
 MIN_MATCHES = 3  # an affine fit needs as many
 

@@ -20,6 +20,7 @@ from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.tokenizer.latent import own_latent, pool_latent
 from uniforce_vtla.tokenizer.weights import checkpoint_folder, content_hash, load_model, read_config, save_checkpoint
 
+SOURCE = "tactip"  # whose head is meant where none is named
 LIMITS = {"channels": 4096, "grid": 64, "hidden": 4096, "mlp": 16384}  # of HeadConfig, see model.LIMITS
 
 
@@ -117,14 +118,15 @@ class ForceHead:
         self.tokenizer_hash = tokenizer_hash
 
     @classmethod
-    def from_pretrained(cls, source: str = "tactip", path: str | Path | None = None) -> ForceHead:
+    def from_pretrained(cls, source: str | None = None, path: str | Path | None = None) -> ForceHead:
         """Load the shipped head trained on ``source``, any head's folder, or the head beside a tokenizer's folder.
 
-        A head reads the latents of one tokenizer alone: pass ``"nano"`` for the smaller shipped one's.
+        A head reads the latents of one tokenizer alone: pass ``"nano"`` for the smaller shipped one's. Without a
+        ``source`` a head's own folder is taken as it is, and elsewhere the TacTip's.
 
-        Raises CheckpointError: no head for that source, or a checkpoint that doesn't fit.
+        Raises CheckpointError: no head for that source, one of another source, or a checkpoint that doesn't fit.
         """
-        part = f"force_head_{source}"
+        part = f"force_head_{source or SOURCE}"
         folder = checkpoint_folder(path, part)
         facts = read_config(folder)
         if "head" not in facts:  # a tokenizer's: `uniforce pretrain` puts its heads beside it
@@ -136,6 +138,9 @@ class ForceHead:
         except (KeyError, TypeError, ContractError) as error:
             wanted, do = "head, source, tokenizer_hash", "Is this a force head?"
             raise CheckpointError(expected(f"config of {folder}", wanted, error, do)) from error
+        if source not in (None, found):
+            do = f"Name that sensor, or another folder than {folder}."
+            raise CheckpointError(expected("force head's source", source, found, do))
         return cls(load_model(folder, lambda: ForceRegressor(config)), found, tokenizer_hash)
 
     @property

@@ -9,6 +9,7 @@ import math
 import time
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -28,6 +29,15 @@ from uniforce_vtla.tokenizer.weights import STATE, load_state, save_state
 
 RECIPE = "recipe.json"  # every setting of the run, beside its state
 MAY_CHANGE = ("steps", "save_every", "strips_every")  # between a run and its continuation
+
+
+def with_defaults(defaults: dict[str, Any], stored: dict[str, Any]) -> dict[str, Any]:
+    """Return stored settings; an option that came after they were stored, nested ones too, stands at its default."""
+    filled = defaults | stored
+    for name, inner in defaults.items():
+        if isinstance(inner, dict) and isinstance(filled[name], dict):
+            filled[name] = with_defaults(inner, filled[name])
+    return filled
 
 
 def learning_rate(step: int, settings: PretrainSettings) -> float:
@@ -140,8 +150,8 @@ class Pretraining:
         path = self.folder / RECIPE
         if not path.exists():
             return
-        # an option that came after the run was begun stands at its default
-        stored, asked = asdict(PretrainSettings()) | read_object(path, DatasetError), asdict(self.settings)
+        asked = asdict(self.settings)
+        stored = with_defaults(asdict(PretrainSettings()), read_object(path, DatasetError))
         differs = sorted(k for k in asked if k not in MAY_CHANGE and stored[k] != asked[k])
         if differs:
             do = "Choose another out=."

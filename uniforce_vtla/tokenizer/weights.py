@@ -18,6 +18,7 @@ from torch import nn
 from uniforce_vtla.errors import CheckpointError, expected
 from uniforce_vtla.file_hashes import check_hashes, drop_hashes, write_hashes
 from uniforce_vtla.json_file import read_object
+from uniforce_vtla.results_file import PROVENANCE, provenance, write_json
 
 WEIGHTS, CONFIG = "model.safetensors", "config.json"
 ASSETS = Path(__file__).parent / "assets"  # checkpoints that come with the package
@@ -32,7 +33,7 @@ def checkpoint_folder(path: str | Path | None, part: str) -> Path:
 
 
 def save_checkpoint(folder: Path, model: nn.Module, config: dict[str, Any]) -> Path:
-    """Write weights and ``config`` atomically, file by file, and last their hashes."""
+    """Write weights, ``config`` and where they come from atomically, file by file, and last their hashes."""
     folder.mkdir(parents=True, exist_ok=True)
     drop_hashes(folder)
     tensors = {name: value.detach().cpu().contiguous() for name, value in model.state_dict().items()}
@@ -42,7 +43,8 @@ def save_checkpoint(folder: Path, model: nn.Module, config: dict[str, Any]) -> P
         for name in (WEIGHTS, CONFIG):
             (Path(scratch) / name).chmod(0o644)  # safetensors makes them private; a package is for everyone
             (Path(scratch) / name).replace(folder / name)
-    write_hashes(folder, (WEIGHTS, CONFIG))
+    write_json(folder / PROVENANCE, provenance())
+    write_hashes(folder, (WEIGHTS, CONFIG, PROVENANCE))
     return folder
 
 

@@ -1,11 +1,13 @@
 """From a command line to devices: ``robot.KEY=…`` and ``teleop.KEY=…`` as LeRobot spells them, or a file."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, cast
 
-import draccus
-import yaml
+from lerobot.cameras import CameraConfig
 from lerobot.robots import RobotConfig
 from lerobot.teleoperators import Teleoperator, TeleoperatorConfig, make_teleoperator_from_config
 
@@ -13,11 +15,25 @@ import uniforce_robots.teleop  # noqa: F401  registers ours
 from uniforce_datasets.rig_settings import plain_settings
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka.arm import ROLLOUT
-from uniforce_vtla.arguments import Option, check, options_of, own_cause, read_value, refuse_unknown
+from uniforce_vtla.arguments import (
+    Option,
+    check,
+    decode_file,
+    options_of,
+    read_value,
+    read_yaml,
+    refuse_unknown,
+    section,
+)
 from uniforce_vtla.errors import ContractError, expected, require_one_of
 from uniforce_vtla.options import check_text
 
 FRANKA = "uniforce_franka"
+STOCK_CAMERAS = {  # LeRobot's own, registered once imported: type → its module, the package it reads with, its extra
+    "opencv": ("opencv", "cv2", ""),
+    "intelrealsense": ("realsense", "pyrealsense2", "intelrealsense"),
+    "zmq": ("zmq", "zmq", "pyzmq-dep"),
+}
 
 
 def read_devices(
@@ -31,28 +47,34 @@ def read_devices(
         teleop: a name from ``teleoperator_names``.
         file: of LeRobot's form, with ``robot`` and ``teleop``; flags override it.
 
-    Raises ContractError: an unknown name, a file that isn't there, unknown settings.
+    Raises ContractError: an unknown name, a file that can't be read, settings that are unknown or refused, by name.
     """
     names = teleoperator_names()
     require_one_of("teleop", teleop, sorted(names), "Name one, or expert.")
-    settings = _read_file(file) if file else {}
-    settings.setdefault("teleop", {})["type"] = names[teleop]
-    options = options_of(TeleoperatorConfig.get_choice_class(names[teleop]), "teleop.")
+    classes: dict[str, Any] = {"teleop": TeleoperatorConfig.get_choice_class(names[teleop])}
     if franka:
-        settings.setdefault("robot", {})["type"] = FRANKA
-        options |= options_of(RobotConfig.get_choice_class(FRANKA), "robot.")
+        classes["robot"] = RobotConfig.get_choice_class(FRANKA)
+    settings = section(file, read_yaml(Path(file))) if file else {}
+    for name in settings:
+        require_one_of(file, name, ("robot", "teleop"), "It holds these two sections.")
+    types = {"teleop": names[teleop], "robot": FRANKA}
+    for part in classes:
+        settings[part] = section(part, settings.get(part))
+        kind = settings[part].pop("type", types[part])
+        if part == "robot":
+            require_one_of("robot.type", kind, [FRANKA])
+        elif names.get(str(kind)) != types[part]:
+            settings[part] = {}  # the file's teleoperator isn't the one that was asked for
+    options: dict[str, Option] = {}
+    for part, config_class in classes.items():
+        options |= options_of(config_class, f"{part}.")
     _with_flags(settings, flags, options)
-    robot = _decode(RobotConfig, "robot", settings) if franka else None
-    return robot, _decode(TeleoperatorConfig, "teleop", settings)
-
-
-def _read_file(file: str) -> dict[str, Any]:
-    if not Path(file).is_file():
-        raise ContractError(expected("rig", "a config file", file, "Give the file of robot and teleop."))
-    content = yaml.safe_load(Path(file).read_text())  # JSON is YAML
-    if not isinstance(content, dict):
-        raise ContractError(expected(file, "robot: {…} and teleop: {…}", type(content).__name__, "Look at it."))
-    return content
+    if not franka:
+        return None, decode_file(classes["teleop"], "teleop", settings["teleop"])
+    cameras = section("robot.cameras", settings["robot"].pop("cameras", None))
+    robot = decode_file(classes["robot"], "robot", settings["robot"])
+    cameras = {name: _camera(f"robot.cameras.{name}", camera) for name, camera in cameras.items()}
+    return replace(robot, cameras=cameras), decode_file(classes["teleop"], "teleop", settings["teleop"])
 
 
 def _with_flags(settings: dict[str, Any], flags: Sequence[str], options: Mapping[str, Option]) -> None:
@@ -67,20 +89,31 @@ def _with_flags(settings: dict[str, Any], flags: Sequence[str], options: Mapping
         check_text(name, text)
         *path, last = name.split(".")
         inner = settings
-        for key in path:
-            inner = inner.setdefault(key, {})
-        inner[last] = read_value(options[name], text) if name in options else yaml.safe_load(text)
-        if name in options:
-            check(options[name], inner[last])
+        for depth, key in enumerate(path, start=1):
+            inner[key] = section(".".join(path[:depth]), inner.get(key))
+            inner = inner[key]
+        option = options.get(name, Option(name, Any, None))
+        inner[last] = read_value(option, text)
+        check(option, inner[last])
 
 
-def _decode[ConfigT](config_class: type[ConfigT], part: str, settings: dict[str, Any]) -> ConfigT:
-    try:
-        decoded: ConfigT = draccus.decode(config_class, settings[part])
-    except (draccus.utils.DecodingError, ValueError, TypeError) as error:
-        came, do = own_cause(error) or error, "See docs/franka.md and docs/tactile_devices.md."
-        raise ContractError(expected(f"{part}.…", "settings it has", came, do)) from error
-    return decoded
+def _camera(name: str, content: Any) -> CameraConfig:
+    """Return a camera's config; ContractError: names the camera and what it lacks."""
+    settings = section(name, content)
+    kind = str(settings.pop("type", "nothing"))
+    if kind in STOCK_CAMERAS:
+        module, package, extra = STOCK_CAMERAS[kind]
+        if find_spec(package) is None:
+            raise ContractError(expected(name, f"the package {package}", "none", f"pip install 'lerobot[{extra}]'"))
+        import_module(f"lerobot.cameras.{module}")
+    known = CameraConfig.get_known_choices()
+    require_one_of(f"{name}.type", kind, sorted({*known, *STOCK_CAMERAS}))
+    camera = decode_file(known[kind], name, settings)
+    for size in ("width", "height", "fps"):
+        if getattr(camera, size) is None:
+            do = "Say what the camera delivers: a dataset needs to know."
+            raise ContractError(expected(f"{name}.{size}", "a number", "nothing", do))
+    return camera
 
 
 def teleoperator_names() -> dict[str, str]:

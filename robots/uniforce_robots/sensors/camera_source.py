@@ -91,7 +91,7 @@ class CameraSource(FrameSource):
         is_now = {name: float(self._capture.get(prop)) for name, prop, _ in wanted}
         for name, _, value in wanted:
             if name != "buffer" and abs(is_now[name] - value) > TOLERANCE:  # few report the buffer
-                do = f"Choose a value it offers (`v4l2-ctl --list-ctrls`), or {name}=null to leave it."
+                do = "Set one it offers (`v4l2-ctl --list-formats-ext --list-ctrls`); exposure and gain may be null."
                 raise WrongSensorError(expected(f"{self.name}, {name}", f"{value:g}", f"{is_now[name]:g}", do))
         self.settings_read_back = is_now
 

@@ -165,12 +165,12 @@ def jpeg_size(jpeg: bytes) -> tuple[int, int] | None:
 
 def _request(url: str) -> socket.socket:
     do = "Give http://host:port/path of an MJPEG stream, and start its server."
-    parts = urlsplit(url)
     try:
+        parts = urlsplit(url)
         host, port = parts.hostname, parts.port or 80
         if parts.scheme != "http" or not host:
             raise ValueError("no http address")
-    except ValueError as error:  # also a port that is no number
+    except ValueError as error:  # also a port that is no number, or half a bracket
         raise LostSensorError(expected("camera address", "http://host:port/path", url, do)) from error
     target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
     pair = f"{unquote(parts.username or '')}:{unquote(parts.password or '')}".encode()

@@ -163,40 +163,6 @@ def test_its_errors_are_ours_and_one_of_unknown_age_is_refused() -> None:
         PlainCamera("front", object())  # type: ignore[arg-type]
 
 
-RIG = """
-robot:
-  address: 127.0.0.7
-  guards: {step_m: 0.03}
-  cameras:
-    front: {type: uniforce_scene, source: "http://x"}
-    tactile_left: {type: uniforce_uskin, finger: left, source: /dev/x}
-"""
-
-
-def test_file_and_flags_make_devices(tmp_path: Path) -> None:
-    (tmp_path / "rig.yaml").write_text(RIG)
-    flags = ["--robot.cameras.front.fps=15", "--robot.guards.low=[0,0,0,0,0]", "--robot.id=a"]
-    robot, teleop = read_devices(flags, True, "recording_test", str(tmp_path / "rig.yaml"))
-    assert robot.address == "127.0.0.7" and robot.guards.step_m == 0.03  # type: ignore[union-attr]
-    assert robot.guards.low == (0, 0, 0, 0, 0)  # type: ignore[union-attr]
-    assert robot.cameras["front"].fps == 15 and teleop.type == "recording_test"  # type: ignore[union-attr]
-    assert read_devices([], False, "recording_test")[0] is None
-
-
-@pytest.mark.parametrize(
-    ("flags", "teleop", "file", "reason"),
-    [
-        (["--robot.adress=1"], "recording_test", "", "adress"),
-        (["--robot.cameras.front.type=nonsense"], "recording_test", "", "robot"),
-        ([], "telepathy", "", "recording_test"),
-        ([], "recording_test", "no.yaml", "rig"),
-    ],
-)
-def test_unknown_devices_and_settings_are_refused(flags: list[str], teleop: str, file: str, reason: str):
-    with pytest.raises(errors.ContractError, match=reason):
-        read_devices(flags, True, teleop, file)
-
-
 def test_every_teleoperator_can_be_named() -> None:
     """Naming one of ours needs no settings; one of LeRobot's, where loaded, may say which it needs."""
     names = teleoperator_names()
