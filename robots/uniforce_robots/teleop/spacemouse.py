@@ -23,6 +23,7 @@ from uniforce_robots.sensors.reader import ReaderLimits, SampleReader, SampleSou
 from uniforce_robots.teleop.base import UniforceTeleoperator
 from uniforce_robots.teleop.integrator import SteeringConfig
 from uniforce_vtla.errors import TeleoperatorError, expected
+from uniforce_vtla.options import Range
 
 log = logging.getLogger(__name__)
 
@@ -55,6 +56,9 @@ class UniforceSpaceMouseConfig(SteeringConfig):
     deadband: float = 0.08  # share of full deflection that is rest; a cap never comes back to zero exactly
     signs: tuple[int, int, int, int] = (1, -1, -1, -1)  # of right, forward, up, counter-clockwise in counts
     operator_yaw_rad: float = 0.0  # which way "forward" is in the base frame; 0: the operator looks along +x
+
+    def __post_init__(self) -> None:
+        Range(0, 0.9).check("deadband", self.deadband)
 
 
 def find_spacemice(folder: Path = SYS_HIDRAW) -> list[str]:

@@ -110,7 +110,7 @@ def test_addresses_that_cannot_be(address: str):
 
 
 def camera(capture: ScriptedCapture, **options: object) -> UniforceSceneCamera:
-    plain = {"source": "0", "width": 64, "height": 48, "max_age_ms": 30_000.0}
+    plain = {"source": "0", "width": 64, "height": 48, "max_age_ms": 1000.0}
     return UniforceSceneCamera(UniforceSceneCameraConfig(**(plain | options)), lambda source: capture)  # type: ignore[arg-type]
 
 

@@ -22,7 +22,7 @@ FREE = taxel_cycle(Scene(press_s=0), 50)[0]
 
 
 def config(**options: object) -> UniforceUskinConfig:
-    plain = {"source": "x", "reference_samples": 5, "connect_ms": 30_000.0, "max_age_ms": 10_000.0}
+    plain = {"source": "x", "reference_samples": 5, "connect_ms": 30_000.0, "max_age_ms": 1000.0}
     return UniforceUskinConfig(**(plain | options))
 
 
