@@ -74,7 +74,8 @@ def test_a_window_comes_upright():
 
 
 def test_configs_that_cannot_be():
-    for options, says in (({"link": "usb"}, "slcan"), ({"source": ""}, "source")):
+    impossible = {"link": "usb", "source": "", "frozen_after": 101, "max_age_ms": 1e9, "reference_samples": 0}
+    for options, says in (({name: value}, name) for name, value in impossible.items()):
         with pytest.raises(ContractError, match=says):
             UniforceUskinConfig(**({"link": "slcan", "source": "x"} | options))
     with pytest.raises(ContractError, match="rotation_deg"):
