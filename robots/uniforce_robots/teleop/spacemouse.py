@@ -11,7 +11,7 @@ import socket
 import stat
 import struct
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from uniforce_robots.sensors.faults import LostSensorError, ProtocolError, Wrong
 from uniforce_robots.sensors.reader import ReaderLimits, SampleReader, SampleSource, Stamped, now_ns
 from uniforce_robots.teleop.base import UniforceTeleoperator
 from uniforce_robots.teleop.integrator import SteeringConfig
-from uniforce_vtla.errors import TeleoperatorError, expected
+from uniforce_vtla.errors import SensorError, TeleoperatorError, expected
 from uniforce_vtla.options import Range
 
 log = logging.getLogger(__name__)
@@ -42,6 +42,7 @@ SILENT_S = 0.25  # a deflected cap so long without a report is a dead one; wirel
 LIMITS = ReaderLimits(capacity=64, frozen_after=0, first_ms=2000.0, silent_s=float("inf"))
 AXES, BUTTONS = 6, 2  # more buttons exist on some models and mean nothing here
 TURN_ABOUT_Z = 5
+UNKNOWN = [np.nan] * AXES + [0.0] * BUTTONS  # a button that is held reports when it is let go
 FULL_SCALE = 350.0  # counts at full deflection
 LARGEST_COUNT = 2000  # beyond this it is no deflection
 _THREE, _SIX = struct.Struct("<3h"), struct.Struct("<6h")
@@ -63,7 +64,8 @@ class UniforceSpaceMouseConfig(SteeringConfig):
 
 def find_spacemice(folder: Path = SYS_HIDRAW) -> list[str]:
     """Return the /dev/hidrawN of every SpaceMouse the kernel knows; a receiver has several."""
-    return [f"/dev/{node.name}" for node in sorted(folder.glob("*")) if _is_spacemouse(node)]
+    nodes = [node for node in sorted(folder.glob("*")) if _is_spacemouse(node)]
+    return [f"/dev/{node.name}" for node in nodes]
 
 
 def _node(path: str) -> Path:
@@ -105,8 +107,7 @@ class SpaceMouseSource(SampleSource):
 
     def __init__(self, device: str = "") -> None:
         super().__init__(f"spacemouse ({device or 'any'})")
-        self._device, self.state = device, np.zeros(AXES + BUTTONS)
-        self._forget()
+        self._device, self.state = device, np.array(UNKNOWN)
         self._fd, self._heard_s, self._bad_in_a_row = -1, 0.0, 0
         self._place = ""  # USB socket and interface of the one that was moved
 
@@ -125,7 +126,7 @@ class SpaceMouseSource(SampleSource):
         except OSError as error:
             raise LostSensorError(expected(self.name, "a device to read", error, DO_PLUG)) from error
         undo.callback(os.close, self._fd)
-        self._forget()
+        self.state[:] = UNKNOWN
         self._heard_s, self._bad_in_a_row = time.monotonic(), 0
 
     def _only_one(self) -> str:
@@ -136,44 +137,32 @@ class SpaceMouseSource(SampleSource):
             raise LostSensorError(expected(self.name, "a SpaceMouse", "none", DO_PLUG))
         if len(found) > 1:
             found = [self._moved(found)]
-            self._place = places[found[0]]
+            self._place = places[found[0]]  # another time nobody is asked
         return found[0]
 
     def _moved(self, paths: list[str]) -> str:
         """Return the node that reports while a person moves the cap."""
-        names = {path: _facts(_node(path)) for path in paths}
-        listed = ", ".join(f"{path} ({f.get('HID_NAME')}, {f.get('HID_PHYS')})" for path, f in names.items())
+        facts = {path: _facts(_node(path)) for path in paths}
+        listed = ", ".join(f"{path} ({f.get('HID_NAME')}, {f.get('HID_PHYS')})" for path, f in facts.items())
         log.warning("%s: move the cap within %g s, to choose of %s", self.name, MOVE_S, listed)
-        nodes: dict[int, str] = {}
-        came: object = "none that moves"
-        with ExitStack() as opened:
-            for path in paths:
+        nodes, reasons = [], ["it wasn't moved"]
+        with ExitStack() as closing:
+            for node in map(SpaceMouseSource, paths):
+                closing.callback(node.close)
                 try:
-                    fd = _open(path)
-                except OSError as error:
-                    came = error
-                    continue
-                opened.callback(os.close, fd)
-                nodes[fd] = path
+                    node.open()
+                    nodes.append(node)
+                except LostSensorError as error:
+                    reasons.append(str(error).rstrip("."))
             deadline_s = time.monotonic() + MOVE_S
             while nodes and time.monotonic() < deadline_s:
-                for fd in select.select(list(nodes), [], [], READ_TIMEOUT_S)[0]:
-                    if self._moves(fd):
-                        return nodes[fd]
-        do = "Name the one that is the SpaceMouse, device=/dev/hidrawN, and give yourself permission to read it."
-        raise LostSensorError(expected(self.name, "a cap that is moved", f"{came}, at {listed}", do))
-
-    def _moves(self, fd: int) -> bool:
-        """Return whether a report says that the cap is moved."""
-        self._forget()
-        try:
-            self.feed(_report(fd))
-        except OSError:
-            time.sleep(READ_TIMEOUT_S)  # at its end it is always ready to be read
-        return bool(np.nan_to_num(self.state).any())
-
-    def _forget(self) -> None:
-        self.state[:AXES], self.state[AXES:] = np.nan, 0  # a button that is held reports when it is let go
+                for node in nodes:
+                    with suppress(SensorError):
+                        node.read()
+                    if np.nan_to_num(node.state).any():
+                        return node._device
+        do = "Name the one that is the SpaceMouse, device=/dev/hidrawN."
+        raise LostSensorError(expected(self.name, f"a moved cap at one of {listed}", reasons[-1], do))
 
     def read(self) -> list[Stamped]:
         """Return the newest state if something came, or silence said something, and all of it is known."""
@@ -188,7 +177,9 @@ class SpaceMouseSource(SampleSource):
     def _take_next(self) -> bool:
         """Take the next report; return whether it was understood."""
         try:
-            report = _report(self._fd)
+            report = os.read(self._fd, REPORT_BYTES)  # hidraw and packet sockets: one read is one report
+            if not report:
+                raise OSError("its end")
         except OSError as error:
             raise LostSensorError(expected(self.name, "a readable device", error, "Was it unplugged?")) from error
         understood = self.feed(report)
@@ -220,14 +211,6 @@ class SpaceMouseSource(SampleSource):
         self.state[first : first + len(values)] = values
         # above 3: battery level, calibration, LEDs: known to exist, not needed
         return bool(values) or (report_id > 3 and bool(body))
-
-
-def _report(fd: int) -> bytes:
-    """Return one report; raises OSError where the device is gone."""
-    report = os.read(fd, REPORT_BYTES)  # hidraw and packet sockets: one read is one report
-    if not report:
-        raise OSError("its end")
-    return report
 
 
 def _open(path: str) -> int:
