@@ -137,8 +137,8 @@ def _robot(config: RecordPairsConfig, flags: Sequence[str]) -> UniforceFrankaCon
     config.left_sensor, config.right_sensor = worn["left"], worn["right"]
     robot.cameras = {name: replace(finger, reference_on_connect=True) for name, finger in robot.fingers.items()}
     if robot.gripper.grip_force_N not in (HandSettings().grip_force_N, config.grip_N):
-        came, do = robot.gripper.grip_force_N, "Leave the rig's out; grip_N is the force here."
-        raise ContractError(expected("robot.gripper.grip_force_N", f"grip_N={config.grip_N:g}", came, do))
+        wanted, do = f"grip_N={config.grip_N:g}", "Leave the rig's out; grip_N is the force here."
+        raise ContractError(expected("robot.gripper.grip_force_N", wanted, robot.gripper.grip_force_N, do))
     robot.gripper = replace(robot.gripper, grip_force_N=config.grip_N)
     return robot
 
