@@ -42,7 +42,7 @@ SILENT_S = 0.25  # a deflected cap so long without a report is a dead one; wirel
 LIMITS = ReaderLimits(capacity=64, frozen_after=0, first_ms=2000.0, silent_s=float("inf"))
 AXES, BUTTONS = 6, 2  # more buttons exist on some models and mean nothing here
 TURN_ABOUT_Z = 5
-UNKNOWN = [np.nan] * AXES + [0.0] * BUTTONS  # a button that is held reports when it is let go
+UNKNOWN = [True] * AXES + [False] * BUTTONS  # a button that is held reports when it is let go
 FULL_SCALE = 350.0  # counts at full deflection
 LARGEST_COUNT = 2000  # beyond this it is no deflection
 _THREE, _SIX = struct.Struct("<3h"), struct.Struct("<6h")
@@ -101,13 +101,13 @@ class SpaceMouseSource(SampleSource):
     A cap at rest is silent, a deflected one reports at its rate: an axis is at rest once it was told so, or once the
     open device was silent for ``SILENT_S``. Until all axes are known there is no sample.
 
-    ``device`` is /dev/hidrawN or a local packet socket, empty for the one whose cap moves; ``state`` the newest, NaN
+    ``device`` is /dev/hidrawN or a local packet socket, empty for the one whose cap moves; ``state`` the newest, 0
     where unknown.
     """
 
     def __init__(self, device: str = "") -> None:
         super().__init__(f"spacemouse ({device or 'any'})")
-        self._device, self.state = device, np.array(UNKNOWN)
+        self._device, self.state, self._unknown = device, np.zeros(AXES + BUTTONS), np.array(UNKNOWN)
         self._fd, self._heard_s, self._bad_in_a_row = -1, 0.0, 0
         self._place = ""  # USB socket and interface of the one that was moved
 
@@ -126,7 +126,7 @@ class SpaceMouseSource(SampleSource):
         except OSError as error:
             raise LostSensorError(expected(self.name, "a device to read", error, DO_PLUG)) from error
         undo.callback(os.close, self._fd)
-        self.state[:] = UNKNOWN
+        self.state[:], self._unknown[:] = 0, UNKNOWN
         self._heard_s, self._bad_in_a_row = time.monotonic(), 0
 
     def _only_one(self) -> str:
@@ -159,7 +159,7 @@ class SpaceMouseSource(SampleSource):
                 for node in nodes:
                     with suppress(SensorError):
                         node.read()
-                    if np.nan_to_num(node.state).any():
+                    if node.state.any():
                         return node._device
         do = "Name the one that is the SpaceMouse, device=/dev/hidrawN."
         raise LostSensorError(expected(self.name, f"a moved cap at one of {listed}", reasons[-1], do))
@@ -169,10 +169,9 @@ class SpaceMouseSource(SampleSource):
         if select.select([self._fd], [], [], READ_TIMEOUT_S)[0]:
             is_news = self._take_next()
         else:
-            unknown = np.isnan(self.state)
-            is_news = bool(unknown.any()) and time.monotonic() - self._heard_s > SILENT_S
-            self.state[unknown & is_news] = 0
-        return [Stamped(now_ns(), self.state.copy())] if is_news and not np.isnan(self.state).any() else []
+            is_news = bool(self._unknown.any()) and time.monotonic() - self._heard_s > SILENT_S
+            self._unknown &= not is_news
+        return [Stamped(now_ns(), self.state.copy())] if is_news and not self._unknown.any() else []
 
     def _take_next(self) -> bool:
         """Take the next report; return whether it was understood."""
@@ -208,7 +207,8 @@ class SpaceMouseSource(SampleSource):
             first, values = AXES, tuple((body[0] >> bit) & 1 for bit in range(BUTTONS))
         if max(map(abs, values), default=0) > LARGEST_COUNT:
             return False
-        self.state[first : first + len(values)] = values
+        now = slice(first, first + len(values))
+        self.state[now], self._unknown[now] = values, False
         # above 3: battery level, calibration, LEDs: known to exist, not needed
         return bool(values) or (report_id > 3 and bool(body))
 
