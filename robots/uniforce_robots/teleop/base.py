@@ -40,7 +40,7 @@ class UniforceTeleoperator(Teleoperator):
     """A LeRobot teleoperator whose actions are absolute targets of ``keys.AXES``, robot base frame."""
 
     wants_gains: ClassVar[Gains | None] = None  # stiffness the robot needs meanwhile; None for the robot's own
-    device: Any = None  # what is read, with ``start``, ``stop``, ``is_running`` and ``reconnects``
+    device: Any = None  # what is read, with ``start``, ``stop``, ``is_running``, and ``reconnects`` if it can be lost
     is_calibrated = True  # there is nothing to calibrate
     action_features = feedback_features = dict.fromkeys(AXES, float)  # target and measured axes
 
@@ -52,7 +52,7 @@ class UniforceTeleoperator(Teleoperator):
         self._measured: np.ndarray | None = None
         self._measured_s = self._last_s = 0.0
         self._is_started = False
-        self._reconnects = 0
+        self._lost = 0  # losses before the start
         self._fault: TeleoperatorError | None = None
 
     def calibrate(self) -> None:
@@ -80,7 +80,7 @@ class UniforceTeleoperator(Teleoperator):
         """
         self._check_connected()
         axes = checked_axes(measured, "measured pose")
-        self._fault, self._is_started, self._reconnects = None, False, self.device.reconnects
+        self._fault, self._is_started, self._lost = None, False, self._losses
         self.integrator.start_from(axes)
         self._measured, self._measured_s = axes, self.clock()
         self._last_s = self._measured_s
@@ -145,8 +145,12 @@ class UniforceTeleoperator(Teleoperator):
     def _begin(self, measured: np.ndarray) -> None:
         """Latch what an episode starts from; raise where it must not start."""
 
+    @property
+    def _losses(self) -> int:
+        return getattr(self.device, "reconnects", 0)
+
     def _refuse_lost(self) -> None:
-        if self.device.reconnects != self._reconnects:
+        if self._losses != self._lost:
             came, do = "one that was lost and came back", "Start again."
             raise TeleoperatorError(expected(self.name, "a device that stays", came, do), "connection")
 
