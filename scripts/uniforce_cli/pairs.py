@@ -124,6 +124,7 @@ def _rig(
 
 def _robot(config: RecordPairsConfig, flags: Sequence[str]) -> UniforceFrankaConfig:
     """Read the rig, keep its fingers alone, and take their sensors' names from it."""
+    from uniforce_robots.franka.limits import HandSettings
     from uniforce_robots.recorder.build import read_devices
     from uniforce_vtla.contracts import FINGERS
 
@@ -135,6 +136,9 @@ def _robot(config: RecordPairsConfig, flags: Sequence[str]) -> UniforceFrankaCon
         raise ContractError(expected("tactile fingers of the rig", "a left and a right one", came, do))
     config.left_sensor, config.right_sensor = worn["left"], worn["right"]
     robot.cameras = {name: replace(finger, reference_on_connect=True) for name, finger in robot.fingers.items()}
+    if robot.gripper.grip_force_N not in (HandSettings().grip_force_N, config.grip_N):
+        wanted, do = f"grip_N={config.grip_N:g}", "Leave the rig's out; grip_N is the force here."
+        raise ContractError(expected("robot.gripper.grip_force_N", wanted, robot.gripper.grip_force_N, do))
     robot.gripper = replace(robot.gripper, grip_force_N=config.grip_N)
     return robot
 

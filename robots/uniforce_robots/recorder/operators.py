@@ -177,7 +177,7 @@ class LiveView:
 
     def show_note(self, phase: Phase, note: str | None) -> None:
         """Show the phase, and the note typed so far, where nothing else is shown; on a terminal, when they change."""
-        mode = phase.value if note is None else f"note (Enter ends it, Escape drops it): {note}_"
+        mode = phase.value if note is None else f"note (Enter ends it, Escape drops it): {note[-60:]}_"
         if self._moves and mode != self._mode:
             self._mode = mode
             self._write(f"\r\x1b[K{mode}")

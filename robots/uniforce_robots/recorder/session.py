@@ -258,4 +258,4 @@ class RecordingSession:
             raise _End(FAULT, f"{ABORTS_IN_A_ROW} times in a row, {said}")
         if not self._is_attended and (of_robot or ending.cause in ("teleop", "storage", "other")):
             raise _End(FAULT, said)
-        self._switch_off(said)
+        (self._switch_off if self._is_attended else self._say)(said)

@@ -24,11 +24,12 @@ class Steering:
     def __init__(self, teleop: Teleoperator) -> None:
         self._teleop: Any = teleop
         self.name = str(teleop.name)
-        missing = [axis for axis in AXES if axis not in teleop.action_features]
+        with self._named():
+            missing = [axis for axis in AXES if axis not in teleop.action_features]
+            self._wants_feedback = all(axis in teleop.feedback_features for axis in AXES)
         if missing:
             do = "Take one of ours (teleop=keyboard, spacemouse, gello, hand_guide), or wrap it."
-            raise ContractError(expected(f"teleop {teleop.name}", f"actions {AXES}", f"{missing} missing", do))
-        self._wants_feedback = all(axis in teleop.feedback_features for axis in AXES)
+            raise ContractError(expected(f"teleop {self.name}", f"actions {AXES}", f"{missing} missing", do))
 
     def connect(self) -> None:
         """Open the device; raises TeleoperatorError."""

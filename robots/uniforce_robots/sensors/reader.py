@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uniforce_robots.sensors import faults
-from uniforce_vtla.errors import ContractError, SensorError, expected
+from uniforce_vtla.errors import ContractError, SensorError, TeleoperatorError, expected
 from uniforce_vtla.options import Range
 
 log = logging.getLogger(__name__)
@@ -264,7 +264,7 @@ class SampleReader:
         """Turn whatever a driver raises into a SensorError."""
         try:
             yield
-        except SensorError:
+        except (SensorError, TeleoperatorError):
             raise
         except Exception as error:
             came = f"{type(error).__name__}: {error}"

@@ -41,7 +41,7 @@ class UniforceTeleoperator(Teleoperator):
     """A LeRobot teleoperator whose actions are absolute targets of ``keys.AXES``, robot base frame."""
 
     wants_gains: ClassVar[Gains | None] = None  # stiffness the robot needs meanwhile; None for the robot's own
-    device: Any = None  # what is read, with ``start``, ``stop``, ``is_running`` and ``reconnects``
+    device: Any = None  # what is read, with ``start``, ``stop``, ``is_running``, and ``reconnects`` if it can be lost
     is_calibrated = True  # there is nothing to calibrate
     action_features = feedback_features = dict.fromkeys(AXES, float)  # target and measured axes
 
@@ -54,7 +54,7 @@ class UniforceTeleoperator(Teleoperator):
         self._measured_s = self._last_s = 0.0
         self._is_started = False
         self._must_rest = False  # what is pushed now was pushed before a gap: it steers once it was let go
-        self._reconnects = 0
+        self._lost = 0  # losses before the start
         self._fault: TeleoperatorError | None = None
 
     def calibrate(self) -> None:
@@ -82,7 +82,7 @@ class UniforceTeleoperator(Teleoperator):
         """
         self._check_connected()
         axes = checked_axes(measured, "measured pose")
-        self._fault, self._is_started, self._reconnects = None, False, self.device.reconnects
+        self._fault, self._is_started, self._lost = None, False, self._losses
         self._must_rest = False
         self.integrator.start_from(axes)
         self._measured, self._measured_s = axes, self.clock()
@@ -160,8 +160,12 @@ class UniforceTeleoperator(Teleoperator):
     def _begin(self, measured: np.ndarray) -> None:
         """Latch what an episode starts from; raise where it must not start."""
 
+    @property
+    def _losses(self) -> int:
+        return getattr(self.device, "reconnects", 0)
+
     def _refuse_lost(self) -> None:
-        if self.device.reconnects != self._reconnects:
+        if self._losses != self._lost:
             came, do = "one that was lost and came back", "Start again."
             raise TeleoperatorError(expected(self.name, "a device that stays", came, do), "connection")
 

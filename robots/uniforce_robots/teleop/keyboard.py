@@ -42,7 +42,6 @@ class TerminalKeys:
     what is typed, and may end it by ``is_text``.
     """
 
-    reconnects = 0  # a terminal that has gone doesn't come back
     text_begins: str | None = None
     is_text = False
 

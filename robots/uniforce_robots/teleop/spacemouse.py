@@ -11,7 +11,7 @@ import socket
 import stat
 import struct
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,7 +22,8 @@ from uniforce_robots.sensors.faults import LostSensorError, ProtocolError, Wrong
 from uniforce_robots.sensors.reader import ReaderLimits, SampleReader, SampleSource, Stamped, now_ns
 from uniforce_robots.teleop.base import UniforceTeleoperator
 from uniforce_robots.teleop.integrator import SteeringConfig
-from uniforce_vtla.errors import TeleoperatorError, expected
+from uniforce_vtla.errors import SensorError, TeleoperatorError, expected
+from uniforce_vtla.options import Range
 
 log = logging.getLogger(__name__)
 
@@ -41,6 +42,7 @@ SILENT_S = 0.25  # a deflected cap so long without a report is a dead one; wirel
 LIMITS = ReaderLimits(capacity=64, frozen_after=0, first_ms=2000.0, silent_s=float("inf"))
 AXES, BUTTONS = 6, 2  # more buttons exist on some models and mean nothing here
 TURN_ABOUT_Z = 5
+UNKNOWN = [True] * AXES + [False] * BUTTONS  # a button that is held reports when it is let go
 FULL_SCALE = 350.0  # counts at full deflection
 LARGEST_COUNT = 2000  # beyond this it is no deflection
 _THREE, _SIX = struct.Struct("<3h"), struct.Struct("<6h")
@@ -56,10 +58,14 @@ class UniforceSpaceMouseConfig(SteeringConfig):
     signs: tuple[int, int, int, int] = (1, -1, -1, -1)  # of right, forward, up, counter-clockwise in counts
     operator_yaw_rad: float = 0.0  # which way "forward" is in the base frame; 0: the operator looks along +x
 
+    def __post_init__(self) -> None:
+        Range(0, 0.9).check("deadband", self.deadband)
+
 
 def find_spacemice(folder: Path = SYS_HIDRAW) -> list[str]:
     """Return the /dev/hidrawN of every SpaceMouse the kernel knows; a receiver has several."""
-    return [f"/dev/{node.name}" for node in sorted(folder.glob("*")) if _is_spacemouse(node)]
+    nodes = [node for node in sorted(folder.glob("*")) if _is_spacemouse(node)]
+    return [f"/dev/{node.name}" for node in nodes]
 
 
 def _node(path: str) -> Path:
@@ -95,14 +101,13 @@ class SpaceMouseSource(SampleSource):
     A cap at rest is silent, a deflected one reports at its rate: an axis is at rest once it was told so, or once the
     open device was silent for ``SILENT_S``. Until all axes are known there is no sample.
 
-    ``device`` is /dev/hidrawN or a local packet socket, empty for the one whose cap moves; ``state`` the newest, NaN
+    ``device`` is /dev/hidrawN or a local packet socket, empty for the one whose cap moves; ``state`` the newest, 0
     where unknown.
     """
 
     def __init__(self, device: str = "") -> None:
         super().__init__(f"spacemouse ({device or 'any'})")
-        self._device, self.state = device, np.zeros(AXES + BUTTONS)
-        self._forget()
+        self._device, self.state, self._unknown = device, np.zeros(AXES + BUTTONS), np.array(UNKNOWN)
         self._fd, self._heard_s, self._bad_in_a_row = -1, 0.0, 0
         self._place = ""  # USB socket and interface of the one that was moved
 
@@ -121,7 +126,7 @@ class SpaceMouseSource(SampleSource):
         except OSError as error:
             raise LostSensorError(expected(self.name, "a device to read", error, DO_PLUG)) from error
         undo.callback(os.close, self._fd)
-        self._forget()
+        self.state[:], self._unknown[:] = 0, UNKNOWN
         self._heard_s, self._bad_in_a_row = time.monotonic(), 0
 
     def _only_one(self) -> str:
@@ -132,59 +137,48 @@ class SpaceMouseSource(SampleSource):
             raise LostSensorError(expected(self.name, "a SpaceMouse", "none", DO_PLUG))
         if len(found) > 1:
             found = [self._moved(found)]
-            self._place = places[found[0]]
+            self._place = places[found[0]]  # another time nobody is asked
         return found[0]
 
     def _moved(self, paths: list[str]) -> str:
         """Return the node that reports while a person moves the cap."""
-        names = {path: _facts(_node(path)) for path in paths}
-        listed = ", ".join(f"{path} ({f.get('HID_NAME')}, {f.get('HID_PHYS')})" for path, f in names.items())
+        facts = {path: _facts(_node(path)) for path in paths}
+        listed = ", ".join(f"{path} ({f.get('HID_NAME')}, {f.get('HID_PHYS')})" for path, f in facts.items())
         log.warning("%s: move the cap within %g s, to choose of %s", self.name, MOVE_S, listed)
-        nodes: dict[int, str] = {}
-        came: object = "none that moves"
-        with ExitStack() as opened:
-            for path in paths:
+        nodes, reasons = [], ["it wasn't moved"]
+        with ExitStack() as closing:
+            for node in map(SpaceMouseSource, paths):
+                closing.callback(node.close)
                 try:
-                    fd = _open(path)
-                except OSError as error:
-                    came = error
-                    continue
-                opened.callback(os.close, fd)
-                nodes[fd] = path
+                    node.open()
+                    nodes.append(node)
+                except LostSensorError as error:
+                    reasons.append(str(error).rstrip("."))
             deadline_s = time.monotonic() + MOVE_S
             while nodes and time.monotonic() < deadline_s:
-                for fd in select.select(list(nodes), [], [], READ_TIMEOUT_S)[0]:
-                    if self._moves(fd):
-                        return nodes[fd]
-        do = "Name the one that is the SpaceMouse, device=/dev/hidrawN, and give yourself permission to read it."
-        raise LostSensorError(expected(self.name, "a cap that is moved", f"{came}, at {listed}", do))
-
-    def _moves(self, fd: int) -> bool:
-        """Return whether a report says that the cap is moved."""
-        self._forget()
-        try:
-            self.feed(_report(fd))
-        except OSError:
-            time.sleep(READ_TIMEOUT_S)  # at its end it is always ready to be read
-        return bool(np.nan_to_num(self.state).any())
-
-    def _forget(self) -> None:
-        self.state[:AXES], self.state[AXES:] = np.nan, 0  # a button that is held reports when it is let go
+                for node in nodes:
+                    with suppress(SensorError):
+                        node.read()
+                    if node.state.any():
+                        return node._device
+        do = "Name the one that is the SpaceMouse, device=/dev/hidrawN."
+        raise LostSensorError(expected(self.name, f"a moved cap at one of {listed}", reasons[-1], do))
 
     def read(self) -> list[Stamped]:
         """Return the newest state if something came, or silence said something, and all of it is known."""
         if select.select([self._fd], [], [], READ_TIMEOUT_S)[0]:
             is_news = self._take_next()
         else:
-            unknown = np.isnan(self.state)
-            is_news = bool(unknown.any()) and time.monotonic() - self._heard_s > SILENT_S
-            self.state[unknown & is_news] = 0
-        return [Stamped(now_ns(), self.state.copy())] if is_news and not np.isnan(self.state).any() else []
+            is_news = bool(self._unknown.any()) and time.monotonic() - self._heard_s > SILENT_S
+            self._unknown &= not is_news
+        return [Stamped(now_ns(), self.state.copy())] if is_news and not self._unknown.any() else []
 
     def _take_next(self) -> bool:
         """Take the next report; return whether it was understood."""
         try:
-            report = _report(self._fd)
+            report = os.read(self._fd, REPORT_BYTES)  # hidraw and packet sockets: one read is one report
+            if not report:
+                raise OSError("its end")
         except OSError as error:
             raise LostSensorError(expected(self.name, "a readable device", error, "Was it unplugged?")) from error
         understood = self.feed(report)
@@ -213,17 +207,10 @@ class SpaceMouseSource(SampleSource):
             first, values = AXES, tuple((body[0] >> bit) & 1 for bit in range(BUTTONS))
         if max(map(abs, values), default=0) > LARGEST_COUNT:
             return False
-        self.state[first : first + len(values)] = values
+        now = slice(first, first + len(values))
+        self.state[now], self._unknown[now] = values, False
         # above 3: battery level, calibration, LEDs: known to exist, not needed
         return bool(values) or (report_id > 3 and bool(body))
-
-
-def _report(fd: int) -> bytes:
-    """Return one report; raises OSError where the device is gone."""
-    report = os.read(fd, REPORT_BYTES)  # hidraw and packet sockets: one read is one report
-    if not report:
-        raise OSError("its end")
-    return report
 
 
 def _open(path: str) -> int:

@@ -9,9 +9,12 @@ import pytest
 from recording_fakes import FakeRig
 
 from uniforce_cli.pairs import RecordPairsConfig, _robot, _robot_rig, main
+from uniforce_robots.franka import UniforceFrankaConfig
+from uniforce_robots.franka.arm import Gains
 from uniforce_robots.recorder import build
-from uniforce_robots.teleop import UniforceHandGuide
+from uniforce_robots.teleop import UniforceHandGuide, UniforceHandGuideConfig
 from uniforce_robots.teleop.keyboard import TerminalKeys
+from uniforce_vtla.errors import ContractError
 
 RIG = """
 robot:
@@ -37,6 +40,23 @@ def test_mounts_and_box_come_from_the_rig(config: RecordPairsConfig) -> None:
     assert robot.cameras["tactile_left"].flip and robot.cameras["tactile_right"].rotation_deg == 180  # type: ignore[attr-defined]
     assert all(finger.reference_on_connect for finger in robot.fingers.values())
     assert (config.left_sensor, config.right_sensor) == ("uskin", "tactip") and robot.gripper.grip_force_N == 7.0
+
+
+def test_a_grip_of_the_rig_is_not_dropped(config: RecordPairsConfig) -> None:
+    assert _robot(config, ["--robot.gripper.grip_force_N=7"]).gripper.grip_force_N == 7.0
+    with pytest.raises(ContractError, match=r"grip_N=7, got 3\.0"):
+        _robot(config, ["--robot.gripper.grip_force_N=3"])
+
+
+def test_softer_gains_of_the_rig_are_not_dropped(tmp_path: Path) -> None:
+    soft = Gains((50.0, 50.0, 50.0), clip_m=(0.01, 0.01, 0.01))
+    robot = UniforceFrankaConfig(calibration_dir=tmp_path, gains=soft)
+    guide = UniforceHandGuide(UniforceHandGuideConfig(calibration_dir=tmp_path))
+    with pytest.raises(ContractError, match=r"uniforce_hand_guide.*50"):
+        build.make_robot(robot, guide)
+    assert build.make_robot(robot, SimpleNamespace()).config.gains == soft  # type: ignore[arg-type]
+    robot = UniforceFrankaConfig(calibration_dir=tmp_path)
+    assert build.make_robot(robot, guide).config.gains == guide.wants_gains
 
 
 @pytest.mark.parametrize(

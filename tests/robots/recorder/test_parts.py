@@ -16,7 +16,7 @@ from uniforce_robots.recorder import disk_guard
 from uniforce_robots.recorder.build import read_devices, teleoperator_names
 from uniforce_robots.recorder.disk_guard import DiskGuard
 from uniforce_robots.recorder.faults import DeviceError, StopRequestedError, cause_of, named
-from uniforce_robots.recorder.operators import Command, Event, KeyOperator, LiveView, Phase, Unattended
+from uniforce_robots.recorder.operators import NOTE_S, Command, Event, KeyOperator, LiveView, Phase, Unattended
 from uniforce_robots.recorder.rig import FingerTouch, Observation, Picture
 from uniforce_robots.recorder.robot_rig import GarbageWatch
 from uniforce_robots.recorder.steering import Steering
@@ -88,20 +88,54 @@ def test_steering_speaks_arrays_and_one_kind_of_error(tmp_path: Path) -> None:
     steering.start_from(start)
     assert teleop.starts == [dict(zip(AXES, start.tolist(), strict=True))]
     assert steering.target(start).shape == (5,)
-    for broken in (RuntimeError("gone"), OSError("gone")):
-        teleop.error = broken
-        with pytest.raises(errors.TeleoperatorError, match="gone"):
-            steering.target(start)
-    teleop.error = None
-    teleop.width_m = float("nan")
-    with pytest.raises(errors.TeleoperatorError, match="finite"):
-        steering.target(start)
-
-    class Joints(Sway):
-        action_features = {"joint_1.pos": float}  # noqa: RUF012
-
     with pytest.raises(errors.ContractError, match=r"x\.pos"):
         Steering(Joints(SwayConfig(id="test", calibration_dir=tmp_path)))
+
+
+class Joints(Sway):
+    action_features = {"joint_1.pos": float}  # noqa: RUF012
+
+
+class NoNumber:
+    def __float__(self) -> float:
+        raise ZeroDivisionError
+
+
+RETURNS = (None, "text", {}, [1.0] * 5, *[dict.fromkeys(AXES, v) for v in (None, "left", np.nan, [1, 2], NoNumber())])
+
+
+@pytest.mark.parametrize("method", ["connect", "start_from", "send_feedback", "get_action", "disconnect"])
+@pytest.mark.parametrize("kind", [RuntimeError, KeyError, AttributeError, AssertionError, errors.SensorError])
+def test_a_teleoperator_may_raise_anything(tmp_path: Path, method: str, kind: type[Exception], caplog) -> None:
+    def broken(*_: object) -> None:
+        raise kind("device said nothing")
+
+    teleop, axes = sway(tmp_path), np.zeros(5)
+    teleop.feedback_features = teleop.action_features
+    steering = Steering(teleop)
+    setattr(teleop, method, broken)
+    calls = {"connect": steering.connect, "start_from": lambda: steering.start_from(axes)}
+    if method != "disconnect":
+        with pytest.raises(errors.TeleoperatorError, match=r"recording_test.*device said nothing"):
+            calls.get(method, lambda: steering.target(axes))()
+    teleop.is_connected = True
+    steering.close()  # the robot must be seen to
+    assert ("said nothing" in caplog.text) == (method == "disconnect")
+
+
+@pytest.mark.parametrize("action", RETURNS, ids=repr)
+def test_a_teleoperator_may_return_anything(tmp_path: Path, action: object) -> None:
+    teleop = sway(tmp_path)
+    teleop.get_action = lambda: action  # type: ignore[assignment, method-assign, return-value]
+    with pytest.raises(errors.TeleoperatorError, match="recording_test"):
+        Steering(teleop).target(np.zeros(5))
+
+
+def test_nobody_catches_the_end_of_the_program(tmp_path: Path) -> None:
+    teleop = sway(tmp_path)
+    teleop.error = KeyboardInterrupt()  # type: ignore[assignment]
+    with pytest.raises(KeyboardInterrupt):
+        Steering(teleop).target(np.zeros(5))
 
 
 def seen(force_N: float) -> Observation:
@@ -123,6 +157,35 @@ def test_the_line_shows_force_against_its_limit() -> None:
     view.begin("next")
     assert view.peak_N == 0
     assert out.getvalue() == "next\n", "without a terminal only lines that stay are written"
+
+
+class Terminal(io.StringIO):
+    has_hung_up = False
+
+    def isatty(self) -> bool:
+        return True
+
+    def write(self, text: str) -> int:
+        if self.has_hung_up:
+            raise OSError
+        return super().write(text)
+
+
+def test_the_mode_stands_on_the_screen() -> None:
+    view = LiveView(out := Terminal())
+    for phase, note, shown in (
+        (Phase.PAUSED, None, "paused"),
+        (Phase.PAUSED, "slip", "slip_"),
+        (Phase.PAUSED, "slip", ""),
+        (Phase.WAITING, None, "waiting"),
+    ):
+        before = len(out.getvalue())
+        view.show_note(phase, note)
+        assert out.getvalue()[before:].endswith(shown) and bool(shown) == (len(out.getvalue()) > before)
+    assert view.line(seen(1.0), 30).startswith("running") and "Escape" in out.getvalue()
+    out.has_hung_up = True
+    view.say("nobody reads it")
+    view.show(seen(1.0), 30)
 
 
 class Lerobots:
@@ -183,28 +246,53 @@ def test_a_little_garbage_is_borne_and_much_is_not() -> None:
             watch.look(10 + step / 30, 38 + step)
 
 
-def typed(operator: KeyOperator, keys: TerminalKeys, *pressed: str) -> list[Event]:
+def typed(operator: KeyOperator, keys: TerminalKeys, *pressed: str, phase: Phase = Phase.RUNNING) -> list[Event]:
     for key in pressed:
         keys.press(key)
-    return operator.poll(Phase.RUNNING)
+    return operator.poll(phase)
 
 
-def test_keys_mean_commands_and_unknown_ones_nothing() -> None:
-    keys = TerminalKeys({"w": (0, 1)})
-    operator = KeyOperator(keys, ["slow", "slipped"])
-    events = typed(operator, keys, "space", "w", "up", "y")
-    assert [event.command for event in events] == [Command.GO, Command.SUCCESS]
-    assert typed(operator, keys, "2", "3") == [Event(Command.NOTE, "slipped")]
-    assert operator.is_attended and not typed(operator, keys)
+@pytest.fixture
+def person() -> tuple[KeyOperator, TerminalKeys]:
+    keys = TerminalKeys({"w": (0, 1)}, lambda: keys.now_s)  # type: ignore[attr-defined]
+    keys.now_s = 0.0  # type: ignore[attr-defined]
+    return KeyOperator(keys, ["slow", "slipped"]), keys
 
 
-def test_a_note_is_typed_over_several_polls_and_may_hold_command_keys() -> None:
-    keys = TerminalKeys({"w": (0, 1)})
-    operator = KeyOperator(keys)
-    assert not typed(operator, keys, "t", "Y", "x")
-    assert not typed(operator, keys, "space", "z", "backspace", "q", "left")
-    assert typed(operator, keys, "enter", "q") == [Event(Command.NOTE, "Yx q"), Event(Command.QUIT)]
-    assert not typed(operator, keys, "t", "enter"), "an empty note is none"
+def test_keys_mean_commands_and_unknown_ones_nothing(person: tuple) -> None:
+    events = typed(*person, "space", "w", "up", "Y", "esc")
+    assert [event.command for event in events] == [Command.GO, Command.SUCCESS, Command.HOLD]
+    assert typed(*person, "2", "3") == [Event(Command.NOTE, "slipped")]
+    assert person[0].is_attended and not typed(*person)
+
+
+HELD = Event(Command.HOLD)
+
+
+@pytest.mark.parametrize("phase", Phase)
+def test_a_note_holds_the_arm_and_may_hold_command_keys(person: tuple, phase: Phase) -> None:
+    operator, _ = person
+    operator.poll(phase)
+    assert typed(*person, "T", "Y", "w", phase=phase) == [HELD] and operator.note == "Yw"
+    assert not typed(*person, "space", "z", "backspace", "q", "left", phase=Phase.PAUSED)
+    assert typed(*person, "enter", "Q", phase=Phase.PAUSED) == [Event(Command.NOTE, "Yw q"), Event(Command.QUIT)]
+    assert typed(*person, "t", "enter") == [HELD], "an empty note is none"
+    assert typed(*person, "t", "a", "esc", "x") == [HELD, HELD, Event(Command.DISCARD)] and operator.note is None
+
+
+def left(operator: KeyOperator, keys: TerminalKeys) -> Phase:
+    keys.now_s = 2 * NOTE_S  # type: ignore[attr-defined]
+    return Phase.PAUSED
+
+
+@pytest.mark.parametrize("ends", [left, lambda *_: Phase.JUDGING, lambda *_: Phase.RUNNING])
+def test_no_note_swallows_commands_for_ever(person: tuple, ends: Callable[..., Phase]) -> None:
+    operator, keys = person
+    typed(*person, "t", "a")
+    assert not operator.poll(Phase.PAUSED)
+    assert operator.poll(ends(*person)) == [Event(Command.NOTE, "a")] and operator.note is None
+    keys.press("w")
+    assert typed(*person, "space", phase=Phase.PAUSED) == [Event(Command.GO)] and keys.rates()[0] == 1
 
 
 def test_no_terminal_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

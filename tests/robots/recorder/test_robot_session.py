@@ -28,7 +28,7 @@ from uniforce_robots.recorder.sim_rig import SimRig
 from uniforce_robots.recorder.store import StoreSettings, open_recorder
 from uniforce_robots.sensors.faults import WrongSensorError
 from uniforce_vtla import keys
-from uniforce_vtla.errors import ContractError
+from uniforce_vtla.errors import ContractError, TeleoperatorError
 from uniforce_vtla.terminal import STOPS
 
 SHORT_S = 0.5
@@ -135,6 +135,7 @@ BREAKS: dict[str, tuple[str, str, str]] = {  # what breaks, how, the cause that 
     "reflex": ("arm", "reflex", "robot_reflex"),
     "user stop": ("arm", "user_stopped", "robot_user_stop"),
     "teleoperator": ("teleop", "unplugged", "teleop"),
+    "rig": ("rig", "a bug", "other"),
 }
 
 
@@ -142,7 +143,9 @@ def break_it(fake: FakeRig, teleop: Sway, what: str, how: str) -> None:
     if what == "arm":
         fake.arm.mode = how
     elif what == "teleop":
-        teleop.error = RuntimeError(how)
+        teleop.error = KeyError(how)
+    elif what == "rig":
+        fake.rig.observe = {}  # type: ignore[method-assign, assignment]
     else:
         fake.captures[what].fault = how
 
@@ -200,6 +203,49 @@ def test_discard_rerecord_pause_and_notes(fake: FakeRig, tmp_path: Path) -> None
     assert card["notes"] == ["slow"] and card["prompt"] == "wipe" and card["guards"]["sensor"] == 0
     stamps = read_source(tmp_path / "data").columns((keys.STAMPS,))[keys.STAMPS][:, 0]
     assert np.diff(stamps).max() > 5 / 30, "the pause shows"
+
+
+def test_a_pause_ends_once_the_device_is_at_rest(fake: FakeRig, tmp_path: Path) -> None:
+    class Deflected(Sway):
+        def start_from(self, axes: dict[str, float]) -> None:
+            super().start_from(axes)
+            if len(self.starts) == 2:
+                raise TeleoperatorError("let go", "far")
+
+    operator = scripted(
+        (Phase.RUNNING, 2, Command.HOLD),
+        (Phase.PAUSED, 1, Command.HOLD),
+        (Phase.PAUSED, 2, Command.GO),
+        (Phase.PAUSED, 4, Command.GO),
+        (Phase.RUNNING, 2, Command.SUCCESS),
+    )
+    teleop = Deflected(SwayConfig(id="test", calibration_dir=tmp_path))
+    end = go(fake, tmp_path / "data", operator, teleop, episode_s=30.0, drive_between=False)
+    assert [e.label for e in end.endings] == ["success"] and len(teleop.starts) == 3
+
+
+@pytest.mark.parametrize("interruption", ["fault", "hold", "robot"])
+def test_between_episodes_steering_goes_on_at_a_persons_word(fake, tmp_path: Path, interruption: str) -> None:
+    teleop, calls, out = sway(tmp_path), {}, io.StringIO()
+    orders = {10: Command.NOTE, 29: Command.RECOVER, 40: Command.QUIT}
+    if interruption == "hold":
+        orders[5] = Command.HOLD
+
+    def say(phase: Phase, asked: int) -> list[Event]:
+        calls[asked] = len(teleop.starts), teleop.calls
+        if asked == 5:
+            teleop.error = KeyError("unplugged") if interruption == "fault" else None
+            fake.arm.mode = "reflex" if interruption == "robot" else "idle"
+        if asked == 7:
+            teleop.error, fake.arm.mode = None, "idle"  # plugged in again
+        return [Event(orders[asked], "early")] if asked in orders else []
+
+    end = go(fake, tmp_path / "data", Script(say), teleop, out)
+    assert end.exit_code == 0 and not end.endings
+    assert calls[5] == (1, 5), "driven"
+    assert calls[8] == calls[28], "plugged in again, but nobody said so"
+    assert calls[40] == (2, 11)
+    assert out.getvalue().count("(v clears it and steers again)") == 1 and "not stored: early" in out.getvalue()
 
 
 def test_nothing_begins_out_of_free_air(fake: FakeRig, tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Devices that do as their test says: a camera in place of ``cv2.VideoCapture``, and a source of any samples."""
 
+import threading
 import time
 from collections.abc import Iterable
 from contextlib import ExitStack
@@ -45,6 +46,9 @@ class ScriptedCapture:
         self.released += 1
 
 
+RETURNS = {"none": None, "text": "frames", "no array": [Stamped(0, "frame")], "other": [Stamped(0, np.zeros(9))]}  # type: ignore[arg-type]
+
+
 class ScriptedSource(SampleSource):
     """Gives ``samples`` over and over, one every 3 ms, in the ``mode`` that a test sets while it runs."""
 
@@ -53,8 +57,11 @@ class ScriptedSource(SampleSource):
         self._samples = cycle(samples)
         self._last = next(self._samples)
         self.mode, self.opened, self.closed = "live", 0, 0
+        self.returns = threading.Event()
 
     def _connect(self, undo: ExitStack) -> None:
+        if self.mode == "bug":
+            raise ZeroDivisionError
         if self.mode == "gone":
             raise LostSensorError("scripted: expected it, got nothing. Plug it in.")
         self.opened += 1
@@ -62,12 +69,18 @@ class ScriptedSource(SampleSource):
 
     def _count_closing(self) -> None:
         self.closed += 1
+        if self.mode == "bug":
+            raise ZeroDivisionError
 
     def read(self) -> list[Stamped]:
         if self.mode == "gone":
             raise LostSensorError("scripted: expected data, got an unplugged cable. Plug it in.")
+        if self.mode in RETURNS:
+            return RETURNS[self.mode]  # type: ignore[return-value]
         if self.mode == "bug":
             raise ZeroDivisionError
+        if self.mode == "hangs":
+            self.returns.wait()
         time.sleep(0.003)
         if self.mode == "silent":
             return []

@@ -1,6 +1,7 @@
 """Camera settings and failures, with a scripted capture: order, read-back, sizes, time stamps; the scene camera."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 import cv2
 import draccus
@@ -9,7 +10,12 @@ import pytest
 from lerobot.cameras.configs import CameraConfig
 from scripted import ScriptedCapture
 
-from uniforce_robots.sensors import UniforceSceneCamera, UniforceSceneCameraConfig, UniforceTactileCameraConfig
+from uniforce_robots.sensors import (
+    UniforceSceneCamera,
+    UniforceSceneCameraConfig,
+    UniforceTactileCameraConfig,
+    camera_source,
+)
 from uniforce_robots.sensors.camera_source import FAILED_READS, CameraSource, open_capture
 from uniforce_robots.sensors.faults import FrozenSensorError, LostSensorError, WrongSensorError
 from uniforce_robots.sensors.finger import middle
@@ -98,6 +104,23 @@ def test_a_frame_of_another_size(capture: ScriptedCapture, make: Callable):
         source.read()
 
 
+@pytest.mark.parametrize("source", ["1", "/dev/video1", "linked"])
+def test_a_metadata_node_is_named_as_such(capture, tmp_path: Path, monkeypatch, source: str) -> None:
+    for number, (index, usb) in enumerate(((0, "c270"), (1, "c270"), (0, "c920"))):
+        node = tmp_path / f"video{number}"
+        node.mkdir()
+        (node / "index").write_text(f"{index}\n")
+        (node / "device").symlink_to(tmp_path / usb)
+    monkeypatch.setattr(camera_source, "SYS_VIDEO", tmp_path)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "linked").symlink_to("/dev/video1")
+    device = CameraSource(UniforceTactileCameraConfig(source=source, **SIZE), lambda source: capture)
+    capture.opens = False
+    with pytest.raises(LostSensorError, match=r"metadata node.*source=/dev/video0"):
+        device.open()
+    assert camera_source.first_node("0") == camera_source.first_node("7") == ""
+
+
 def test_an_absent_device_is_named():
     with pytest.raises(LostSensorError, match="/dev/video987"):
         open_capture("987")
@@ -110,7 +133,7 @@ def test_addresses_that_cannot_be(address: str):
 
 
 def camera(capture: ScriptedCapture, **options: object) -> UniforceSceneCamera:
-    plain = {"source": "0", "width": 64, "height": 48, "max_age_ms": 30_000.0}
+    plain = {"source": "0", "width": 64, "height": 48, "max_age_ms": 1000.0}
     return UniforceSceneCamera(UniforceSceneCameraConfig(**(plain | options)), lambda source: capture)  # type: ignore[arg-type]
 
 

@@ -44,6 +44,12 @@ def test_another_shape_or_dtype_is_refused(bad: np.ndarray):
         filled(1).keep([Stamped(0, bad)])
 
 
+@pytest.mark.parametrize("limit", [{"silent_s": float("nan")}, {"frozen_after": -1}])
+def test_limits_that_are_none(limit: dict):
+    with pytest.raises(ContractError, match=next(iter(limit))):
+        ReaderLimits(**limit)
+
+
 @pytest.fixture
 def pair():
     source = ScriptedSource()
@@ -93,19 +99,58 @@ def test_waiting_ends_with_the_next_sample(pair):
         ("gone", faults.LostSensorError, "Plug it in"),
         ("silent", faults.StaleSensorError, "scripted"),
         ("frozen", faults.FrozenSensorError, "same content"),
-        ("bug", faults.LostSensorError, "reader died"),
+        ("bug", faults.LostSensorError, "scripted: expected a working driver, got ZeroDivisionError"),
+        ("other", faults.WrongSensorError, "dtype"),
+        *[(returned, faults.LostSensorError, "working driver") for returned in ("none", "text", "no array")],
     ],
 )
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_each_fault_has_its_error_and_recovers_by_itself(pair, outcome, recovers, mode, kind, says) -> None:
     source, reader = pair
-    for _ in range(1 if mode == "bug" else 10):
+    for _ in range(10):
         source.mode = mode
         assert says in str(outcome(lambda: reader.newest(100), kind))
         source.mode = "live"
-        if mode != "bug":
-            recovers(lambda: reader.newest(10_000))
+        recovers(lambda: reader.newest(10_000))
     assert reader.reconnects >= (10 if mode == "gone" else 0)
+
+
+def test_a_driver_that_hangs_gets_no_second_thread(pair, monkeypatch: pytest.MonkeyPatch, outcome, recovers) -> None:
+    source, reader = pair
+    monkeypatch.setattr("uniforce_robots.sensors.reader.JOIN_S", 0.05)
+    source.mode = "hangs"
+    outcome(lambda: reader.newest(30), faults.StaleSensorError)
+    reader.stop()
+    for _ in range(2):
+        assert not reader.is_running
+        with pytest.raises(faults.LostSensorError, match="hangs"):
+            reader.start()
+        reader.stop()
+    assert source.opened == 1 and source.closed == 0
+    source.mode = "live"
+    source.returns.set()
+    recovers(reader.start)
+    assert (source.opened, source.closed) == (2, 1)
+
+
+def test_starts_and_stops_from_many_threads_leave_one_reader(pair) -> None:
+    _, reader = pair
+    threads = [threading.Thread(target=call) for call in (reader.start, reader.stop) * 20]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+        assert sum(t.name == "reader of scripted" for t in threading.enumerate()) <= 1
+    reader.stop()
+    reader.start()
+    reader.stop()
+    assert not [t for t in threading.enumerate() if t.name == "reader of scripted"]
+
+
+def test_a_driver_that_fails_at_once_is_a_typed_error() -> None:
+    source = ScriptedSource()
+    source.mode = "bug"
+    with pytest.raises(faults.LostSensorError, match="ZeroDivisionError"):
+        SampleReader(source, LIMITS).start()
 
 
 def test_a_long_silence_reopens_the_device(pair, recovers: Callable):

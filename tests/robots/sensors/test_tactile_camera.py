@@ -110,7 +110,12 @@ def test_a_lost_camera_cannot_be_connected(mjpeg: StandIn):
         ({"delivers": "both"}, "markers | raw"),
         ({"delivers": "raw", "capture_width": None}, "capture_width"),
         ({"finger": "thumb"}, "left or right"),
-        ({"max_age_ms": 0}, "max_age_ms"),
+        *[({"max_age_ms": ms}, "max_age_ms") for ms in (0, -1.0, 1e9, float("nan"), float("inf"))],
+        *[({"frozen_after": count}, "frozen_after") for count in (0, 1, 31, 10**9)],
+        ({"fps": 5, "frozen_after": 8}, "frozen_after"),
+        *[({"fps": fps}, "fps") for fps in (0, 10**6)],
+        *[({"reference_samples": count}, "reference_samples") for count in (0, 1, 10**6)],
+        ({"connect_ms": 1e12}, "connect_ms"),
     ],
 )
 def test_configs_that_cannot_be(options: dict, says: str):

@@ -22,7 +22,7 @@ FREE = taxel_cycle(Scene(press_s=0), 50)[0]
 
 
 def config(**options: object) -> UniforceUskinConfig:
-    plain = {"source": "x", "reference_samples": 5, "connect_ms": 30_000.0, "max_age_ms": 10_000.0}
+    plain = {"source": "x", "reference_samples": 5, "connect_ms": 30_000.0, "max_age_ms": 1000.0}
     return UniforceUskinConfig(**(plain | options))
 
 
@@ -74,7 +74,8 @@ def test_a_window_comes_upright():
 
 
 def test_configs_that_cannot_be():
-    for options, says in (({"link": "usb"}, "slcan"), ({"source": ""}, "source")):
+    impossible = {"link": "usb", "source": "", "frozen_after": 101, "max_age_ms": 1e9, "reference_samples": 0}
+    for options, says in (({name: value}, name) for name, value in impossible.items()):
         with pytest.raises(ContractError, match=says):
             UniforceUskinConfig(**({"link": "slcan", "source": "x"} | options))
     with pytest.raises(ContractError, match="rotation_deg"):

@@ -105,3 +105,14 @@ def test_faults_stay_until_the_next_start(name, fault, connected, measured, faul
         device.get_action()
     starts(device)
     assert device.get_action()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_loss_that_no_tick_saw_is_one_too(name: str, connected: Callable[[str], Any], measured: np.ndarray, starts):
+    device = connected(name)
+    device.start_from(measured)
+    device.device.reconnects = 1
+    for _ in range(2):
+        with pytest.raises(TeleoperatorError, match="lost and came back"):
+            device.get_action()
+    starts(device)

@@ -64,10 +64,38 @@ def test_keys_of_a_recorder_are_kept_for_it(keyboard: Any, terminal: Type, until
     assert until(keyboard.keys.take_others, bool) in (["n"], ["n", "r"])
 
 
-def test_a_press_before_the_start_moves_nothing(keyboard: Any, measured: np.ndarray) -> None:
-    keyboard.keys.press("w")
-    keyboard.start_from(measured)
-    assert not keyboard.keys.rates().any()
+@pytest.mark.parametrize("key", ["o", "O"])
+@pytest.mark.parametrize("name", ["uniforce_keyboard", "uniforce_hand_guide"])
+def test_a_key_held_over_a_start_steers_once_it_was_let_go(name, key, connected: Callable[[str], Any]) -> None:
+    device, now = connected(name), [0.0]
+    device.clock, start = (lambda: now[0]), np.full(5, 0.04)
+
+    def held(ticks: int) -> float:
+        for _ in range(ticks):
+            device.keys.press(key)
+            now[0] += 0.03
+            width_m = action_at(device, start)[4]
+        return width_m
+
+    device.start_from(start)
+    assert held(3) > 0.04
+    for _ in range(2):  # however often it is started
+        device.start_from(start)
+        assert held(20) == 0.04
+    now[0] += PULSE_S
+    assert action_at(device, start)[4] == 0.04
+    assert held(3) > 0.04
+
+
+def test_a_text_neither_steers_nor_loses_letters(keyboard: Any) -> None:
+    keys = keyboard.keys
+    keys.text_begins = "t"
+    for key in ("w", "T", "W", "space", "esc"):
+        keys.press(key)
+    assert not keys.rates().any(), "and what was held before stops"
+    assert keys.take_others() == ["t", "W", "space", "esc"]
+    keys.press("s")
+    assert keys.rates()[0] == -1
 
 
 def test_a_terminal_that_hangs_up_is_a_fault(keyboard: Any, terminal: Type, fault_of: Callable) -> None:
@@ -159,6 +187,17 @@ def test_it_refuses_to_start_far_from_the_robot(leader: Any, measured: np.ndarra
     assert error.value.fault == "far"
     with pytest.raises(TeleoperatorError, match="started"):
         leader.get_action()
+
+
+def test_what_is_left_between_them_closes_once_it_is_moved(leader: Any, measured: np.ndarray, monkeypatch) -> None:
+    pose = measured + np.array([0.02, 0, 0, 0, 0])
+    monkeypatch.setattr(leader, "_pose", lambda: pose)
+    paced = Paced(leader, measured)
+    assert all(np.array_equal(paced.next(), measured) for _ in range(30)), "nobody moved it"
+    pose = pose + np.array([0, 0.02, 0, 0, 0])
+    assert np.all(paced.next()[:2] > measured[:2])
+    leader.start_from(measured)
+    assert np.array_equal(paced.next(), measured)
 
 
 @pytest.mark.parametrize("fault", ["split", "alert"])

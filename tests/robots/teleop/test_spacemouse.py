@@ -1,7 +1,10 @@
 """SpaceMouse: reports, the drained device, and how it fails."""
 
+import itertools
+import os
+import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +16,10 @@ from properties import examples
 from standins.spacemouse import reports
 
 import uniforce_robots.teleop as ours
+from uniforce_robots.sensors.faults import LostSensorError, WrongSensorError
 from uniforce_robots.standins.process import StandIn
-from uniforce_robots.teleop.spacemouse import LARGEST_COUNT, SpaceMouseSource, find_spacemice
+from uniforce_robots.teleop import spacemouse as spacemouse_module
+from uniforce_robots.teleop.spacemouse import LARGEST_COUNT, SILENT_S, SpaceMouseSource, find_spacemice
 from uniforce_vtla.errors import TeleoperatorError
 
 counts = st.tuples(*[st.integers(-350, 350)] * 6)
@@ -86,6 +91,108 @@ def test_no_start_with_a_deflected_cap(
 ) -> None:
     spacemouse.inject("push")
     assert fault_of(lambda: mouse.start_from(measured)) == "far"
+
+
+def test_a_plug_that_comes_back_with_a_pushed_cap_starts_nothing(mouse, spacemouse, measured, starts, fault_of):
+    spacemouse.inject("unplug")
+    assert fault_of(mouse.get_action) == "connection"
+    spacemouse.inject("push")
+    for _ in range(100):
+        with pytest.raises(TeleoperatorError):
+            mouse.start_from(measured)
+        time.sleep(0.005)
+    assert fault_of(lambda: mouse.start_from(measured)) == "far"
+    spacemouse.inject("none")
+    starts(mouse)
+    assert mouse.get_action()["x.pos"] == measured[0]
+
+
+Nodes = Callable[..., list[socket.socket]]
+
+
+@pytest.fixture
+def nodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Nodes]:
+    """Return a function: facts of each hidraw node → what writes to it; the kernel's folder is a temporary one."""
+    ends: dict[str, tuple[socket.socket, socket.socket]] = {}
+    monkeypatch.setattr(spacemouse_module, "SYS_HIDRAW", tmp_path)
+    monkeypatch.setattr(find_spacemice, "__defaults__", (tmp_path,))
+    monkeypatch.setattr(spacemouse_module, "_open", lambda path: os.dup(ends[path][0].fileno()))
+    monkeypatch.setattr(spacemouse_module, "MOVE_S", 0.2)
+
+    def make(*facts: str, descriptor: bytes = b"") -> list[socket.socket]:
+        for number, lines in enumerate(facts):
+            device = tmp_path / f"hidraw{number}" / "device"
+            device.mkdir(parents=True)
+            (device / "uevent").write_text(lines)
+            if descriptor:
+                (device / "report_descriptor").write_bytes(descriptor)
+            ends[f"/dev/hidraw{number}"] = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        return [far for _, far in ends.values()]
+
+    yield make
+    for end in itertools.chain.from_iterable(ends.values()):
+        end.close()
+
+
+MOUSE = "HID_ID=0003:0000256F:0000C635\nHID_NAME=SpaceMouse\n"
+KEYBOARD = "HID_ID=0003:0000046D:0000C31C\nHID_NAME=K120\n"
+
+
+def read_until(source: SpaceMouseSource, says: Callable[[list], bool]) -> list:
+    samples: list = []
+    deadline_s = time.monotonic() + 5
+    while not says(samples) and time.monotonic() < deadline_s:
+        samples += source.read()
+    return [sample.raw.tolist() for sample in samples]
+
+
+def test_rest_is_silence_and_half_a_state_is_none(nodes: Nodes) -> None:
+    (device,) = nodes(MOUSE)
+    source = SpaceMouseSource()
+    source.open()
+    begun_s = time.monotonic()
+    assert read_until(source, bool) == [[0.0] * 8] and time.monotonic() - begun_s > SILENT_S
+    source.open()
+    first, second, _ = reports((1, 2, 3, 4, 5, 6), 0)
+    device.send(first)
+    assert source.read() == []
+    device.send(second)
+    assert read_until(source, bool) == [[1, 2, 3, 4, 5, 6, 0, 0]]
+    source.close()
+
+
+def test_of_a_receivers_nodes_the_one_that_moves_is_read_then_and_later(nodes: Nodes, monkeypatch) -> None:
+    receiver = "HID_ID=0003:0000256F:0000C652\nHID_NAME=Universal Receiver\nHID_PHYS=usb-3/input"
+    ends = nodes(*[f"{receiver}{n}\n" for n in range(3)])
+    source = SpaceMouseSource()
+    with pytest.raises(LostSensorError, match=r"Universal Receiver, usb-3/input2"):
+        source.open()
+    ends[0].close()
+    ends[1].send(reports((5, 0, 0, 0, 0, 0), 0, "six")[0])
+    source.open()
+    source.open()  # plugged in again: nobody is asked to move it
+    ends[1].send(reports((0,) * 6, 0, "six")[0])
+    assert read_until(source, bool) == [[0.0] * 8]
+    source.close()
+
+
+@pytest.mark.parametrize(
+    ("facts", "descriptor", "is_one"),
+    [
+        (MOUSE, b"", True),
+        (KEYBOARD, b"", False),
+        (KEYBOARD, b"\x05\x01\x09\x08", True),  # of another maker, but that is what it is
+        (MOUSE, b"\x05\x01\x09\x06", False),  # a keyboard of the same maker
+    ],
+)
+def test_a_spacemouse_is_what_the_kernel_says_it_is(facts, descriptor, is_one, nodes: Nodes, tmp_path: Path) -> None:
+    nodes(facts, descriptor=descriptor)
+    assert find_spacemice() == ["/dev/hidraw0"] * is_one
+    link = tmp_path / "linked"
+    link.symlink_to("/dev/hidraw0")
+    for named in () if is_one else ("/dev/hidraw0", str(link)):
+        with pytest.raises(WrongSensorError, match=facts.split("=")[-1].strip()):
+            SpaceMouseSource(named).open()
 
 
 def test_no_device_says_what_to_do(tmp_path: Path) -> None:
