@@ -20,7 +20,7 @@ type Kind = Literal["numbers", "text"] | Mapping[str, Kind]  # "*" stands for ev
 
 CHUNK = r"chunk-\d+/file-\d+"
 DATASET_FILES = re.compile(
-    rf"(data|meta/episodes)/{CHUNK}\.parquet|meta/tasks\.parquet|meta/(info|stats)\.json|{re.escape(HASHES)}|"
+    rf"(data|meta/episodes)/{CHUNK}\.parquet|meta/tasks\.parquet|meta/(info|stats|rig)\.json|{re.escape(HASHES)}|"
     rf"videos/[\w.-]+/{CHUNK}\.mp4|raw/\w+/episode_\d+\.mp4|cards/episode_\d+\.json"
 )
 POLICY_FILES = re.compile(
@@ -42,6 +42,7 @@ CARD: Kind = {  # of an episode
     **dict.fromkeys(("episode", "pauses", "held_s", "peak_force_N", "ticks", "guards", "sensors"), "numbers"),
     "settings": SETTINGS,
 }
+RIG: Kind = {"stretches": "numbers"}  # settings of the rig; their texts name devices
 FEATURE: Kind = {
     "dtype": "text",
     "shape": "numbers",
@@ -101,7 +102,7 @@ def stage_dataset(root: Path, staged: Path) -> list[str]:
     for name in names:
         target = staged / name
         target.parent.mkdir(parents=True, exist_ok=True)
-        kind = CARD if name.startswith("cards/") else {"meta/info.json": INFO}.get(name)
+        kind = CARD if name.startswith("cards/") else {"meta/info.json": INFO, "meta/rig.json": RIG}.get(name)
         if kind is None or not _write_allowed(root / name, target, kind):
             target.symlink_to((root / name).resolve())
     if (hashes := read_hashes(root, DatasetError)) is None:
