@@ -12,7 +12,6 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from benchmarks.ledger import update
 from uniforce_cli.boundary import command
 from uniforce_vtla.errors import ContractError, expected
 
@@ -87,7 +86,7 @@ class StopMutationsConfig:
     """
 
     only: str = ""  # part of the names to try; all when empty
-    out: str = "outputs/trust.json"  # the result file; only its key ``stop_mutations`` changes
+    out: str = "outputs/trust.json"  # the result file; only its key ``sessions`` changes
 
 
 def notice(name: str) -> str:
@@ -117,15 +116,17 @@ def notice(name: str) -> str:
 @command(StopMutationsConfig)
 def main(config: StopMutationsConfig) -> int:
     """Try all, write the table, print the survivors; 1 where there are any."""
+    from benchmarks.trust.stop_sessions import store  # imports the package, which a mutation must do first
+
     names = [name for name in MUTATIONS if config.only in name]
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(2, mp_context=context, max_tasks_per_child=1) as pool:
         found = tqdm(pool.map(notice, names), total=len(names), desc="mutations")
         table = dict(zip(names, found, strict=True))
     survivors = [name for name, found in table.items() if not found]
-    row = {"tried": len(table), "noticed": len(table) - len(survivors), "survivors": survivors, "table": table}
-    path = update(Path(config.out), "stop_mutations", row)
-    print(f"{row['noticed']} of {row['tried']} noticed; survivors: {survivors or 'none'}; written to {path}")
+    noticed = len(table) - len(survivors)
+    path = store(Path(config.out), {"mutations": [noticed, len(table)], "mutation_table": table})
+    print(f"{noticed} of {len(table)} noticed; survivors: {survivors or 'none'}; written to {path}")
     return int(bool(survivors))
 
 

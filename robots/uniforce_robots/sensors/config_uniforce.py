@@ -83,8 +83,8 @@ class SampledCameraConfig(CameraConfig):
     source: str = ""  # where it is
     max_age_ms: float = 200.0  # an older sample is refused; 6 frames at 30 fps
     connect_ms: float = 5000.0  # the first sample must come within
-    # equal samples in a row that mean a frozen sensor. 8: the arm is held .5 s after at most, at 30 fps
-    frozen_after: int = 8
+    # equal samples in a row that mean a frozen sensor. 6: .2 s at 30 fps, and the loop must look yet
+    frozen_after: int = 6
     # counter-clockwise, below 360; taxels by quarters. See `uniforce touch check=orientation` and check=angle
     rotation_deg: float = 0.0
 
