@@ -39,6 +39,7 @@ class HostileConfig:
 def attack(faults: list[str], times: int, folder: Path) -> list[dict[str, Any]]:
     """Run what is lacking and return all rows; a trial that hangs is a row too, and the next gets a new process."""
     address = f"127.{os.getpid() % 250 + 1}.{os.getpid() // 250 % 250}.2"
+    folder.mkdir(parents=True, exist_ok=True)
     rows, log = Ledger(folder), folder / "trials.log"
     with tqdm(total=len(_lacking(rows.read(ROWS), faults, times)), desc="trials") as bar:
         while lacks := _lacking(rows.read(ROWS), faults, times):

@@ -26,6 +26,8 @@ from uniforce_vtla.errors import RobotError
 
 TICK_s = 0.01
 BRAKE_s = 0.4  # after a stop; from then on nothing may move
+# The stand-in's arm swings out on its spring, and its clock is slow on a busy computer.
+STANDIN_BRAKE_s = 1.0
 STILL_m, STILL_rad = 0.001, np.radians(1.0)
 READING_s = 0.1  # between two readings of the hand
 GUIDED_m_s = np.array([-0.1, 0.05, -0.02])  # how a person leads the arm by hand, out of its box soon
@@ -38,7 +40,8 @@ FINGERS = HandSettings(speed_m_s=0.02)
 class Watch:
     """Compare where the robot is with where it was when a stop was over, until a new wish comes."""
 
-    def __init__(self) -> None:
+    def __init__(self, brake_s: float = BRAKE_s) -> None:
+        self._brake_s = brake_s
         self.violations: list[str] = []
         self.moves = 0  # looks at which it had moved since the one before
         self._seen: tuple[np.ndarray, float] | None = None
@@ -63,7 +66,7 @@ class Watch:
         if by_hand:
             self._rest = None
             return
-        if self._since_s is None or now_s - self._since_s < BRAKE_s:
+        if self._since_s is None or now_s - self._since_s < self._brake_s:
             return
         if self._rest is None:
             self._rest = pose.copy(), width_m
@@ -297,7 +300,7 @@ class StandInWorld:
     orders = ("reflex", "user_stop", "guide", "release")
 
     def __init__(self, address: str) -> None:
-        self.watch = Watch()
+        self.watch = Watch(STANDIN_BRAKE_s)
         self.fci = StandIn(address)
         self._folder = tempfile.TemporaryDirectory()
         self._is_led = False
