@@ -7,7 +7,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -66,14 +65,6 @@ def fault_within(use: Callable[[], object], seconds: float = PATIENCE_s) -> str:
     raise AssertionError(f"no fault within {seconds} s")
 
 
-def reach(arm: Arm, fci: StandIn, goal: np.ndarray, tolerance_m: float = 2e-3) -> None:
-    def arrived() -> bool:
-        arm.set_target(goal)  # again and again: a target that is not repeated is let go of
-        return bool(np.abs(fci.do("look")["arm"]["position_m"] - goal[:3, 3]).max() < tolerance_m)
-
-    wait_until(arrived, PATIENCE_s, "the target")
-
-
 def assert_still(fci: StandIn) -> None:
     """Assert that the arm rests a fifth of a second of its own time after now; it brakes within a tenth."""
     begun = fci.do("look")["arm"]["milliseconds"]
@@ -90,7 +81,12 @@ def test_connecting_moves_nothing_a_target_is_reached_and_stop_rests(arm: Arm, f
     assert state.mode == "idle" and not shown["moving"]
     goal = state.ee_to_base.copy()
     goal[:3, 3] += [0.005, 0, -0.01]
-    reach(arm, fci, goal)
+
+    def arrived() -> bool:
+        arm.set_target(goal)  # again and again: a target that is not repeated is let go of
+        return bool(np.abs(fci.do("look")["arm"]["position_m"] - goal[:3, 3]).max() < 2e-3)
+
+    wait_until(arrived, PATIENCE_s, "the target")
     wait_until(lambda: arm.state().mode == "move", PATIENCE_s, "the mode")
     arm.stop()
     assert_still(fci)
@@ -172,9 +168,6 @@ def test_the_hand_opens_grasps_and_fails_to_one_command_at_a_time(config: Unifor
     time.sleep(0.1)
     assert fci.do("look")["hand"]["width_m"] == stopped_m
     requests = [r for r in fci.wire() if r["what"] == "request" and r["device"] == "hand"]
-    asked = ["CONNECT", "GRASP", "MOVE", "GRASP", "STOP", "MOVE", "STOP"]
-    commands = [r["command"] for r in requests]
-    assert [one for one, _ in groupby(commands)] == asked, "a stop is repeated until it is obeyed"
     assert {r["command"] for r in requests if r["busy"]} == {"STOP"}, "nothing else interrupts a command"
 
 
