@@ -47,22 +47,17 @@ def test_it_records_exactly_what_was_asked_for(tmp_path: Path) -> None:
     assert not again.kept  # nothing is missing, so nothing is recorded
 
 
-class Unplugged(SimulatedRig):
-    def __init__(self, after: int) -> None:
-        super().__init__(Rehearsal("uskin", "tactip", seed=5, grasps=QUICK))
-        self._left = after
-
-    def frames(self, indenter: str) -> Iterator[RigFrame]:
-        for frame in super().frames(indenter):
-            self._left -= 1
-            if self._left < 0:
-                raise SensorError("unplugged")
-            yield frame
-
-
 def test_a_lost_finger_costs_at_most_a_chunk(tmp_path: Path) -> None:
+    rig = SimulatedRig(Rehearsal("uskin", "tactip", seed=5, grasps=QUICK))
+    frames = rig.frames
+
+    def unplugged(indenter: str) -> Iterator[RigFrame]:
+        yield from itertools.islice(frames(indenter), 32)
+        raise SensorError("unplugged")
+
+    rig.frames = unplugged  # type: ignore[method-assign]
     with pytest.raises(SensorError):
-        rehearse(tmp_path, replace(PLAN, pairs=30), Unplugged(after=32))
+        rehearse(tmp_path, replace(PLAN, pairs=30), rig)
     with PairStore(tmp_path, "uskin", "tactip", NAMES, 15) as store:
         assert 0 < store.counts[0] < 30 and store.counts[0] % PLAN.chunk == 0 and store.next_session == 1
 
