@@ -148,9 +148,6 @@ class RawHand(RawClient):
         super().__init__(address, p.HAND_PORT, p.HAND_HEADER)
         self.greet(version)
 
-    def state(self) -> p.HandState:
-        return decode_hand_state(self.datagram())
-
     def status_of(self, command: int, payload: bytes = b"") -> int:
         return int(p.unpack(struct.Struct("<H"), self.ask(command, payload), "answer of the hand")[0])
 

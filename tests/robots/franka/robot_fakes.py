@@ -24,7 +24,7 @@ class FakeArm:
         self.targets: list[tuple[float, np.ndarray]] = []
         self.fault: RobotError | None = None
         self.stopped_at: list[float] = []
-        self.connected = self.closed = False
+        self.closed = False
         self.follows, self._pulls = True, False
         self.blocks_s = 0.0  # how long its client takes for a reading
         self.success_rate = 1.0
@@ -33,7 +33,7 @@ class FakeArm:
         self.setup = ArmSetup(HAND_TO_FLANGE, 0.0)
 
     def connect(self) -> None:
-        self.connected = True
+        pass
 
     def state(self) -> ArmState:
         if self.fault is not None:
