@@ -9,7 +9,7 @@ from typing import Self
 
 import numpy as np
 
-from uniforce_robots.fr3 import HAND_TO_FLANGE, JOINTS, posture
+from uniforce_robots.fr3 import JOINTS
 from uniforce_robots.standins.fci import protocol as p
 from uniforce_robots.standins.fci.arm import TORQUE_STEP_Nm
 
@@ -143,26 +143,10 @@ class RawArm(RawClient):
         return state
 
 
-def pull_to(target_m: np.ndarray, stiffness_N_m: float = 1000.0) -> Callable[[p.RobotState], p.RobotCommand]:
-    """Return a control law: a damped spring from the hand to a point."""
-
-    def law(state: p.RobotState) -> p.RobotCommand:
-        here = posture(state["q"].astype(float))
-        J = here.jacobian((here.flange_to_base @ HAND_TO_FLANGE)[:3, 3])
-        error = np.concatenate([target_m - state["O_T_EE"][12:15], np.zeros(3)])
-        force = stiffness_N_m * error - np.array([90.0] * 3 + [10.0] * 3) * (J @ state["dq"])
-        return p.RobotCommand(state.message_id, tau_J_d=J.T @ force)
-
-    return law
-
-
 class RawHand(RawClient):
     def __init__(self, address: str, version: int = p.HAND_VERSION) -> None:
         super().__init__(address, p.HAND_PORT, p.HAND_HEADER)
         self.greet(version)
-
-    def state(self) -> p.HandState:
-        return decode_hand_state(self.datagram())
 
     def status_of(self, command: int, payload: bytes = b"") -> int:
         return int(p.unpack(struct.Struct("<H"), self.ask(command, payload), "answer of the hand")[0])

@@ -23,11 +23,9 @@ class FakeArm:
         self.mode = "idle"
         self.targets: list[tuple[float, np.ndarray]] = []
         self.fault: RobotError | None = None
-        self.refusals = 0  # how often it has said so
         self.stopped_at: list[float] = []
-        self.connected = self.closed = False
+        self.closed = False
         self.follows, self._pulls = True, False
-        self.silent_since_s: float | None = None  # its own clock stands still from then on
         self.blocks_s = 0.0  # how long its client takes for a reading
         self.success_rate = 1.0
         self.wrench_N = np.zeros(6)
@@ -35,21 +33,18 @@ class FakeArm:
         self.setup = ArmSetup(HAND_TO_FLANGE, 0.0)
 
     def connect(self) -> None:
-        self.connected = True
+        pass
 
     def state(self) -> ArmState:
         if self.fault is not None:
-            self.refusals += 1
             raise self.fault
         time.sleep(self.blocks_s)
         self.readings += 1
         now = time.monotonic()
-        if self.silent_since_s is None:  # what it repeats is the same pose, too
-            self._move(now)
-        robot_s = now if self.silent_since_s is None else self.silent_since_s
+        self._move(now)
         q_rad = np.full(7, 1e-9 * self.readings)  # encoders never read the same twice
         measured = q_rad, np.zeros(7), self.pose.copy(), self.wrench_N
-        return ArmState(now, robot_s, *measured, self.mode, self.success_rate)
+        return ArmState(now, now, *measured, self.mode, self.success_rate)
 
     def set_target(self, ee_to_base: np.ndarray) -> None:
         if self.fault is not None:
@@ -67,7 +62,6 @@ class FakeArm:
     def stop(self, at_once: bool = False) -> None:
         self._pulls = False
         self.stopped_at.append(time.monotonic())
-        self.stopped_at_once = at_once
 
     def recover(self) -> None:
         self.fault, self.mode = None, "idle"

@@ -55,20 +55,6 @@ def test_what_must_not_be_sent(name: str) -> None:
     assert caught.value.fault == "guard"
 
 
-def test_out_of_the_box_only_inwards() -> None:
-    low = GuardLimits(low=(0.46, -0.3, 0.005, -1.5, 0.0))
-    SendCheck(low)(pose(0.001), pose(), 0.0)
-    with pytest.raises(RobotError, match="box"):
-        SendCheck(low)(pose(-0.001), pose(), 0.0)
-
-
-def test_letting_go_is_allowed_from_any_distance() -> None:
-    check = SendCheck(LIMITS)
-    check(pose(), pose(), 0.0)
-    check(pose(0, 0, -0.02), pose(0, 0, -0.001), 0.1)
-    check(pose(0, 0, -0.001), pose(0, 0, -0.001), 0.11)
-
-
 def axes(pose: ToolPose) -> np.ndarray:
     return np.array([*pose.position_m, pose.yaw_rad])
 
@@ -110,10 +96,6 @@ def test_a_pose_comes_back(yaw: float, tilt: tuple[float, float, float]) -> None
     np.testing.assert_allclose(again.position_m, pose.position_m)
     np.testing.assert_allclose(again.tilt_rad, tilt, atol=1e-12)
     assert again.yaw_rad == pytest.approx(yaw)
-    R = ToolPose(pose.position_m, yaw).ee_to_base()[:3, :3]
-    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
-    assert np.linalg.det(R) == pytest.approx(1) and R[2, 2] == pytest.approx(-1), "the tool points down"
-    np.testing.assert_allclose(R[:, 1], [np.cos(yaw), np.sin(yaw), 0], atol=1e-12)  # the fingers close along y
 
 
 def test_yaw_of_the_arms_home_is_a_quarter_turn_and_zero_lies_within_joint_7() -> None:
@@ -138,7 +120,6 @@ def test_the_closing_axis_is_the_stiff_one_however_the_hand_is_turned(yaw: float
     np.testing.assert_allclose(K[:3, :3] @ closing, 2000 * closing, atol=1e-9)
     across = np.array([-closing[1], closing[0], 0])
     np.testing.assert_allclose(K[:3, :3] @ across, 200 * across, atol=1e-9)
-    np.testing.assert_allclose(K, K.T, atol=1e-9)
     assert not K[:3, 3:].any()
 
 
@@ -162,29 +143,13 @@ def fault(*states: ArmState) -> str:
     return ""
 
 
-def with_number(array: np.ndarray, number: float) -> np.ndarray:
-    changed = array.copy()
-    changed.flat[-2] = number
-    return changed
-
-
 C, S = np.cos(0.3), np.sin(0.3)
 TURNED = np.array([[C, -S, 0, 0], [S, C, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
-FAST = np.full(7, 4.0)
-WRONG = [  # readings in order, and the fault of the last one
-    *(
-        ([replace(START, **{name: with_number(getattr(START, name), number)})], "bad_state")
-        for name in ("ee_to_base", "q_rad", "dq_rad_s")
-        for number in (np.nan, np.inf, -np.inf)
-    ),
-    ([replace(START, wrench_N=with_number(START.wrench_N, np.nan))], "force"),
-    *(([replace(START, ee_to_base=np.diag([1.0, 1.0, z, 1.0]))], "bad_state") for z in (0.5, -1.0)),
-    ([START, moved(START, -0.005)], "bad_state"),  # a clock that runs backwards
-    *(([START, moved(START, after_s, 0.1)], "jump") for after_s in (0.001, 0.01, 0.5)),
-    *(([START, moved(START, after_s, q_rad=START.q_rad + 0.3)], "jump") for after_s in (0.001, 0.01, 0.5)),
-    ([START, moved(START, 0.01, ee_to_base=TURNED)], "jump"),
-    ([START, moved(START, 0.01, dq_rad_s=FAST)], "speed"),
-    ([replace(START, dq_rad_s=FAST)], "speed"),  # also in the first reading
+JUMPS = {"by_m": 0.1}, {"q_rad": START.q_rad + 0.3}, {"ee_to_base": TURNED}
+WRONG = [  # readings in order, and the fault of the last one; the attack on the chain tries what else there is
+    ([replace(START, ee_to_base=np.diag([1.0, 1.0, 0.5, 1.0]))], "bad_state"),
+    ([replace(START, dq_rad_s=np.full(7, 4.0))], "speed"),  # also in the first reading
+    *(([START, moved(START, after_s, **jump)], "jump") for after_s in (0.001, 0.01, 0.5) for jump in JUMPS),
 ]
 
 

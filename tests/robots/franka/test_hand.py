@@ -155,13 +155,6 @@ def test_commands_never_overlap_and_the_newest_target_wins(bench: Bench) -> None
     assert bench.client.overlaps == 0
 
 
-def test_small_changes_are_no_command(bench: Bench) -> None:
-    for i in range(30):
-        bench.hand.submit(0.06 + 0.0001 * min(i, 20))
-        bench.run(TICK_s)
-    assert len(bench.client.commands) == 1
-
-
 def test_a_command_that_fails_is_tried_again_counted_and_not_fatal() -> None:
     bench = Bench(succeeds=False)
     bench.client.width_m = 0.02
@@ -196,12 +189,6 @@ def test_a_command_without_an_answer_is_a_fault_after_its_travel_and_half_a_seco
     assert bench.run(0.02) == "hand_deadline"
     with pytest.raises(RobotError, match="in time"):
         bench.hand.recover()
-
-
-def test_a_grasp_of_nothing_has_time_to_close_fully() -> None:
-    bench = Bench(takes_s=1.65, succeeds=False)  # 80 mm at 50 mm/s take 1.6 s
-    bench.hand.submit(0.035)
-    assert bench.run(2.0) == "" and bench.hand.failed_commands == 1
 
 
 @pytest.mark.parametrize("width", [float("nan"), float("inf"), -0.01, 0.5])

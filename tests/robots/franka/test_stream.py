@@ -1,14 +1,13 @@
-"""The 100 Hz stream on a fake arm: ramps, watchdog, faults, and that every thread ends."""
+"""The 100 Hz stream on a fake arm: ramps, tilt, what only a fake can do wrong, and that every thread ends.
 
-import subprocess
-import sys
+``test_checks.py`` attacks the same stream with random states and actions, ``test_stops.py`` with whole sessions.
+"""
+
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import replace
-from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -51,89 +50,6 @@ def test_a_ramp_is_straight_and_rests_at_both_ends() -> None:
     assert ramp.at(10.02).yaw_rad == pytest.approx(0.1)
 
 
-def test_nothing_moves_before_the_first_action(arm: FakeArm, stream: ArmStream, eventually: Callable) -> None:
-    first = stream.state.time_s
-    eventually(lambda: stream.state.time_s > first + 0.05)
-    assert not arm.targets
-
-
-def test_an_action_is_reached_through_steps_between(arm: FakeArm, started: Callable, eventually: Callable):
-    stream = started(action_period_s=0.2)
-    stream.submit(away(-0.02))
-    eventually(lambda: bool(arm.targets) and abs(arm.targets[-1][1][2, 3] - 0.28) < 1e-9)
-    stream.stop()
-    z = [pose[2, 3] for _, pose in arm.targets]
-    assert all(a >= b for a, b in pairwise(z)), "never back"
-    assert sum(0.2801 < value < 0.2999 for value in z) >= 2, "it did not jump"
-    begun = arm.targets[0][0]
-    for at, pose in arm.targets:
-        assert abs(0.3 - pose[2, 3]) <= 0.1 * (at - begun) + 0.1 * 0.1, "no faster than the ramp"
-
-
-def test_when_actions_stop_the_target_becomes_the_measured_pose_once(arm, started, eventually) -> None:
-    arm.follows = False  # it presses on something: measured stays above the target
-    stream = started(stale_s=0.2)
-    stream.submit(away(-0.015))
-    submitted = time.monotonic()
-    eventually(lambda: stream.stale_count == 1)
-    eventually(lambda: abs(arm.targets[-1][1][2, 3] - 0.3) < 1e-9)
-    held = next(at for at, pose in arm.targets if at > submitted + 0.1 and abs(pose[2, 3] - 0.3) < 1e-9)
-    assert held - submitted >= 0.2
-    arm.pose[2, 3] = 0.296  # pushed down: the target must not follow
-    count = len(arm.targets)
-    eventually(lambda: len(arm.targets) > count + 5)
-    assert arm.targets[-1][1][2, 3] == pytest.approx(0.3) and stream.stale_count == 1
-    stream.submit(away(-0.02))
-    eventually(lambda: abs(arm.targets[-1][1][2, 3] - 0.28) < 1e-9)
-
-
-@pytest.mark.parametrize("mode, fault", [("reflex", "reflex"), ("user_stopped", "user_stop"), ("guiding", "guiding")])
-def test_a_stopped_arm_ends_the_stream_by_name(arm, stream, eventually, mode, fault) -> None:
-    stream.submit(away(-0.01))
-    arm.mode = mode
-    eventually(lambda: stream.fault is not None)
-    eventually(lambda: bool(arm.stopped_at))
-    count = len(arm.targets)
-    for use in (lambda: stream.submit(away(0.0)), lambda: stream.state):
-        with pytest.raises(RobotError) as caught:
-            use()
-        assert caught.value.fault == fault
-    time.sleep(0.05)
-    assert len(arm.targets) == count, "no target after the fault"
-
-
-def test_a_lost_arm_is_let_go_within_a_tick(arm: FakeArm, stream: ArmStream, eventually: Callable) -> None:
-    stream.submit(away(-0.01))
-    arm.fault = RobotError("gone", "connection")
-    eventually(lambda: bool(arm.stopped_at))
-    assert stream.fault is arm.fault
-    assert arm.refusals <= 2, "a tick in which it was lost, and one look for a better reason"
-
-
-def test_a_robot_that_says_nothing_new_is_gone(arm: FakeArm, started: Callable, eventually: Callable) -> None:
-    stream = started(state_age_s=0.2)
-    stream.submit(away(-0.01))
-    begun = arm.silent_since_s = time.monotonic()
-    eventually(lambda: bool(arm.stopped_at))
-    assert arm.stopped_at[0] - begun > 0.19, "not at once: a reading may repeat"
-    with pytest.raises(RobotError, match="new states") as caught:
-        _ = stream.state
-    assert caught.value.fault == "connection"
-
-
-def test_holding_takes_the_measured_pose_at_once(arm: FakeArm, stream: ArmStream, eventually: Callable):
-    stream.hold()
-    assert not arm.targets, "nothing to hold before the first action"
-    arm.follows = False
-    stream.submit(away(-0.01))
-    eventually(lambda: bool(arm.targets))
-    stream.hold()
-    count = len(arm.targets)
-    eventually(lambda: len(arm.targets) > count + 2)
-    np.testing.assert_allclose(arm.targets[-1][1], arm.pose, atol=1e-9)
-    assert stream.stale_count == 0
-
-
 def test_a_mistake_in_a_backend_lets_the_arm_go_too(arm: FakeArm, stream: ArmStream, eventually: Callable):
     arm.set_target = lambda pose: 1 / 0  # type: ignore[method-assign]
     stream.submit(away(-0.01))
@@ -150,15 +66,6 @@ def test_late_commands_are_logged_once(arm, stream, eventually, caplog) -> None:
     assert sum("in time" in record.message for record in caplog.records) == 1
 
 
-def test_after_the_end_nothing_is_taken(arm: FakeArm, stream: ArmStream) -> None:
-    stream.stop()
-    stream.stop()
-    assert arm.stopped_at
-    with pytest.raises(RobotError) as caught:
-        stream.submit(away(0.0))
-    assert caught.value.fault == "ended" and not arm.targets
-
-
 def test_an_old_reading_is_not_given_out(arm: FakeArm) -> None:
     stream = ArmStream(arm, StreamSettings(state_age_s=0.05))
     stream.start()
@@ -167,34 +74,6 @@ def test_an_old_reading_is_not_given_out(arm: FakeArm) -> None:
     with pytest.raises(RobotError, match="younger") as caught:
         _ = stream.state
     assert caught.value.fault == "stale"
-
-
-@pytest.mark.slow
-def test_a_program_that_forgets_to_disconnect_still_ends(tmp_path) -> None:
-    program = tmp_path / "forgetful.py"
-    program.write_text(
-        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
-        "from robot_fakes import FakeArm\n"
-        "from uniforce_robots.franka.stream import ArmStream\n"
-        "arm = FakeArm(); stream = ArmStream(arm); stream.start()\n"
-        "raise SystemExit(3)\n"
-    )
-    assert subprocess.run([sys.executable, str(program)], timeout=240).returncode == 3
-
-
-@pytest.mark.parametrize("fault", ["bad_state", "force", "jump"])
-def test_a_reading_that_cannot_be_ends_the_stream_by_name(arm, stream, eventually, fault) -> None:
-    stream.submit(away(-0.01))
-    eventually(lambda: bool(arm.targets))
-    pose = arm.pose.copy()
-    if fault == "force":
-        arm.wrench_N = np.full(6, np.nan)
-    else:
-        pose[0, 3] = np.nan if fault == "bad_state" else pose[0, 3] + 0.1
-        arm.follows, arm.pose = False, pose
-    eventually(lambda: bool(arm.stopped_at))
-    assert stream.fault is not None and stream.fault.fault == fault
-    assert all(np.isfinite(target).all() for _, target in arm.targets)
 
 
 class WatchedHand(Hand):
@@ -213,18 +92,7 @@ class WatchedHand(Hand):
         self.stops.append("halt")
 
 
-def test_a_hand_at_fault_ends_the_stream_and_every_end_stops_the_hand(arm, started, eventually):
-    hand = WatchedHand()
-    stream = started(hand)
-    stream.submit(away(-0.01))
-    hand.hangs = True
-    eventually(lambda: bool(arm.stopped_at))
-    assert hand.stops == ["halt"]
-    with pytest.raises(RobotError, match="the hand hangs"):
-        stream.submit(away(0.0))
-
-
-def test_a_hold_and_the_watchdog_stop_the_hand(started, eventually):
+def test_a_hold_the_watchdog_and_every_end_stop_the_hand_and_its_fault_ends_the_stream(arm, started, eventually):
     hand = WatchedHand()
     stream = started(hand, stale_s=0.2)
     stream.hold()
@@ -232,6 +100,11 @@ def test_a_hold_and_the_watchdog_stop_the_hand(started, eventually):
     stream.submit(away(-0.01))
     eventually(lambda: stream.stale_count == 1)
     assert hand.stops == ["stop"] * 2
+    hand.hangs = True
+    eventually(lambda: bool(arm.stopped_at))
+    assert hand.stops[2:] == ["halt"]
+    with pytest.raises(RobotError, match="the hand hangs"):
+        stream.submit(away(0.0))
 
 
 def tilted(pose: ToolPose, by_rad: float) -> np.ndarray:
@@ -266,31 +139,6 @@ def test_staying_never_turns_a_hand_and_a_wished_way_levels_it(arm: FakeArm) -> 
     tilts = [float(np.linalg.norm(ToolPose.from_ee(target).tilt_rad)) for _, target in arm.targets]
     assert tilts[:90] == pytest.approx([0.1] * 90), "a wish to stay"
     assert tilts[-1] == pytest.approx(0.1 - 0.0013 * 29, abs=2e-3), "1 rad along each metre"
-
-
-def test_halting_does_not_wait_for_a_client_that_blocks(arm: FakeArm, stream: ArmStream) -> None:
-    arm.blocks_s = 0.5
-    time.sleep(0.1)
-    begun = time.monotonic()
-    stream.halt(RobotError("no", "action"))
-    with pytest.raises(RobotError, match="no"):
-        stream.submit(away(0.0))
-    assert time.monotonic() - begun < 0.3
-    arm.blocks_s = 0.0
-
-
-def test_the_speed_limit_holds_also_for_a_far_target_and_a_late_thread(arm: FakeArm) -> None:
-    now = [100.0]
-    arm.follows = False
-    stream = ArmStream(arm, StreamSettings(state_age_s=1.0, stale_s=1.0), clock=lambda: now[0])
-    stream.read_first()
-    stream.submit(away(-0.045))
-    for wait_s in (0.0, 0.01, 0.01, 0.5, 0.01, 0.01):
-        now[0] += wait_s
-        stream.tick()
-    z = [pose[2, 3] for _, pose in arm.targets]
-    steps = [a - b for a, b in pairwise(z)]
-    assert steps == pytest.approx([0.0025, 0.0025, 0.025, 0.0025, 0.0025], abs=1e-9), "0.25 m/s, 0.1 s at most"
 
 
 def test_start_comes_first() -> None:

@@ -110,7 +110,7 @@ class Sway(Teleoperator):
     def __init__(self, config: SwayConfig) -> None:
         super().__init__(config)
         self.width_m = config.width_m
-        self.starts: list[dict[str, float]] = []
+        self.starts: list[dict[str, float]] = []  # LeRobot's own commands know no start
         self.error: Exception | None = None
         self.calls = 0
 
@@ -137,7 +137,7 @@ class Sway(Teleoperator):
         if self.error is not None:
             raise self.error
         self.calls += 1
-        start = self.starts[-1]
+        start = self.starts[-1] if self.starts else dict.fromkeys(AXES, 0.0)
         return {**start, "x.pos": start["x.pos"] + 0.01 * np.sin(self.calls / 5), "width.pos": self.width_m}
 
 

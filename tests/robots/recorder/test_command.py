@@ -1,7 +1,5 @@
 """``uniforce record`` itself: the scene steered by a teleoperator, and what it refuses."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -74,37 +72,3 @@ def test_a_root_that_cannot_be_ends_before_the_first_episode(words, root, tmp_pa
     assert "folder" in said.err and "Traceback" not in said.err
     assert file.read_text() == "mine"
     assert [path.name for path in full.iterdir() if path.name[0] != "."] == ["letter.txt"]
-
-
-PROGRAM = """
-import sys
-sys.path[:0] = sys.argv[1:4]
-import recording_fakes
-from uniforce_cli.record import main
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[4:]))
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(400)
-def test_kill_9_loses_the_running_episode_at_most(tmp_path: Path) -> None:
-    """Two processes are involved, and the storing one is spawned: a program of its own, not a thread of this."""
-    root, program = tmp_path / "data", tmp_path / "program.py"
-    program.write_text(PROGRAM)
-    paths = [str(Path(__file__).parents[1] / folder) for folder in ("recorder", "franka", "sensors")]
-    words = [*QUICK, f"teleop.calibration_dir={tmp_path}", "teleop.id=a", "reserve_MB=1", f"root={root}"]
-    command = [sys.executable, str(program), *paths, *words]
-    child = subprocess.Popen([*command, "episodes=100"], stdout=subprocess.PIPE, text=True)
-    assert child.stdout is not None
-    stored = 0
-    for line in child.stdout:
-        stored += line.startswith("stored")
-        if stored == 2 and line.startswith("episode "):
-            break
-    child.kill()
-    child.wait()
-    have = open_dataset(root).num_episodes
-    assert have >= stored == 2
-    assert subprocess.run([*command, "episodes=5"], check=False).returncode == 0
-    assert open_dataset(root).num_episodes >= max(have, 5)

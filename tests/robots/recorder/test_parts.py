@@ -15,14 +15,13 @@ from uniforce_datasets.features import dataset_features
 from uniforce_robots.recorder import disk_guard
 from uniforce_robots.recorder.build import read_devices, teleoperator_names
 from uniforce_robots.recorder.disk_guard import DiskGuard
-from uniforce_robots.recorder.faults import DeviceError, StopRequestedError, cause_of, named
-from uniforce_robots.recorder.operators import NOTE_S, Command, Event, KeyOperator, LiveView, Phase, Unattended
+from uniforce_robots.recorder.faults import DeviceError, cause_of, named
+from uniforce_robots.recorder.operators import NOTE_S, Command, Event, KeyOperator, LiveView, Phase
 from uniforce_robots.recorder.rig import FingerTouch, Observation, Picture
 from uniforce_robots.recorder.robot_rig import GarbageWatch
 from uniforce_robots.recorder.steering import Steering
 from uniforce_robots.recorder.ticker import Ticker
-from uniforce_robots.sensors.faults import FrozenSensorError, LostSensorError, StaleSensorError
-from uniforce_robots.sensors.plain_camera import FROZEN_AFTER, PlainCamera
+from uniforce_robots.sensors.faults import LostSensorError
 from uniforce_robots.teleop.keyboard import TerminalKeys
 from uniforce_vtla import errors
 from uniforce_vtla.errors import ContractError
@@ -62,32 +61,19 @@ def fault(kind: Literal["camera", "touch"], device: str, error: errors.SensorErr
 
 
 def test_every_fault_has_a_name_that_datasets_know() -> None:
+    """Those that a session can't be brought to: the rest is seen there."""
     faults = {
         "lost_camera": fault("camera", "front", LostSensorError("x")),
-        "stale_touch": fault("touch", "tactile_left", StaleSensorError("x")),
-        "frozen_touch": fault("touch", "tactile_left", FrozenSensorError("x")),
         "bad_touch": fault("touch", "tactile_left", errors.SensorError("x")),
-        "robot_reflex": errors.RobotError("x", "reflex"),
         "robot_other": errors.RobotError("x", "none of ours"),
-        "teleop": errors.TeleoperatorError("x"),
-        "disk_full": errors.DiskFullError("x"),
         "dropped_frame": errors.DroppedFrameError("x"),
         "storage": errors.DatasetError("x"),
-        "interrupt": StopRequestedError("x"),
-        "other": errors.ContractError("x"),
     }
     assert {name: cause_of(error) for name, error in faults.items()} == {name: name for name in faults}
     assert set(faults) <= set(ABORT_CAUSES) and len(set(ABORT_CAUSES)) == len(ABORT_CAUSES)
 
 
-def test_steering_speaks_arrays_and_one_kind_of_error(tmp_path: Path) -> None:
-    teleop = sway(tmp_path)
-    steering = Steering(teleop)
-    steering.connect()
-    start = np.array([0.4, 0.0, 0.3, 0.0, 0.08])
-    steering.start_from(start)
-    assert teleop.starts == [dict(zip(AXES, start.tolist(), strict=True))]
-    assert steering.target(start).shape == (5,)
+def test_a_teleoperator_of_other_axes_is_refused(tmp_path: Path) -> None:
     with pytest.raises(errors.ContractError, match=r"x\.pos"):
         Steering(Joints(SwayConfig(id="test", calibration_dir=tmp_path)))
 
@@ -188,44 +174,6 @@ def test_the_mode_stands_on_the_screen() -> None:
     view.show(seen(1.0), 30)
 
 
-class Lerobots:
-    """As LeRobot's cameras are: newest frame, its stamp, errors of their own."""
-
-    def __init__(self) -> None:
-        self.latest_timestamp = 1.0
-        self.height = self.width = 8
-        self.frame = np.zeros((8, 8, 3), np.uint8)
-        self.error: Exception | None = None
-
-    def read_latest(self, max_age_ms: int) -> np.ndarray:
-        if self.error is not None:
-            raise self.error
-        return self.frame
-
-
-def test_an_ordinary_camera_is_stamped_counted_and_watched() -> None:
-    camera = Lerobots()
-    plain = PlainCamera("front", camera)  # type: ignore[arg-type]
-    assert (plain.picture().index, plain.picture().index) == (0, 0), "the same frame again"
-    camera.latest_timestamp, camera.frame = 2.0, camera.frame + 1
-    picture = plain.picture()
-    assert (picture.index, picture.time_s) == (1, 2.0)
-    with pytest.raises(FrozenSensorError, match="front"):
-        for stamp in range(3, 4 + FROZEN_AFTER):
-            camera.latest_timestamp = float(stamp)
-            plain.picture()
-
-
-def test_its_errors_are_ours_and_one_of_unknown_age_is_refused() -> None:
-    camera = Lerobots()
-    kinds = {TimeoutError("old"): StaleSensorError, RuntimeError("thread"): LostSensorError}
-    for camera.error, kind in kinds.items():
-        with pytest.raises(kind, match="front"):
-            PlainCamera("front", camera).picture()  # type: ignore[arg-type]
-    with pytest.raises(errors.ContractError, match="latest_timestamp"):
-        PlainCamera("front", object())  # type: ignore[arg-type]
-
-
 def test_every_teleoperator_can_be_named() -> None:
     """Naming one of ours needs no settings; one of LeRobot's, where loaded, may say which it needs."""
     names = teleoperator_names()
@@ -299,15 +247,6 @@ def test_no_terminal_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin.isatty", lambda: False, raising=False)
     with pytest.raises(ContractError, match="operator=unattended"):
         KeyOperator().start()
-
-
-def test_unattended() -> None:
-    rule = Unattended("residual")
-    said = {phase: [e.command for e in rule.poll(phase)] for phase in Phase}
-    assert said[Phase.WAITING] == [Command.GO] and said[Phase.JUDGING] == [Command.RESIDUAL]
-    assert not said[Phase.RUNNING] and not rule.is_attended
-    with pytest.raises(ContractError, match="verdict"):
-        Unattended("great")
 
 
 def test_a_real_terminal(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -99,18 +99,13 @@ def test_a_killed_process_is_an_error_and_loses_the_running_episode_only(store: 
 
 
 @pytest.mark.slow
-def test_what_is_wrong_at_the_start_is_raised(tmp_path: Path, demos_of_other_columns: Path) -> None:
-    settings = StoreSettings(demos_of_other_columns, "local/test")
+def test_what_is_wrong_at_the_start_is_raised(tmp_path: Path) -> None:
+    settings = StoreSettings(record_synthetic(tmp_path / "other", 1, 2), "local/test")
     with closing(StoreProcess(FACTS, settings)) as store, pytest.raises(DatasetError, match="features"):
         assert store.num_episodes
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(DatasetError, match="empty folder"):
         StoreProcess(FACTS, StoreSettings(tmp_path, "local/test"))
-
-
-@pytest.fixture
-def demos_of_other_columns(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return record_synthetic(tmp_path_factory.mktemp("other") / "data", 1, 2)
 
 
 def test_one_that_is_not_ready_ends_at_once(tmp_path: Path) -> None:

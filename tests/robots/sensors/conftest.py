@@ -7,10 +7,12 @@ import pytest
 
 from uniforce_robots.sensors.reader import ReaderLimits, SampleReader, SampleSource
 from uniforce_robots.standins.process import StandIn
+from uniforce_robots.standins.scene import Scene, taxel_cycle
 from uniforce_vtla.errors import SensorError
 
 OUTCOME_S = 0.5  # a fault must show within this on a machine that has time for us
 TIMES = 10  # each fault is injected
+RATE_HZ = 100.0  # of the stand-ins of tests/robots/conftest.py
 
 
 @pytest.fixture(scope="session")
@@ -74,6 +76,22 @@ def fails_and_recovers(outcome: Callable, recovers: Callable) -> Callable[..., N
             stand_in.inject("none")
             recovers(lambda: newest(1e4))
             wait_newer(newest(1e4).index, 60_000)
+
+    return check
+
+
+@pytest.fixture
+def costs_no_scan() -> Callable[..., None]:
+    """Return a function that injects a fault ten times, and sees that every scan is one of the stand-in's."""
+    truth = {scan.tobytes() for scan in taxel_cycle(Scene(), RATE_HZ)}
+
+    def check(stand_in: StandIn, fault: str, reader: SampleReader) -> None:
+        for _ in range(TIMES):
+            stand_in.inject(fault)
+            before = reader.newest(1e4).index
+            reader.wait_newer(before + 5, 30_000)
+            assert all(scan.tobytes() in truth for _, scan in reader.since(before))
+            stand_in.inject("none")
 
     return check
 

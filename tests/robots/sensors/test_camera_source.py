@@ -4,10 +4,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import cv2
-import draccus
 import numpy as np
 import pytest
-from lerobot.cameras.configs import CameraConfig
 from scripted import ScriptedCapture
 
 from uniforce_robots.sensors import (
@@ -17,11 +15,10 @@ from uniforce_robots.sensors import (
     camera_source,
 )
 from uniforce_robots.sensors.camera_source import FAILED_READS, CameraSource, open_capture
-from uniforce_robots.sensors.faults import FrozenSensorError, LostSensorError, WrongSensorError
+from uniforce_robots.sensors.faults import LostSensorError, WrongSensorError
 from uniforce_robots.sensors.finger import middle
 from uniforce_robots.sensors.mjpeg import StreamSource
 from uniforce_robots.sensors.reader import now_ns
-from uniforce_vtla.errors import ContractError, SensorError
 
 SIZE = {"capture_width": 64, "capture_height": 48}
 
@@ -147,20 +144,3 @@ def test_the_middle_is_cut_out_and_made_smaller() -> None:
 @pytest.mark.parametrize(("aspect", "shape"), [(1.0, (48, 48)), (2.0, (32, 64)), (4 / 3, (48, 64))])
 def test_the_middle_is_the_largest_one(aspect: float, shape: tuple[int, int]) -> None:
     assert middle(np.zeros((48, 64, 3), np.uint8), aspect).shape[:2] == shape
-
-
-@pytest.mark.parametrize(("what", "kind"), [("changes", FrozenSensorError), ("works", LostSensorError)])
-def test_a_camera_that_is_not_well(what: str, kind: type[SensorError], outcome: Callable) -> None:
-    capture = ScriptedCapture()
-    with camera(capture) as device:
-        setattr(capture, what, False)
-        outcome(lambda: device.read_latest(), kind)
-
-
-def test_its_config_goes_through_a_file_and_needs_a_source() -> None:
-    written = {"type": "uniforce_scene", "source": "http://x", "width": 224, "height": 224}
-    read = draccus.decode(CameraConfig, written)
-    assert isinstance(read, UniforceSceneCameraConfig)
-    assert draccus.decode(CameraConfig, draccus.encode(read, CameraConfig)) == read
-    with pytest.raises(ContractError, match="source"):
-        UniforceSceneCameraConfig()

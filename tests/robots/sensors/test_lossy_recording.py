@@ -9,18 +9,18 @@ from typing import Any
 import av
 import numpy as np
 import pytest
+import recording_fakes  # noqa: F401  registers the teleoperator recording_test
 from lerobot.cameras import CameraConfig, make_cameras_from_configs
 from lerobot.robots import Robot, RobotConfig
 from lerobot.scripts import lerobot_record
-from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
 
 import uniforce_robots.sensors  # noqa: F401  (registers the cameras)
 from uniforce_robots.sensors.lossy_recording import LOSSLESS
 from uniforce_robots.standins.process import StandIn
 from uniforce_vtla.errors import DatasetError
+from uniforce_vtla.keys import AXES
 
 HERE = "still_devices"  # LeRobot imports a device from its config's module
-AXIS: dict[str, Any] = {"x.pos": float}
 
 
 @RobotConfig.register_subclass("still_robot")
@@ -29,24 +29,18 @@ class StillRobotConfig(RobotConfig):
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
 
 
-@TeleoperatorConfig.register_subclass("still_hand")
-@dataclass(kw_only=True)
-class StillHandConfig(TeleoperatorConfig):
-    pass
-
-
-class Still:
-    """What LeRobot asks of robot and teleoperator alike."""
-
-    config_class: Any
-    action_features = AXIS
-    feedback_features: dict[str, Any] = {}  # noqa: RUF012
+class StillRobot(Robot):
+    config_class, name = StillRobotConfig, "still_robot"
+    action_features: dict[str, Any] = dict.fromkeys(AXES, float)
     is_calibrated, is_connected = True, False
-    cameras: dict[str, Any] = {}  # noqa: RUF012
 
-    def calibrate(self, *_: object) -> None: ...
+    def __init__(self, config: StillRobotConfig) -> None:
+        super().__init__(config)
+        self.cameras = make_cameras_from_configs(config.cameras)
 
-    configure = send_feedback = calibrate
+    def calibrate(self) -> None: ...
+
+    configure = calibrate
 
     def connect(self, calibrate: bool = True) -> None:
         for camera in self.cameras.values():
@@ -58,27 +52,12 @@ class Still:
             camera.disconnect()
         self.is_connected = False
 
-    def get_action(self) -> dict[str, float]:
-        return {"x.pos": 0.0}
-
-
-class StillHand(Still, Teleoperator):
-    config_class, name = StillHandConfig, "still_hand"
-
-
-class StillRobot(Still, Robot):
-    config_class, name = StillRobotConfig, "still_robot"
-
-    def __init__(self, config: StillRobotConfig) -> None:
-        super().__init__(config)
-        self.cameras = make_cameras_from_configs(config.cameras)
-
     @property
     def observation_features(self) -> dict[str, Any]:
-        return AXIS | {name: (c.height, c.width, 3) for name, c in self.cameras.items()}
+        return self.action_features | {name: (c.height, c.width, 3) for name, c in self.cameras.items()}
 
     def get_observation(self) -> dict[str, Any]:
-        return {"x.pos": 0.0} | {name: c.read_latest(60_000) for name, c in self.cameras.items()}
+        return dict.fromkeys(AXES, 0.0) | {name: c.read_latest(60_000) for name, c in self.cameras.items()}
 
     def send_action(self, action: dict[str, float]) -> dict[str, float]:
         return action
@@ -88,8 +67,7 @@ class StillRobot(Still, Robot):
 def record(mjpeg: StandIn, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Path]:
     """Run ``lerobot-record`` for half a second with more flags; return the dataset's folder."""
     monkeypatch.setitem(sys.modules, HERE, sys.modules[__name__])
-    for kind in (StillRobotConfig, StillHandConfig):
-        monkeypatch.setattr(kind, "__module__", HERE)
+    monkeypatch.setattr(StillRobotConfig, "__module__", HERE)
 
     def run(*flags: str, delivers: str = "markers") -> Path:
         camera = (
@@ -98,7 +76,7 @@ def record(mjpeg: StandIn, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> C
             "reference_on_connect: false}"
         )
         devices = ["--robot.type=still_robot", f"--robot.cameras={{tactile_right: {camera}}}"]
-        paths = ["--robot.id=a", f"--robot.calibration_dir={tmp_path}", "--teleop.type=still_hand"]
+        paths = ["--robot.id=a", f"--robot.calibration_dir={tmp_path}", "--teleop.type=recording_test"]
         paths += [f"--teleop.calibration_dir={tmp_path}", f"--dataset.root={tmp_path / 'data'}"]
         data = ["--dataset.repo_id=local/touch", "--dataset.single_task=wipe", "--dataset.push_to_hub=false"]
         short = ["--dataset.num_episodes=1", "--dataset.episode_time_s=0.5", "--dataset.fps=10"]

@@ -10,7 +10,12 @@ import pytest
 from lerobot.cameras.configs import CameraConfig
 from lerobot.cameras.utils import make_cameras_from_configs
 
-from uniforce_robots.sensors import UniforceTactileCamera, UniforceTactileCameraConfig, faults
+from uniforce_robots.sensors import (
+    UniforceSceneCameraConfig,
+    UniforceTactileCamera,
+    UniforceTactileCameraConfig,
+    faults,
+)
 from uniforce_robots.standins.process import StandIn
 from uniforce_vtla.contracts import check_marker_image
 from uniforce_vtla.errors import ContractError, SensorError
@@ -45,10 +50,14 @@ def test_a_robot_lists_it_like_any_camera(mjpeg: StandIn):
     assert not camera.is_connected
 
 
-def test_a_config_file_makes_it_and_is_made_of_it():
-    written = {"type": "uniforce_tactile", "sensor": "tactip", "finger": "right", "source": "0", "gain": None}
+SCENE = {"type": "uniforce_scene", "source": "http://x", "width": 224, "height": 224}
+TACTILE = {"type": "uniforce_tactile", "sensor": "tactip", "finger": "right", "source": "0", "gain": None}
+
+
+@pytest.mark.parametrize("written", [SCENE, TACTILE])
+def test_a_config_file_makes_it_and_is_made_of_it(written: dict):
     read = draccus.decode(CameraConfig, written)
-    assert isinstance(read, UniforceTactileCameraConfig) and (read.finger, read.gain) == ("right", None)
+    assert all(getattr(read, name) == value for name, value in written.items())
     assert draccus.decode(CameraConfig, draccus.encode(read, CameraConfig)) == read
 
 
@@ -102,25 +111,30 @@ def test_a_lost_camera_cannot_be_connected(mjpeg: StandIn):
         UniforceTactileCamera(config(mjpeg.address)).connect()
 
 
+BEYOND = {"max_age_ms": (0, -1.0, 1e9, float("nan"), float("inf")), "frozen_after": (0, 1, 31, 10**9)}
+BEYOND |= {"fps": (0, 10**6), "reference_samples": (0, 1, 10**6), "connect_ms": (1e12,)}
+
+
 @pytest.mark.parametrize(
     ("options", "says"),
     [
         ({"sensor": "uskin"}, "uniforce_uskin"),
-        ({"source": ""}, "source"),
         ({"delivers": "both"}, "markers | raw"),
         ({"delivers": "raw", "capture_width": None}, "capture_width"),
         ({"finger": "thumb"}, "left or right"),
-        *[({"max_age_ms": ms}, "max_age_ms") for ms in (0, -1.0, 1e9, float("nan"), float("inf"))],
-        *[({"frozen_after": count}, "frozen_after") for count in (0, 1, 31, 10**9)],
         ({"fps": 5, "frozen_after": 8}, "frozen_after"),
-        *[({"fps": fps}, "fps") for fps in (0, 10**6)],
-        *[({"reference_samples": count}, "reference_samples") for count in (0, 1, 10**6)],
-        ({"connect_ms": 1e12}, "connect_ms"),
+        *(({name: value}, name) for name, values in BEYOND.items() for value in values),
     ],
 )
 def test_configs_that_cannot_be(options: dict, says: str):
     with pytest.raises(ContractError, match=re.escape(says)):
-        config("http://127.0.0.1:1/", **options) if "source" not in options else config("")
+        config("http://127.0.0.1:1/", **options)
+
+
+def test_no_source_is_refused():
+    for make in (UniforceTactileCameraConfig, UniforceSceneCameraConfig):
+        with pytest.raises(ContractError, match="source"):
+            make(source="")
 
 
 def test_opencv_reads_the_stand_in_too(mjpeg: StandIn):

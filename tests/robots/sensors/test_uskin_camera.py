@@ -87,14 +87,6 @@ COUNTS = st.integers(0, 2**32 - 1).map(
 )
 
 
-@examples(40)
-@given(COUNTS, st.sampled_from([0, 90, 180, 270]), st.booleans())
-def test_orientations_undo_each_other(counts: np.ndarray, turn: int, flip: bool):
-    turned = Orientation(turn, flip).of_counts(counts)
-    back = Orientation(0, flip).of_counts(Orientation(-turn % 360).of_counts(turned))
-    assert np.array_equal(back, counts)
-
-
 @examples(30)
 @given(COUNTS, st.sampled_from([90, 180, 270]), st.booleans())
 def test_turning_counts_turns_the_picture(counts: np.ndarray, turn: int, flip: bool):

@@ -1,50 +1,18 @@
-"""Sizes and round trips of the FCI codecs, and that garbage is refused by name."""
+"""Garbage in place of FCI messages is refused by name; that good ones are read, the real client shows."""
 
 from functools import partial
 
 import numpy as np
 import pytest
-from fci_client import decode_hand_state, decode_state, encode_command, hand_request, move
+from fci_client import decode_hand_state, decode_state, encode_command, hand_request
 from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
 from uniforce_robots.standins.fci import protocol as p
 
+
 # payload sizes of libfranka-common's structures
-SIZES_OF = {p.CONNECT: 4, p.MOVE: 113, p.SETTERS[p.ArmCommand.SET_GUIDING_MODE]: 7}
-
-
-def test_requests_have_the_published_size_and_are_read() -> None:
-    assert {layout: layout.size for layout in SIZES_OF} == SIZES_OF
-    assert p.unpack(p.MOVE, move(), "Move")[:2] == p.TORQUE_CONTROL
-    assert p.decode_hand(p.HandMove, hand_request(0.03, 0.05)) == p.HandMove(0.03, 0.05)
-    assert p.decode_hand(p.Grasp, hand_request(0.03, 0.005, 0.006, 0.05, 20.0)).outer_m == 0.006
-
-
-def test_state_and_command_have_the_published_size_and_come_back() -> None:
-    floats = np.arange(p.STATE_FLOAT_COUNT, dtype=np.float32)
-    state = p.RobotState(7, floats, 5, 2, frozenset({7, 25}), frozenset({6}), p.RobotMode.REFLEX, 0.5)
-    datagram = state.encode()
-    assert len(datagram) == 1377
-    again = decode_state(datagram)
-    np.testing.assert_array_equal(again.floats, floats)
-    assert vars(again) | {"floats": 0} == vars(state) | {"floats": 0}
-    command = p.RobotCommand(9, tau_J_d=-np.arange(7.0), finished=True)
-    assert len(encode_command(command)) == 371
-    back = p.RobotCommand.decode(encode_command(command))
-    assert back.message_id == 9 and back.finished
-    np.testing.assert_array_equal(back.tau_J_d, command.tau_J_d)
-    hand = p.HandState(3, 0.02, 0.08, True, 31)
-    assert len(hand.encode()) == 23 and decode_hand_state(hand.encode()) == hand
-
-
-def test_fields_of_a_state_lie_where_the_published_order_puts_them() -> None:
-    assert p.STATE_SLICES["O_T_EE"] == slice(0, 16)
-    assert p.STATE_SLICES["q"].start == 96 + 1 + 9 + 3 + 1 + 9 + 3 + 2 + 2 + 7 * 3
-    assert p.STATE_SLICES["accelerometer_bottom"].stop == 320
-
-
 def test_a_message_may_arrive_in_pieces() -> None:
     whole = p.ARM_HEADER.encode(p.Message(1, 5, b"abc"))
     for cut in range(len(whole)):

@@ -44,7 +44,7 @@ def connected(tmp_path: Path, request: pytest.FixtureRequest, terminal: object) 
     with ExitStack() as closing:
 
         def make(name: str) -> Any:
-            teleoperator = teleop_fakes.MAKERS[name](request, tmp_path)
+            teleoperator = teleop_fakes.make(name, request, tmp_path)
             teleoperator.connect()
             closing.callback(teleoperator.disconnect)
             return teleoperator

@@ -180,6 +180,7 @@ def test_of_a_receivers_nodes_the_one_that_moves_is_read_then_and_later(nodes: N
     ("facts", "descriptor", "is_one"),
     [
         (MOUSE, b"", True),
+        ("HID_ID=0003:0000046D:0000C626\nHID_NAME=SpaceNavigator\n", b"", True),
         (KEYBOARD, b"", False),
         (KEYBOARD, b"\x05\x01\x09\x08", True),  # of another maker, but that is what it is
         (MOUSE, b"\x05\x01\x09\x06", False),  # a keyboard of the same maker
@@ -187,7 +188,8 @@ def test_of_a_receivers_nodes_the_one_that_moves_is_read_then_and_later(nodes: N
 )
 def test_a_spacemouse_is_what_the_kernel_says_it_is(facts, descriptor, is_one, nodes: Nodes, tmp_path: Path) -> None:
     nodes(facts, descriptor=descriptor)
-    assert find_spacemice() == ["/dev/hidraw0"] * is_one
+    (tmp_path / "hidraw1").mkdir()  # says nothing of itself
+    assert find_spacemice() == ["/dev/hidraw0"] * is_one and find_spacemice(tmp_path / "nothing") == []
     link = tmp_path / "linked"
     link.symlink_to("/dev/hidraw0")
     for named in () if is_one else ("/dev/hidraw0", str(link)):
@@ -202,13 +204,3 @@ def test_no_device_says_what_to_do(tmp_path: Path) -> None:
     with pytest.raises(TeleoperatorError, match="udev") as error:
         device.connect()
     assert error.value.fault == "connection" and not device.is_connected
-
-
-def test_spacemice_are_found_by_their_ids(tmp_path: Path) -> None:
-    for number, hid in enumerate(("0000256F:0000C635", "0000046D:0000C626", "0000046D:0000C52B")):
-        device = tmp_path / f"hidraw{number}" / "device"
-        device.mkdir(parents=True)
-        (device / "uevent").write_text(f"DRIVER=hid\nHID_ID=0003:{hid}\n")
-    (tmp_path / "hidraw3").mkdir()
-    assert find_spacemice(tmp_path) == ["/dev/hidraw0", "/dev/hidraw1"]
-    assert find_spacemice(tmp_path / "nothing") == []
