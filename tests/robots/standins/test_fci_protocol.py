@@ -1,5 +1,6 @@
 """Sizes and round trips of the FCI codecs, and that garbage is refused by name."""
 
+import struct
 from functools import partial
 
 import numpy as np
@@ -12,7 +13,8 @@ from properties import examples
 from uniforce_robots.standins.fci import protocol as p
 
 # payload sizes of libfranka-common's structures
-SIZES_OF = {p.CONNECT: 4, p.MOVE: 113, p.SETTERS[p.ArmCommand.SET_GUIDING_MODE]: 7}
+GUIDING_MODE = struct.Struct(p.SETTERS[p.ArmCommand.SET_GUIDING_MODE])
+SIZES_OF = {p.CONNECT: 4, p.MOVE: 113, GUIDING_MODE: 7}
 
 
 def test_requests_have_the_published_size_and_are_read() -> None:
@@ -63,7 +65,7 @@ DECODERS = [
     partial(p.unpack, p.MOVE, what="Move"),
     partial(p.decode_hand, p.Grasp),
     partial(p.decode_hand, p.HandMove),
-    partial(p.numbers, p.SETTERS[p.ArmCommand.SET_COLLISION_BEHAVIOR], what="SetCollisionBehavior"),
+    partial(p.numbers, struct.Struct(p.SETTERS[p.ArmCommand.SET_COLLISION_BEHAVIOR]), what="SetCollisionBehavior"),
     partial(p.unpack, p.CONNECT, what="Connect"),
     decode_state,
     p.RobotCommand.decode,
