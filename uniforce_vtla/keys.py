@@ -104,7 +104,6 @@ PAIR_ERROR = "pair.error"  # estimated ‖F_left − F_right‖ over their mean
 PAIR_VELOCITY = "pair.velocity"  # (3,) m/s of the hand in its own frame, x = closing axis
 PAIR_ACCELERATION = "pair.acceleration"  # (3,) m/s² likewise
 PAIR_GRIP = "pair.grip"  # N, the gripper's own estimate
-PAIR_PLACE = "pair.place"  # (2,) estimated place of the contact, x right and y down, −1 … 1 over the image
 PAIR_INDENTER = "pair.indenter"  # index into the recording's indenters
 PAIR_SESSION = "pair.session"  # counts reference captures: pairs of one number share their references
 

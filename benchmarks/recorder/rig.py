@@ -145,7 +145,6 @@ class Rig:
 
     def mark(self) -> int:
         """Return where the arm's log stands now, for ``rest``."""
-        self.arm.do("flush")
         return self._log.stat().st_size
 
     def rest(self, mark: int, fault_s: float) -> dict[str, Any]:
@@ -157,8 +156,6 @@ class Rig:
         hold = None
         while hold is None and time.monotonic() < deadline_s:
             time.sleep(REST_s)
-            if self.arm.process.poll() is None:
-                self.arm.do("flush")
             wire = read_journal(self._log, mark)
             hold = find_hold(wire, fault_s)
         return {"arm_clock": arm_clock(wire), **(hold or {})}

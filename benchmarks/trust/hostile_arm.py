@@ -14,6 +14,7 @@ can't answer (``starve``), the stand-in doesn't wait for it and drives the arm b
 stops after 20 lost packets; the order ``miss_rule`` makes this one do so too.
 """
 
+import argparse
 import random
 import time
 from collections import deque
@@ -30,10 +31,11 @@ from uniforce_robots.standins.fci.arm_service import ArmService
 from uniforce_robots.standins.fci.hand import HandService, HOMING_SPEED_m_s
 from uniforce_robots.standins.fci.link import Journal
 from uniforce_robots.standins.fci.process import StandIn
-from uniforce_robots.standins.fci.protocol import HAND_STATE_BYTES, STATE_BYTES, STATE_SLICES, ErrorBit, RobotState
-from uniforce_robots.standins.fci.server import Server, ServerOptions, die
+from uniforce_robots.standins.fci.protocol import STATE_SLICES, ErrorBit, RobotState
+from uniforce_robots.standins.fci.server import Server, die
 
 NONE = "none"
+STATE_BYTES, HAND_STATE_BYTES = p.STATE.size, p.HAND_STATE.size
 DOCUMENTED, REPORTED, INVENTED = "documented", "reported", "invented"
 GARBAGE_BYTES = (1, 200)  # of what stands for an answer
 MEASURED = ("O_T_EE", "q", "dq", "theta", "dtheta")
@@ -109,8 +111,8 @@ class HostileArm(ArmService):
 class HostileHand(HandService):
     """A hand whose wire can be broken."""
 
-    def __init__(self, address: str, state_hz: float, journal: Journal) -> None:
-        super().__init__(address, state_hz, journal)
+    def __init__(self, address: str, journal: Journal) -> None:
+        super().__init__(address, journal)
         self._begun_s = 0.0
         self.struck_s: float | None = None  # CLOCK_MONOTONIC, when a fault that waits for its moment came
         self.mend()
@@ -309,7 +311,7 @@ FAULTS = {
     "lost_commands": Fault("no command arrives; 20 end a motion", DOCUMENTED, lose_commands, end=end_misses),
     "arm_garbage_reply": Fault("random bytes on the arm's TCP", INVENTED, lambda arm, _: babble(arm)),
     "arm_dropped": Fault("the arm closes its TCP connection", REPORTED, lambda arm, _: drop(arm)),
-    "server_death": Fault("the process ends; every socket closes", INVENTED, lambda arm, _: die(arm.journal)),
+    "server_death": Fault("the process ends; every socket closes", INVENTED, lambda arm, _: die()),
     # what stops a real arm
     "user_stop": Fault("the user stop", DOCUMENTED, lambda a, _: a.user_stop(), end=lambda a, _: a.release()),
     "reflex": Fault("a collision at the hand", DOCUMENTED, reflex(ErrorBit.CARTESIAN_REFLEX)),
@@ -375,7 +377,7 @@ class HostileServer(Server):
     arm: HostileArm
     hand: HostileHand
 
-    def __init__(self, options: ServerOptions) -> None:
+    def __init__(self, options: argparse.Namespace) -> None:
         super().__init__(options)
         self.faults = Faults(self.arm, self.hand, self.journal)
         self.orders["fault"] = self.faults.order

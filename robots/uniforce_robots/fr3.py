@@ -35,22 +35,16 @@ def rotation_z(angle_rad: float) -> np.ndarray:
     return np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
 
 
-def translation(x: float, y: float, z: float) -> np.ndarray:
-    """(4, 4) translation, m."""
-    T = np.eye(4)
-    T[:3, 3] = x, y, z
-    return T
-
-
 def _fixed(a: float, d: float, alpha: float) -> np.ndarray:
+    """(4, 4) of a row of ``DH`` at joint angle 0."""
     c, s = np.cos(alpha), np.sin(alpha)
     return np.array([[1, 0, 0, a], [0, c, -s, -d * s], [0, s, c, d * c], [0, 0, 0, 1]])
 
 
 # The hand is mounted turned by −45°; its tool point lies 103.4 mm below the flange (Franka Hand manual).
-HAND_TO_FLANGE = translation(0, 0, 0.1034) @ rotation_z(-np.pi / 4)
+HAND_TO_FLANGE = _fixed(0, 0.1034, 0) @ rotation_z(-np.pi / 4)
 _FIXED = np.array([_fixed(*row) for row in DH])
-_FLANGE = translation(0, 0, FLANGE_m)
+_FLANGE = _fixed(0, FLANGE_m, 0)
 
 
 @dataclass(frozen=True)
@@ -63,9 +57,7 @@ class Posture:
 
     def jacobian(self, point_m: np.ndarray) -> np.ndarray:
         """Return (6, 7): joint speeds to the linear and angular velocity of a point of the hand, base frame."""
-        z, r = self.axes.T, (point_m - self.origins_m).T
-        linear = (z[1] * r[2] - z[2] * r[1], z[2] * r[0] - z[0] * r[2], z[0] * r[1] - z[1] * r[0])
-        return np.vstack([*linear, z])
+        return np.hstack([np.cross(self.axes, point_m - self.origins_m), self.axes]).T
 
 
 def posture(q_rad: np.ndarray) -> Posture:

@@ -53,7 +53,7 @@ class RecordPairsConfig:
     mass_kg: Mass = 0.2  # franka: of the object and what moves of its holder; weigh it
     grip_N: Grip = 6.0  # franka: the force the hand is asked to hold with
     rate_hz: FrameRate = 0.0  # frames per second; 0 = 15 in simulation, 30 on a robot
-    out: OutFolder = "outputs/pairs"  # lerobot/, uniforce_pairs/, coverage.png, session.json
+    out: OutFolder = "outputs/pairs"  # lerobot/, uniforce_pairs/, session.json
 
 
 def record_pairs(
@@ -66,7 +66,6 @@ def record_pairs(
     Raises ContractError: an unknown robot or indenter, impossible numbers, a rig without two fingers, or settings that
     would change nothing; DatasetError: see ``PairStore`` and ``PairRecorder``.
     """
-    from uniforce_robots.pairs.coverage import draw_coverage
     from uniforce_robots.pairs.storage import PairStore
 
     names = _check(config, robot_flags, given)
@@ -85,7 +84,6 @@ def record_pairs(
         }
         if config.robot == "sim":
             content["truth"] = _truth(rig, report)  # type: ignore[arg-type]
-        draw_coverage(names, store.coverage, out / "coverage.png")
     write_json(out / "session.json", content | provenance())
     return content
 
@@ -228,4 +226,4 @@ def main(config: RecordPairsConfig, robot_flags: Sequence[str], given: Sequence[
         truth = content["truth"]
         print(f"rehearsal, by truth: {truth['out_of_balance']:.1%} of those kept now are out of balance")
     print(f"next: uniforce pretrain preset=nano run.pairs={content['layout']}")
-    print(f"coverage in {Path(config.out) / 'coverage.png'}, session in {Path(config.out) / 'session.json'}")
+    print(f"session in {Path(config.out) / 'session.json'}")

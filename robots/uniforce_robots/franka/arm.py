@@ -138,10 +138,8 @@ class Gains:
         A tracker takes its gains in the base frame; with the hand turned, the closing axis is stiff only through
         off-diagonal terms. ``rotation`` is the (3, 3) of ``ee_to_base``.
         """
-        K = np.zeros((6, 6))
-        K[:3, :3] = rotation @ np.diag(self.stiffness_N_m) @ rotation.T
-        K[3:, 3:] = rotation @ np.diag(self.rotation_Nm_rad) @ rotation.T
-        return K
+        turn = np.kron(np.eye(2), rotation)  # of both blocks
+        return turn @ np.diag([*self.stiffness_N_m, *self.rotation_Nm_rad]) @ turn.T
 
 
 # The simulated scene's own stiffness: 800 N/m × 18 mm bounds the press at 14.4 N.

@@ -4,23 +4,19 @@ In this process a client would be dangerous: it hangs for ever on a server that 
 killed when it does not answer.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import psutil
 
 from uniforce_robots.franka.arm import ROBOT_STOPS, ArmSetup, ArmState, refuse_stopped, require_setup
 from uniforce_robots.franka.child import Child
+from uniforce_robots.franka.config import UniforceFrankaConfig
 from uniforce_vtla.errors import RobotError, expected
-
-if TYPE_CHECKING:
-    from uniforce_robots.franka.config import UniforceFrankaConfig
 
 CLIENT, EXTRA = "franky", "franka"
 DISTRIBUTION = "lerobot_policy_pi05_uniforce"
@@ -63,11 +59,6 @@ class HandReading:
     width_m: float
     max_width_m: float
     is_grasped: bool
-
-
-def make_backend(config: UniforceFrankaConfig) -> tuple[Arm, HandClient]:
-    """Return arm and hand, not yet connected."""
-    return Arm(config), HandClient(config)
 
 
 def require_installed() -> None:
@@ -256,6 +247,11 @@ class HandClient:
     def close(self) -> None:
         """Stop the fingers and hang up. Safe to call twice."""
         self._child.close()
+
+
+def make_backend(config: UniforceFrankaConfig) -> tuple[Arm, HandClient]:
+    """Return arm and hand, not yet connected."""
+    return Arm(config), HandClient(config)
 
 
 def wait_for(condition: Callable[[], object], deadline_s: float) -> None:

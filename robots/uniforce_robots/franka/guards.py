@@ -59,11 +59,6 @@ class GuardChain:
         """Forget the last target; the next one is counted from the measured pose."""
         self._last = None
 
-    def count_sensor_fault(self, camera: str, error: Exception) -> None:
-        """Count and log a camera or finger that was lost, stale or frozen while it was needed."""
-        self.counts["sensor"] += 1
-        log.warning("guard sensor: %s: %s", camera, error)
-
     def __call__(self, action: np.ndarray, measured: np.ndarray, now_s: float) -> np.ndarray:
         """Return the action that may be sent.
 

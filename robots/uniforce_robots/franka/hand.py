@@ -144,20 +144,17 @@ class Hand:
         if self.is_busy and self._clock() > self._deadline_s:
             came, do = f"an answer to {self._last or 'a stop'}", "Is something in its way? Free it, then connect again."
             raise RobotError(expected("hand", came, "none in time", do), "hand_deadline")
-        self._refuse_old()
         held_s, reading = self._held_s, self._reading
-        if held_s is not None and reading is not None and reading.time_s - held_s > LOST_s:
-            do = "Put it back into the fingers, then call recover()."
-            raise RobotError(expected("hand", "what was grasped", "nothing any more", do), "grasp_lost")
-
-    def _refuse_old(self) -> None:
-        if self._reading is None:
+        if reading is None:
             return
-        age_s = self._clock() - max(self._reading.time_s, self._ended_s)
+        age_s = self._clock() - max(reading.time_s, self._ended_s)
         if age_s > self.settings.reading_age_s:
             wanted = f"a reading younger than {self.settings.reading_age_s} s"
             do = "Check the cable and the robot's controller."
             raise RobotError(expected("hand", wanted, f"{age_s:.2f} s", do), "hand_stale")
+        if held_s is not None and reading.time_s - held_s > LOST_s:
+            do = "Put it back into the fingers, then call recover()."
+            raise RobotError(expected("hand", "what was grasped", "nothing any more", do), "grasp_lost")
 
     def recover(self) -> None:
         """Forget a lost grasp on an operator's word, begin nothing; raises RobotError: anything else is wrong still."""

@@ -10,6 +10,12 @@ from dataclasses import dataclass
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import Range
 
+
+def up_to(most: float) -> Range:
+    """Return what lies above 0, up to ``most``."""
+    return Range(0, most, above=True)
+
+
 BOX = (  # x, y m (the arm reaches 0.855), z m, yaw rad (joint 7 turns ±3.02), width m (the hand opens to 0.08)
     Range(-0.9, 0.9),
     Range(-0.9, 0.9),
@@ -24,13 +30,13 @@ HARD_LIMITS: dict[str, dict[str, Range | tuple[Range, ...]]] = {
     "GuardLimits": {
         "low": BOX,
         "high": BOX,
-        "step_m": Range(0, 0.1, above=True),
-        "step_rad": Range(0, 0.8, above=True),
-        "speed_m_s": Range(0, 0.5, above=True),  # a collaborative arm beside a person: 0.25 by default
-        "speed_rad_s": Range(0, 2.5, above=True),
-        "speed_width_m_s": Range(0, 0.2, above=True),
-        "longest_gap_s": Range(0, 0.2, above=True),
-        "tilt_rad": Range(0, 0.35, above=True),
+        "step_m": up_to(0.1),
+        "step_rad": up_to(0.8),
+        "speed_m_s": up_to(0.5),  # a collaborative arm beside a person: 0.25 by default
+        "speed_rad_s": up_to(2.5),
+        "speed_width_m_s": up_to(0.2),
+        "longest_gap_s": up_to(0.2),
+        "tilt_rad": up_to(0.35),
     },
     "StreamSettings": {
         "rate_hz": Range(50, 1000),
@@ -40,7 +46,7 @@ HARD_LIMITS: dict[str, dict[str, Range | tuple[Range, ...]]] = {
     },
     "HandSettings": {
         "speed_m_s": Range(0.005, 0.1),  # a slower command's deadline would be minutes away
-        "grip_force_N": Range(0, 40, above=True),  # the hand's own limit is 70
+        "grip_force_N": up_to(40),  # the hand's own limit is 70
         "hysteresis_m": Range(0, 0.02),
         "reading_age_s": Range(0.05, 1.0),
     },
@@ -52,9 +58,9 @@ HARD_LIMITS: dict[str, dict[str, Range | tuple[Range, ...]]] = {
     },
     "UniforceFrankaConfig": {
         "fps": Range(5, 100),
-        "connect_deadline_s": Range(0, 60, above=True),
-        "reflex_torque_Nm": Range(0, 100, above=True),
-        "reflex_force_N": Range(0, 100, above=True),
+        "connect_deadline_s": up_to(60),
+        "reflex_torque_Nm": up_to(100),
+        "reflex_force_N": up_to(100),
         "open_width_m": Range(0.01, 0.08),
         "load_kg": Range(0, 3),  # the arm's own limit
     },

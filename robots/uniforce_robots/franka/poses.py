@@ -11,6 +11,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from uniforce_vtla.keys import AXES
+
 TOOL_DOWN = np.diag([1.0, -1.0, -1.0])  # tool frame in the base frame at yaw 0
 STRAIGHT = 1e-9
 TOOL_TO_EE = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # tool x is the hand's y
@@ -30,12 +32,10 @@ class ToolPose:
 
     def ee_to_base(self) -> np.ndarray:
         """(4, 4) pose of the hand."""
-        c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
+        turn = Rotation.from_rotvec(self.tilt_rad) * Rotation.from_euler("z", self.yaw_rad)
         pose = np.eye(4)
-        pose[:3, :3] = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ TOOL_DOWN @ TOOL_TO_EE.T
+        pose[:3, :3] = turn.as_matrix() @ TOOL_DOWN @ TOOL_TO_EE.T
         pose[:3, 3] = self.position_m
-        if self.tilt_rad.any():
-            pose[:3, :3] = Rotation.from_rotvec(self.tilt_rad).as_matrix() @ pose[:3, :3]
         return pose
 
     @classmethod
@@ -57,6 +57,11 @@ def _tilt(rotation: np.ndarray) -> np.ndarray:
     if sine < STRAIGHT:  # straight down, or straight up, where any level axis will do
         return np.array([angle_rad, 0.0, 0.0])
     return axis * angle_rad / sine
+
+
+def by_axis(axes: np.ndarray) -> dict[str, float]:
+    """Return (5,) numbers by ``keys.AXES``, as LeRobot hands them on."""
+    return dict(zip(AXES, axes.tolist(), strict=True))
 
 
 def shortest_turn(from_rad: float, to_rad: float) -> float:

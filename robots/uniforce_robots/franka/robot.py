@@ -19,7 +19,7 @@ from uniforce_robots.franka.clients import HandReading, make_backend
 from uniforce_robots.franka.config import UniforceFrankaConfig
 from uniforce_robots.franka.guards import GuardChain
 from uniforce_robots.franka.hand import Hand, require_open
-from uniforce_robots.franka.poses import ToolPose
+from uniforce_robots.franka.poses import ToolPose, by_axis
 from uniforce_robots.franka.stream import ArmStream
 from uniforce_robots.sensors.finger import SampledCamera
 from uniforce_robots.sensors.plain_camera import PlainCamera
@@ -155,10 +155,10 @@ class UniforceFranka(Robot):
 
     def disconnect(self) -> None:
         """Stop the arm where it is, stop the fingers, join every thread, hang up. Safe to call twice."""
+        counts = self.guard_counts
         stream, self._stream, self._hand = self._stream, None, None
-        stale_count = stream.stale_count if stream is not None else 0
         with ExitStack() as closing:  # last in, first out, and each of them even if another one fails
-            closing.callback(log.info, "guards acted: %s", {**self.guards.counts, "watchdog": stale_count})
+            closing.callback(log.info, "guards acted: %s", counts)
             for camera in self.cameras.values():
                 if camera.is_connected:
                     closing.callback(camera.disconnect)
@@ -215,7 +215,7 @@ class UniforceFranka(Robot):
         broken; arm and hand have stopped.
         """
         with self._halting():
-            axes = dict(zip(AXES, self.measured().tolist(), strict=True))
+            axes = by_axis(self.measured())
         images = {name: self._image(name, camera) for name, camera in self.cameras.items()}
         for name in self.config.fingers:  # copies: what LeRobot gets it may write to
             images[f"{name}_ref"] = self.cameras[name].reference_image().copy()
@@ -227,7 +227,8 @@ class UniforceFranka(Robot):
                 return self._plain[name].picture().image
             image: np.ndarray = camera.read_latest()
         except UniForceError as error:
-            self.guards.count_sensor_fault(name, error)
+            self.guards.counts["sensor"] += 1
+            log.warning("guard sensor: %s: %s", name, error)
             self._halt(RobotError(f"{name}: {error}", "sensor"))
             raise
         return image
@@ -246,7 +247,7 @@ class UniforceFranka(Robot):
         """
         with self._halting():
             sent = self._send(action)
-        return dict(zip(AXES, sent.tolist(), strict=True))
+        return by_axis(sent)
 
     def _send(self, action: dict[str, Any]) -> np.ndarray:
         if self._fault is not None:

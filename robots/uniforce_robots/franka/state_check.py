@@ -181,8 +181,7 @@ def _distance(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def _turn(a: np.ndarray, b: np.ndarray) -> float:
-    turn_rad = shortest_turn(float(a[3]), float(b[3]))
-    return float(np.linalg.norm([turn_rad, *(a[4:] - b[4:])]))
+    return float(np.linalg.norm([shortest_turn(float(a[3]), float(b[3])), *(a[4:] - b[4:])]))
 
 
 def _tilt_of(axes: np.ndarray) -> float:

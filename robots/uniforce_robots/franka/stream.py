@@ -257,8 +257,7 @@ class ArmStream:
         position_m = towards(self._sent.position_m, goal.position_m, limits.speed_m_s * elapsed_s)
         yaw_rad = turn_towards(self._sent.yaw_rad, goal.yaw_rad, limits.speed_rad_s * elapsed_s)
         way_m = float(np.linalg.norm(position_m - self._sent.position_m))
-        tilt_rad = towards(self._sent.tilt_rad, np.zeros(3), LEVEL_rad_m * way_m)
-        return ToolPose(position_m, yaw_rad, tilt_rad)
+        return ToolPose(position_m, yaw_rad, towards(self._sent.tilt_rad, np.zeros(3), LEVEL_rad_m * way_m))
 
     def _rest_here(self, now_s: float) -> None:
         """Take the measured pose as target, once: followed for ever it would let the arm sink under any load."""

@@ -107,7 +107,6 @@ class FingerForce(nn.Module):
             known = " | ".join(sorted(p.name for p in ASSETS.glob("*") if p.is_dir()))
             do = "Train one: python -m benchmarks.pair_quality train=true rigs=…"
             raise CheckpointError(expected(f"force reader of {sensor}", known, "none", do))
-        facts = read_config(path)
-        if (came := facts.get("sensor")) != sensor:
+        if (came := read_config(path).get("sensor")) != sensor:
             raise CheckpointError(expected(str(path), f"a reader of {sensor}", came, "Name another."))
         return load_model(path, cls).eval()

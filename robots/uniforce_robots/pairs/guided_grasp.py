@@ -57,7 +57,7 @@ class GuidedGrasp:
     velocity_m_s: np.ndarray  # (T, 3) of the hand in its own frame, as measured
     acceleration_m_s2: np.ndarray  # likewise
     grip_N: np.ndarray  # (T,) the gripper's own estimate
-    fault: str = "none"  # one of ``FAULTS``, or "none"
+    fault: str  # one of ``FAULTS``, or "none"
 
 
 def draw_grasp(rng: np.random.Generator, settings: GraspSettings, mass_kg: float, friction: float = 1.0) -> GuidedGrasp:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from uniforce_robots.pairs.rig import CLOSING
 
@@ -144,9 +145,7 @@ def _rest_ratio(grasp: GraspSignals) -> float:
 
 
 def _smooth(force_N: np.ndarray) -> np.ndarray:
-    padded = np.pad(force_N, ((SMOOTH // 2, SMOOTH // 2), (0, 0)), mode="edge")
-    kernel = np.ones(SMOOTH) / SMOOTH
-    return np.column_stack([np.convolve(padded[:, axis], kernel, "valid") for axis in range(3)])
+    return uniform_filter1d(force_N, SMOOTH, axis=0, mode="nearest")
 
 
 def _size(shear: np.ndarray, normal: np.ndarray) -> np.ndarray:

@@ -11,9 +11,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-import numpy as np
-
-from uniforce_robots.pairs.coverage import Coverage, contact_place
+from uniforce_robots.pairs.coverage import Coverage
 from uniforce_robots.pairs.pair_judge import PairJudge, PairQuality
 from uniforce_robots.pairs.rig import PairRig
 from uniforce_robots.pairs.storage import MIN_CHUNK, Pair, PairStore, Session
@@ -100,8 +98,7 @@ class PairRecorder:
         self._judge.learn(track.signals())
         outcomes = pairs.take(track, quality, self._reasons(track, quality))
         self.report.outcomes.update(outcomes)
-        number = track.frames[0].grasp
-        self.report.kept += [(number, k) for k, outcome in enumerate(outcomes) if outcome == KEPT]
+        self.report.kept += [(track.frames[0].grasp, k) for k, outcome in enumerate(outcomes) if outcome == KEPT]
         self._show(self._status(track, pairs))
 
     def _reasons(self, track: GraspTrack, quality: PairQuality) -> list[str]:
@@ -146,11 +143,10 @@ class _Pairs:
 
     def take(self, track: GraspTrack, quality: PairQuality, reasons: list[str]) -> list[str]:
         """Keep a grasp's good pairs, save full chunks; return what became of each frame."""
-        place = contact_place(np.array(track.fields["left"]))
         outcomes = []
         for k, reason in enumerate(reasons):
             force_N = {f: track.forces[f][k] for f in FINGERS}
-            pair = Pair(track.frames[k], force_N, place[k], float(quality.error[k]))
+            pair = Pair(track.frames[k], force_N, float(quality.error[k]))
             outcomes.append(reason or self._keep(pair))
             if self._is_due():
                 self._store.add(self.indenter, self._session, self._waiting)

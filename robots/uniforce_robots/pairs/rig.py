@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from uniforce_robots.franka import UniforceFranka
 from uniforce_robots.sensors.finger import TactileFinger
@@ -70,8 +71,8 @@ class HandMotion:
             return np.zeros(3), np.zeros(3)
         now = np.array(self._times) - self._times[-1]
         curve = np.polynomial.polynomial.polyfit(now, np.array(self._positions), 2)  # (3, 3) by power and axis
-        c, s = np.cos(axes[3]), np.sin(axes[3])  # at yaw 0 the fingers close along the base's x
-        to_hand = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+        # at yaw 0 the fingers close along the base's x
+        to_hand = Rotation.from_euler("z", -axes[3]).as_matrix()
         return to_hand @ curve[1], 2 * to_hand @ curve[2]
 
 

@@ -7,6 +7,7 @@ opens.
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,7 +47,6 @@ class Pair:
 
     frame: RigFrame  # images and motion
     force_N: dict[Finger, np.ndarray]  # finger → (3,) estimates, canonical frame
-    place: np.ndarray  # (2,) estimated, see ``coverage.contact_place``
     error: float  # estimated equilibrium error
 
     @property
@@ -57,7 +57,6 @@ class Pair:
     def row(self) -> dict[str, Any]:
         """Return the frame with the dataset's keys, all but the chunk's own."""
         numbers = {keys.pair_force_key(f): self.force_N[f] for f in FINGERS} | {
-            keys.PAIR_PLACE: self.place,
             keys.PAIR_ERROR: [self.error],
             keys.PAIR_VELOCITY: self.frame.velocity_m_s,
             keys.PAIR_ACCELERATION: self.frame.acceleration_m_s2,
@@ -72,7 +71,6 @@ def pair_features() -> dict[str, dict]:
     features: dict[str, dict] = {key: video_column(MARKER_VIDEO_SHAPE) for key in keys.TACTILE_KEYS}
     features |= {keys.pair_force_key(f): vector_column(["fx_N", "fy_N", "fz_N"]) for f in FINGERS}
     features |= {key: vector_column(["x", "y", "z"]) for key in (keys.PAIR_VELOCITY, keys.PAIR_ACCELERATION)}
-    features[keys.PAIR_PLACE] = vector_column(["x", "y"])
     features |= {key: scalar_column("float32") for key in (keys.PAIR_ERROR, keys.PAIR_GRIP)}
     integers = (keys.PAIR_INDENTER, keys.PAIR_SESSION, *(keys.sensor_key(f) for f in FINGERS))
     return features | {key: flat_column(1, "int64") for key in integers}
@@ -98,11 +96,15 @@ class PairStore:
         self._recorder = EpisodeRecorder(
             self.dataset, "local/uniforce_pairs", left_sensor, right_sensor, rate_hz, features=pair_features()
         )
-        self.counts = np.zeros(len(indenters), int)
         self.coverage = [Coverage() for _ in indenters]
         self.next_session = 0
         if self._recorder.num_episodes:
             self._go_on(check_dataset(self.dataset))
+
+    @property
+    def counts(self) -> np.ndarray:
+        """(N,) pairs of each indenter."""
+        return np.array([covered.force.sum() for covered in self.coverage])
 
     def add(self, indenter: int, session: Session, pairs: Sequence[Pair]) -> None:
         """Store pairs of one indenter and one session durably.
@@ -119,8 +121,7 @@ class PairStore:
         for pair in pairs:
             self._recorder.add(fixed | pair.row(), f"hold the {self.indenters[indenter]}")
         self._recorder.save(success=True, outcome="success", seed=0)  # a pair dataset has no such columns
-        forces = np.array([pair.mean_force_N for pair in pairs])
-        self._count(indenter, forces, np.array([pair.place for pair in pairs]))
+        self.coverage[indenter].add(np.array([pair.mean_force_N for pair in pairs]))
         self.next_session = max(self.next_session, session.number + 1)
         images = {f: np.stack([pair.frame.images[f] for pair in pairs]) for f in FINGERS}
         self._write_layout(indenter, session, images)
@@ -135,14 +136,10 @@ class PairStore:
     def __exit__(self, *raised: object) -> None:
         self.close()
 
-    def _count(self, indenter: int, force_N: np.ndarray, place: np.ndarray) -> None:
-        self.counts[indenter] += len(force_N)
-        self.coverage[indenter].add(force_N, place)
-
     def _go_on(self, source: Source) -> None:
         """Count what is there and bring the layout up to it."""
         left, right = (keys.pair_force_key(f) for f in FINGERS)
-        columns = source.columns((keys.PAIR_INDENTER, keys.PAIR_SESSION, keys.PAIR_PLACE, left, right))
+        columns = source.columns((keys.PAIR_INDENTER, keys.PAIR_SESSION, left, right))
         indenter, session = (columns[key].reshape(-1) for key in (keys.PAIR_INDENTER, keys.PAIR_SESSION))
         if indenter.max() >= len(self.indenters):
             came = f"indenter {indenter.max()}"
@@ -150,26 +147,23 @@ class PairStore:
             raise DatasetError(expected(str(self.root), f"{len(self.indenters)} indenters", came, do))
         force_N = (columns[left] + columns[right]) / 2
         for index in np.unique(indenter):
-            self._count(int(index), force_N[indenter == index], columns[keys.PAIR_PLACE][indenter == index])
+            self.coverage[index].add(force_N[indenter == index])
         self.next_session = int(session.max()) + 1
         for place in sorted(set(zip(indenter.tolist(), session.tolist(), strict=True))):
             self._catch_up(source, *place, rows=(indenter == place[0]) & (session == place[1]))
 
     def _catch_up(self, source: Source, indenter: int, session: int, rows: np.ndarray) -> None:
-        """Write the layout's images that a kill left out; drop those the dataset does not know."""
+        """Write the layout's images anew where they aren't as many as the dataset's: a kill came in between."""
         pairs = self.layout / PATTERN / _date(session) / "_".join(self._names) / "marker"
         folders = [pairs / name / self.indenters[indenter] for name in self._names]
-        stored = [sorted(folder.glob("[0-9]*.jpg")) for folder in folders]
-        have = min(int(rows.sum()), *map(len, stored))
-        for image in (image for images in stored for image in images[have:]):
-            image.unlink()
-        seen = 0
-        for episode in (episode for episode in source.episodes if rows[episode.start]):
-            seen += episode.length
-            if seen > have:
-                skip = max(have - seen + episode.length, 0)
+        if all(len(list(folder.glob("[0-9]*.jpg"))) == rows.sum() for folder in folders):
+            return
+        for folder in folders:
+            shutil.rmtree(folder, ignore_errors=True)
+        for episode in source.episodes:
+            if rows[episode.start]:
                 references = {f: _decoded(source, episode, keys.tactile_key(f, True), 1)[0] for f in FINGERS}
-                images = {f: _decoded(source, episode, keys.tactile_key(f))[skip:] for f in FINGERS}
+                images = {f: _decoded(source, episode, keys.tactile_key(f)) for f in FINGERS}
                 self._write_layout(indenter, Session(session, references), images)
 
     def _write_layout(self, indenter: int, session: Session, images: Mapping[Finger, np.ndarray]) -> None:

@@ -49,37 +49,33 @@ def quasi_static(
 
 
 class FingerReaders:
-    """Both fingers of a session: marker image → touch field and force, with their (480, 640) free-air images."""
+    """Both fingers of a session: marker image → force, with their (480, 640) free-air images."""
 
     def __init__(self, rig: PairRig, references: dict[Finger, np.ndarray]) -> None:
         self._fields = {f: TouchField(references[f], f) for f in FINGERS}
         self._forces = {f: FingerForce.from_pretrained(rig.sensors[f]) for f in FINGERS}
 
-    def __call__(self, finger: Finger, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return (192,) field and (3,) N, canonical frame."""
-        field = self._fields[finger](image)
-        return field, self._forces[finger].read(field[None])[0]
+    def __call__(self, finger: Finger, image: np.ndarray) -> np.ndarray:
+        """Return (3,) N, canonical frame."""
+        return self._forces[finger].read(self._fields[finger](image)[None])[0]
 
 
 class GraspTrack:
     """Frames of one grasp with what was read off them; images stay, since the good ones are kept.
 
-    ``fields`` and ``forces`` hold (192,) and (3,) N of each frame by finger, canonical.
+    ``forces`` hold (3,) N of each frame by finger, canonical.
     """
 
     def __init__(self, mass_kg: float, readers: FingerReaders) -> None:
         self._mass_kg, self._readers = mass_kg, readers
         self.frames: list[RigFrame] = []
-        self.fields: dict[Finger, list[np.ndarray]] = {f: [] for f in FINGERS}
         self.forces: dict[Finger, list[np.ndarray]] = {f: [] for f in FINGERS}
 
     def add(self, frame: RigFrame) -> None:
         """Read a frame and keep it."""
         self.frames.append(frame)
         for finger in FINGERS:
-            field, force = self._readers(finger, frame.images[finger])
-            self.fields[finger].append(field)
-            self.forces[finger].append(force)
+            self.forces[finger].append(self._readers(finger, frame.images[finger]))
 
     def signals(self) -> GraspSignals:
         """Return what the judge wants to know."""

@@ -2,10 +2,10 @@
 
 import logging
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Literal
+from typing import Any, Literal
 
 from uniforce_robots.sensors.faults import FrozenSensorError, LostSensorError, StaleSensorError
 from uniforce_vtla import errors
@@ -36,6 +36,17 @@ CAUSES: dict[type[errors.UniForceError], str] = {  # the first that fits
     StopRequestedError: "interrupt",
     errors.UniForceError: "other",
 }
+
+
+@contextmanager
+def handled(handler: Callable[..., None] | signal.Handlers) -> Iterator[dict[signal.Signals, Any]]:
+    """Handle what stops programs so while the block lasts; yield how each signal was handled before."""
+    before = {number: signal.signal(number, handler) for number in STOPS}
+    try:
+        yield before
+    finally:
+        for number, earlier in before.items():
+            signal.signal(number, earlier)
 
 
 @contextmanager
@@ -70,14 +81,10 @@ class Interrupts:
     @contextmanager
     def counted(self) -> Iterator[None]:
         """Count while the block lasts; in the main thread only, as signals are."""
-        before = {number: signal.signal(number, self._take) for number in STOPS}
-        if before[signal.SIGHUP] is signal.SIG_IGN:  # nohup: it is to go on without its terminal
-            signal.signal(signal.SIGHUP, signal.SIG_IGN)
-        try:
+        with handled(self._take) as before:
+            if before[signal.SIGHUP] is signal.SIG_IGN:  # nohup: it is to go on without its terminal
+                signal.signal(signal.SIGHUP, signal.SIG_IGN)
             yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
 
     def _take(self, number: int, frame: FrameType | None) -> None:
         self.count += 1

@@ -13,6 +13,7 @@ from lerobot.cameras import Camera
 from uniforce_datasets.features import vector_column
 from uniforce_datasets.rig_settings import plain_settings
 from uniforce_robots.franka import UniforceFranka
+from uniforce_robots.franka.poses import by_axis
 from uniforce_robots.recorder.faults import named
 from uniforce_robots.recorder.rig import FingerTouch, Observation, Rig, RigFacts
 from uniforce_robots.sensors.finger import SampledCamera, TactileFinger, UniforceUskin
@@ -52,7 +53,7 @@ class RobotRig(Rig):
             for name, camera in robot.cameras.items()
             if name not in worn
         }
-        self._sampled = {n: c for n, c in {**self._scene, **worn}.items() if isinstance(c, SampledCamera)}
+        self._sampled = {n: c for n, c in robot.cameras.items() if isinstance(c, SampledCamera)}
         self._watches = {name: GarbageWatch(name) for name in self._sampled}
         self._references: dict[Finger, np.ndarray] = {}
         self._rest_N: np.ndarray = np.zeros(3)
@@ -108,12 +109,11 @@ class RobotRig(Rig):
             "link": [arm.success_rate, now_s - arm.time_s, now_s - hand.time_s],
         }
         measured = {measured_key(name): np.asarray(column, np.float32) for name, column in columns.items()}
-        force_N = arm.wrench_N[:3] - self._rest_N
-        return Observation(self.now_s(), axes, cameras, fingers, measured, force_N)
+        return Observation(self.now_s(), axes, cameras, fingers, measured, arm.wrench_N[:3] - self._rest_N)
 
     def act(self, action: np.ndarray) -> np.ndarray:
         """Send five absolute targets through the guards."""
-        sent = self.robot.send_action(dict(zip(AXES, action.tolist(), strict=True)))
+        sent = self.robot.send_action(by_axis(action))
         return np.array([sent[axis] for axis in AXES])
 
     def hold(self) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from lerobot.teleoperators import Teleoperator
 
+from uniforce_robots.franka.poses import by_axis
 from uniforce_vtla.errors import ContractError, TeleoperatorError, expected
 from uniforce_vtla.keys import AXES
 
@@ -49,7 +50,7 @@ class Steering:
         """Begin with the target on (5,) measured axes; raises TeleoperatorError where it can't start from here."""
         with self._named():
             if hasattr(self._teleop, "start_from"):
-                self._teleop.start_from(_by_axis(axes))
+                self._teleop.start_from(by_axis(axes))
 
     def target(self, axes: np.ndarray) -> np.ndarray:
         """Return (5,) absolute targets for the (5,) measured axes.
@@ -58,7 +59,7 @@ class Steering:
         """
         with self._named():
             if self._wants_feedback:
-                self._teleop.send_feedback(_by_axis(axes))
+                self._teleop.send_feedback(by_axis(axes))
             action = self._teleop.get_action()
             target = np.array([float(action[axis]) for axis in AXES])
         if not np.isfinite(target).all():
@@ -76,7 +77,3 @@ class Steering:
         except Exception as error:
             came = f"{type(error).__name__}: {error}"
             raise TeleoperatorError(expected(self.name, "an answer", came, "Check the device."), "other") from error
-
-
-def _by_axis(axes: np.ndarray) -> dict[str, float]:
-    return dict(zip(AXES, axes.tolist(), strict=True))

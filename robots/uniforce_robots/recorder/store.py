@@ -20,12 +20,12 @@ import numpy as np
 
 from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_datasets.staging import claim
+from uniforce_robots.recorder.faults import handled
 from uniforce_robots.recorder.rig import RigFacts
 from uniforce_robots.recorder.rows import RECORDERS_OWN, RowSlots, further_columns, rig_features
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import DatasetError, DiskFullError, DroppedFrameError, UniForceError, expected
 from uniforce_vtla.options import absolute
-from uniforce_vtla.terminal import STOPS
 
 log = logging.getLogger(__name__)
 LOCK_WAIT_s = 20.0  # a session that was killed leaves a storing process that finishes its orders first
@@ -96,12 +96,8 @@ class StoreProcess:
         given = (other, self._slots, facts, settings)
         self._process = context.Process(target=serve, args=given, name="store", daemon=True)
         # Signals go to the whole group; the child inherits that they are ignored: the loop gives the orders.
-        before = {number: signal.signal(number, signal.SIG_IGN) for number in STOPS}
-        try:
+        with handled(signal.SIG_IGN):
             self._process.start()
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
         self.pid = self._process.pid or 0
         other.close()
 

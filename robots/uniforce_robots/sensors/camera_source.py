@@ -71,8 +71,6 @@ class FrameSource(SampleSource):
 class CameraSource(FrameSource):
     """A camera behind V4L2; ``factory`` makes captures, tests script failures with it."""
 
-    _capture: cv2.VideoCapture
-
     def __init__(self, config: CapturedCameraConfig, factory: CaptureFactory = open_capture) -> None:
         super().__init__(config)
         self._factory = factory

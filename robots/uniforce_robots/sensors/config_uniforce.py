@@ -118,8 +118,8 @@ class CapturedCameraConfig(SampledCameraConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        within_a_second = Range(2, max(2, min(self.fps or FRAMES_PER_S, FRAMES_PER_S)))
-        within_a_second.check("frozen_after", self.frozen_after)
+        # within a second
+        Range(2, max(2, min(self.fps or FRAMES_PER_S, FRAMES_PER_S))).check("frozen_after", self.frozen_after)
 
     @property
     def label(self) -> str:

@@ -49,8 +49,7 @@ class SampledCamera(Camera):
         super().__init__(config)
         self.config: Any = config
         self._source = source
-        limits = ReaderLimits(self.capacity, config.frozen_after, config.connect_ms)
-        self._reader = SampleReader(source, limits)
+        self._reader = SampleReader(source, ReaderLimits(self.capacity, config.frozen_after, config.connect_ms))
         self._orientation = config.orientation
         self._last_index = -1
 
@@ -172,10 +171,9 @@ class TactileFinger(SampledCamera):
         if self.config.reference_on_connect:
             self.take_reference()
 
-    def window(self, size: int, max_age_ms: float | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def window(self, size: int) -> tuple[np.ndarray, np.ndarray]:
         """Return stamps (size,) ns and upright data (size, ...) of the newest samples; see ``SampleReader.window``."""
-        limit_ms = self.config.max_age_ms if max_age_ms is None else max_age_ms
-        stamps_ns, data = self._reader.window(size, limit_ms)
+        stamps_ns, data = self._reader.window(size, self.config.max_age_ms)
         return stamps_ns, np.stack([self._orientation.upright(raw) for raw in data])
 
     def take_reference(self) -> np.ndarray:
@@ -275,13 +273,12 @@ class UniforceSceneCamera(SampledCamera):
 
     def __init__(self, config: UniforceSceneCameraConfig, factory: CaptureFactory = open_capture) -> None:
         super().__init__(config, make_frame_source(config, factory))
-        self._size = config.width, config.height
 
     def _image(self, upright: np.ndarray) -> np.ndarray:
         return upright
 
     def _upright(self, sample: Sample) -> Sample:
-        (width, height), turned = self._size, super()._upright(sample)
+        width, height, turned = self.width, self.height, super()._upright(sample)
         if width is None or height is None or turned.raw.shape[:2] == (height, width):
             return turned
         small = cv2.resize(middle(turned.raw, width / height), (width, height), interpolation=cv2.INTER_AREA)

@@ -13,10 +13,12 @@ import re
 import socket
 import time
 from contextlib import ExitStack
+from io import BytesIO
 from urllib.parse import unquote, urlsplit
 
 import cv2
 import numpy as np
+from PIL.JpegImagePlugin import JpegImageFile
 
 from uniforce_robots.sensors.camera_source import FrameSource
 from uniforce_robots.sensors.faults import LostSensorError, ProtocolError
@@ -100,9 +102,6 @@ class MultipartJpeg:
 class StreamSource(FrameSource):
     """A camera behind ``http://host:port/path``, or ``http://user:password@host:port/path``."""
 
-    _socket: socket.socket
-    _parser: MultipartJpeg
-
     def _connect(self, undo: ExitStack) -> None:
         """Connect; raises LostSensorError where the address is none, or no server is there."""
         self._parser = MultipartJpeg(self.name)
@@ -143,24 +142,12 @@ class StreamSource(FrameSource):
 
 def decode_bgr(jpeg: bytes) -> np.ndarray | None:
     """Return the (H, W, 3) uint8 BGR image of a JPEG; None if it isn't one of a sensible size."""
-    size = jpeg_size(jpeg)
-    if size is None or min(size) <= 0 or max(size) > MAX_SIDE_PX:
-        return None
     try:
+        if max(JpegImageFile(BytesIO(jpeg)).size) > MAX_SIDE_PX:  # reads its header alone
+            return None
         return cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
-    except cv2.error:
+    except (SyntaxError, OSError, cv2.error):  # the first two are Pillow's
         return None  # the caller counts it as bad
-
-
-def jpeg_size(jpeg: bytes) -> tuple[int, int] | None:
-    """Return (width, height) from a JPEG's frame header; None if it has none (ITU-T T.81, annex B)."""
-    at = 2
-    while jpeg[:2] == b"\xff\xd8" and at + 9 <= len(jpeg) and jpeg[at] == 0xFF:
-        marker, length = jpeg[at + 1], int.from_bytes(jpeg[at + 2 : at + 4])
-        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
-            return int.from_bytes(jpeg[at + 7 : at + 9]), int.from_bytes(jpeg[at + 5 : at + 7])
-        at += 2 + max(length, 2)
-    return None
 
 
 def _request(url: str) -> socket.socket:

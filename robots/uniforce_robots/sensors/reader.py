@@ -27,6 +27,7 @@ from uniforce_vtla.options import Range
 log = logging.getLogger(__name__)
 NS_PER_MS = 1e6
 NS_PER_S = 1e9
+RATE_OVER_S = 2.0
 JOIN_S = 3.0  # a driver may sit in a blocking read that long; see the capture's read time-outs
 now_ns = time.perf_counter_ns  # the clock of every stamp
 
@@ -244,10 +245,10 @@ class SampleReader:
             later = max(self._received - 1 - index, 0)
             return list(self._kept)[-later:] if later else []
 
-    def rate_hz(self, over_s: float = 2.0) -> float:
-        """Return the measured rate over the newest ``over_s`` seconds of samples; 0 with fewer than two."""
+    def rate_hz(self) -> float:
+        """Return the measured rate over the newest ``RATE_OVER_S`` of samples; 0 with fewer than two."""
         stamps_ns = np.array([stamp_ns for stamp_ns, _ in self.since(-1)])
-        recent = stamps_ns[stamps_ns >= stamps_ns.max(initial=0) - over_s * NS_PER_S]
+        recent = stamps_ns[stamps_ns >= stamps_ns.max(initial=0) - RATE_OVER_S * NS_PER_S]
         return (len(recent) - 1) * NS_PER_S / np.ptp(recent) if len(set(recent)) > 1 else 0.0
 
     # -- the thread -------------------------------------------------------------------------------------

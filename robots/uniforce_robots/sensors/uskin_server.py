@@ -83,9 +83,6 @@ class ServerUSkin(SampleSource):
     Its address is ``host`` or ``host:port``; ContractError where it has no such form.
     """
 
-    _socket: socket.socket
-    _messages: XelaMessages
-
     def __init__(self, address: str, sensor: str = "1", name: str = "uskin") -> None:
         super().__init__(f"{name} (xela_server {address})")
         self._address, self._sensor = _split(address), sensor

@@ -96,8 +96,6 @@ class SlcanScans:
 class SlcanUSkin(SampleSource):
     """Whole scans, (16, 3) uint16 raw counts each, from a serial port, e.g. ``/dev/serial/by-id/usb-…``."""
 
-    _serial: serial.Serial
-
     def __init__(self, port: str, name: str = "uskin", controller: int = 0) -> None:
         super().__init__(f"{name} ({port})")
         self._port, self._scans, self._early = port, SlcanScans(controller), b""

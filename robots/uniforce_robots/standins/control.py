@@ -59,9 +59,9 @@ class InputLines:
 
 
 class StandInServer:
-    """Prints ``ready ADDRESS`` and serves until ``quit``.
+    """Prints ``ready ADDRESS`` and serves until its input ends.
 
-    On standard input: ``fault NAME`` breaks it, ``fault none`` mends it, ``stats`` prints its counts.
+    On standard input: ``fault NAME`` breaks it, ``fault none`` mends it, ``stats`` prints how much it sent.
 
     Clients reach it by ``plug``, at ``address``; the faults ``unplug`` and ``stop`` take it away. ``config.fault``, one
     of ``faults`` or "none", is there from the start. ``rate_hz`` is that of its beats.
@@ -74,14 +74,14 @@ class StandInServer:
         self.plug, self.address, self.config, self.fault = plug, address, config, config.fault
         self.pace, self.rng = Pace(rate_hz), np.random.default_rng(config.seed)
         self._step = -1
-        self._input, self._quit = InputLines(), False
+        self._input = InputLines()
 
     def run(self) -> int:
-        """Serve until asked to quit; return the exit code."""
+        """Serve until the input ends, or Ctrl-C; return the exit code."""
         self.on_fault()
         say(f"ready {self.address}")
         try:
-            while not (self._quit or self._input.ended):
+            while not self._input.ended:
                 reading, writing = self.plug.waits_for()
                 ready, _, _ = select.select([*reading, *self._input.files], writing, [], self.pace.wait_s())
                 if 0 in ready:
@@ -99,11 +99,9 @@ class StandInServer:
 
     def beat(self) -> None:
         """Send what is due; some devices only answer."""
-        return
 
     def answer(self, received: bytes) -> None:
         """Answer what a client sent; most devices are only read."""
-        return
 
     def next_step(self) -> int:
         """Return the place in a cycle of signals to show now; the fault ``freeze`` stays at it."""
@@ -122,12 +120,10 @@ class StandInServer:
                     self.on_fault()
                     say(f"fault {name}")
                 case ["stats"]:
-                    say(f"stats sent={self.plug.sent} dropped={self.plug.dropped}")
-                case ["quit"]:
-                    self._quit = True
+                    say(f"stats sent={self.plug.sent}")
                 case words:
                     known = " | ".join(self.faults)
-                    say(f"unknown {' '.join(words)}; known: fault none | {known}, stats, quit")
+                    say(f"unknown {' '.join(words)}; known: fault none | {known}, stats")
 
 
 def say(line: str) -> None:

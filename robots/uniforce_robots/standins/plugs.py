@@ -1,6 +1,6 @@
 """How a stand-in is reached: by a pseudo-terminal or by sockets.  Neither ever blocks.
 
-Both can be unplugged and put back, and count messages ``sent``, and ``dropped`` whole because a client doesn't read.
+Both can be unplugged and put back, and count messages ``sent``; one is dropped whole where a client doesn't read.
 """
 
 import contextlib
@@ -24,7 +24,7 @@ class PseudoTerminal:
     def __init__(self, name: str) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix=f"uniforce-{name}-")
         self.address, self.pieces = f"{self._folder.name}/port", READ_BYTES
-        self.sent = self.dropped = 0
+        self.sent = 0
         self.out = bytearray()
         self._ends: list[int] = []  # ours and the client's; none while unplugged
         self.plug()
@@ -55,9 +55,7 @@ class PseudoTerminal:
 
     def send(self, message: bytes) -> None:
         """Keep a message for ``flush``."""
-        if len(self.out) + len(message) > TTY_BYTES:
-            self.dropped += 1
-        else:
+        if len(self.out) + len(message) <= TTY_BYTES:
             self.sent += 1
             self.out += message
 
@@ -76,7 +74,7 @@ class Sockets:
 
     def __init__(self, where: tuple[str, int] | str, welcome: Callable[[socket.socket], bytes]) -> None:
         self.where, self._welcome = where, welcome
-        self.sent = self.dropped = 0
+        self.sent = 0
         self.clients: dict[socket.socket, list[bytes]] = {}  # and what waits to be sent to them
         self._listener: socket.socket | None = None
         self.plug()
@@ -113,24 +111,22 @@ class Sockets:
         for one in ready:
             client = self._listener.accept()[0] if self._listener and one is self._listener else one
             try:
-                if client is one:
-                    is_there = one not in self.clients or bool(one.recv(READ_BYTES))
-                else:
+                if client is not one:
                     client.settimeout(WELCOME_S)
-                    is_there, self.clients[client] = True, [self._welcome(client)]
+                    self.clients[client] = [self._welcome(client)]
                     client.setblocking(False)
+                elif one in self.clients and not one.recv(READ_BYTES):
+                    self._part_from(one)
             except OSError:
-                is_there = False
-            if not is_there:
                 self._part_from(client)
         return b""
 
     def send(self, message: bytes) -> None:
         """Keep a message for every client."""
         for out in self.clients.values():
-            is_full = len(out) >= QUEUE
-            self.dropped, self.sent = self.dropped + is_full, self.sent + (not is_full)
-            out += [] if is_full else [message]
+            if len(out) < QUEUE:
+                self.sent += 1
+                out.append(message)
 
     def flush(self) -> None:
         """Send what sockets take without blocking."""

@@ -16,6 +16,7 @@ import numpy as np
 from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
 
 from uniforce_robots.franka.arm import Gains
+from uniforce_robots.franka.poses import by_axis
 from uniforce_robots.sensors.faults import ProtocolError, StaleSensorError
 from uniforce_robots.teleop.integrator import TargetIntegrator
 from uniforce_vtla.errors import SensorError, TeleoperatorError, expected
@@ -121,7 +122,7 @@ class UniforceTeleoperator(Teleoperator):
         except TeleoperatorError as error:
             self._fault = error
             raise
-        return dict(zip(AXES, axes.tolist(), strict=True))
+        return by_axis(axes)
 
     @property
     def measured(self) -> np.ndarray | None:

@@ -5,14 +5,11 @@ It is a chain of Dynamixel motors on a serial port, asked for its positions over
 answer was missing or broken.
 """
 
-from __future__ import annotations
-
 import contextlib
 import struct
 import termios
 import time
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from lerobot.teleoperators import TeleoperatorConfig
@@ -24,9 +21,6 @@ from uniforce_robots.sensors.reader import ReaderLimits, SampleReader, SampleSou
 from uniforce_robots.teleop.base import UniforceTeleoperator
 from uniforce_robots.teleop.integrator import SteeringConfig, TargetLimits
 from uniforce_vtla.errors import ContractError, TeleoperatorError, expected
-
-if TYPE_CHECKING:
-    from dynamixel_sdk import GroupSyncRead, PortHandler
 
 PRESENT_POSITION, POSITION_BYTES = 132, 4  # control table of the X series
 COUNTS_PER_TURN = 4096
@@ -85,9 +79,6 @@ class GelloBus(SampleSource):
 
     ``counts`` has whole readings, incomplete readings, broken packets.
     """
-
-    _handler: PortHandler
-    _group: GroupSyncRead
 
     def __init__(self, port: str, ids: tuple[int, ...], baud: int) -> None:
         super().__init__(f"gello ({port})")
@@ -176,8 +167,7 @@ class UniforceGello(UniforceTeleoperator):
     def _begin(self, measured: np.ndarray) -> None:
         self._last = None
         self._start = self._pose()
-        gap = self._start - measured
-        gaps = _sizes(gap)
+        gaps = _sizes(self._start - measured)
         if np.greater(gaps, START).any():
             wanted = "within {:.3f} m, {:.2f} rad, {:.3f} m of width of the robot".format(*START)
             came = "{:.3f} m, {:.2f} rad, {:.3f} m away".format(*gaps)
@@ -192,7 +182,8 @@ class UniforceGello(UniforceTeleoperator):
 
     def _pose(self) -> np.ndarray:
         """(5,) where the GELLO is, as the robot's axes."""
-        q, trigger_rad = self._joints_and_trigger()
+        motors = self.device.newest(STALE_MS).raw
+        q: np.ndarray = np.array(self.config.signs) * (motors[:JOINTS] - np.array(self.config.offsets_rad))
         turn_rad = np.abs(q - (q if self._last is None else self._last))
         self._last = q
         if turn_rad.max() > JUMP_rad:
@@ -201,10 +192,5 @@ class UniforceGello(UniforceTeleoperator):
             do = "Check horn and cable of the joint, then start again."
             raise TeleoperatorError(expected(what, wanted, f"{turn_rad.max():.2f}", do), "garbage")
         by_angle = np.array(sorted(zip(self.config.trigger_rad, self.config.width_m, strict=True)))
-        width_m = np.interp(trigger_rad, by_angle[:, 0], by_angle[:, 1])
+        width_m = np.interp(motors[JOINTS], by_angle[:, 0], by_angle[:, 1])
         return np.array([*tool_axes(q, self.config.flange_to_tool_m), width_m])
-
-    def _joints_and_trigger(self) -> tuple[np.ndarray, float]:
-        motors = self.device.newest(STALE_MS).raw
-        q: np.ndarray = np.array(self.config.signs) * (motors[:JOINTS] - np.array(self.config.offsets_rad))
-        return q, float(motors[JOINTS])

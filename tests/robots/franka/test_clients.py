@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from fci_client import wait_until
 
-from uniforce_robots.fr3 import HAND_TO_FLANGE, rotation_z, translation
+from uniforce_robots.fr3 import HAND_TO_FLANGE, rotation_z
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka.arm import ArmSetup, Gains, advised, require_setup
 from uniforce_robots.franka.children import common
@@ -266,7 +266,8 @@ def test_a_client_that_is_not_installed_is_named_with_its_extra(monkeypatch: pyt
 
 
 def test_a_foreign_tool_or_load_is_refused_by_name() -> None:
-    turned = HAND_TO_FLANGE @ rotation_z(np.pi / 4) @ translation(0, 0, 0.06)
+    turned = HAND_TO_FLANGE @ rotation_z(np.pi / 4)
+    turned[2, 3] += 0.06
     require_setup(ArmSetup(HAND_TO_FLANGE, 0.3), load_kg=0.3)
     wrong = {"60 mm away and turned by 45°": ArmSetup(turned, 0.0), "1 kg": ArmSetup(HAND_TO_FLANGE, 1.0)}
     for words, setup in wrong.items():

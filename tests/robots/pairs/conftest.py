@@ -46,7 +46,7 @@ def make_chunk() -> Callable[..., Chunk]:
             images = {f: marker_image(seed + k + 3 * i) for i, f in enumerate(FINGERS)}
             frame = RigFrame(0, images, *rng.standard_normal((2, 3)), float(rng.uniform(1, 9)))
             force = {f: rng.uniform(0, 5, 3) for f in FINGERS}
-            return Pair(frame, force, rng.uniform(-1, 1, 2), float(rng.uniform(0, 0.1)))
+            return Pair(frame, force, float(rng.uniform(0, 0.1)))
 
         return indenter, Session(session, references), [pair(k) for k in range(n)]
 

@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from uniforce_robots.pairs.coverage import ENOUGH, Coverage, contact_place
-from uniforce_robots.pairs.finger_force import CHANNELS, GRID
+from uniforce_robots.pairs.coverage import ENOUGH, Coverage
 from uniforce_robots.pairs.pair_judge import GraspSignals, PairJudge
 from uniforce_robots.pairs.track import MotionLimits, quasi_static
 from uniforce_vtla.errors import ContractError
@@ -118,11 +117,11 @@ def test_it_never_looks_ahead(speed: np.ndarray, count: int) -> None:
     assert (whole[:count] == part).all()
 
 
-@given(arrays(np.float64, (30, 3), elements=st.floats(-50, 50)), arrays(np.float64, (30, 2), elements=st.floats(-2, 2)))
-def test_every_pair_counts_once_wherever_it_lies(force: np.ndarray, place: np.ndarray) -> None:
+@given(arrays(np.float64, (30, 3), elements=st.floats(-50, 50)))
+def test_every_pair_counts_once_wherever_it_lies(force: np.ndarray) -> None:
     coverage = Coverage()
-    coverage.add(force, place)
-    assert coverage.force.sum() == coverage.place.sum() == 30
+    coverage.add(force)
+    assert coverage.force.sum() == 30
 
 
 def test_missing_names_the_emptiest_cell() -> None:
@@ -131,11 +130,3 @@ def test_missing_names_the_emptiest_cell() -> None:
     coverage.force[3, 1] = 0
     assert coverage.missing() == "grip 6–9 N, pull 0.5–1.5 N"
     assert coverage.covered == pytest.approx(1 - 1 / coverage.force.size)
-
-
-@pytest.mark.parametrize("cell", [(1, 1), (1, 6), (6, 2)])
-def test_the_place_is_where_markers_move_apart(cell: tuple[int, int]) -> None:
-    field = np.full((CHANNELS, GRID, GRID), 0.5)  # shear moves all alike
-    field[:, cell[0], cell[1]] += 2.0
-    x, y = contact_place(field.reshape(1, -1))[0]
-    assert (round((y + 1) / 2 * GRID - 0.5), round((x + 1) / 2 * GRID - 0.5)) == cell

@@ -12,7 +12,7 @@ from properties import examples
 
 from uniforce_robots.sensors import UniforceTactileCameraConfig
 from uniforce_robots.sensors.faults import ProtocolError
-from uniforce_robots.sensors.mjpeg import MultipartJpeg, StreamSource, decode_bgr, jpeg_size
+from uniforce_robots.sensors.mjpeg import MultipartJpeg, StreamSource, decode_bgr
 from uniforce_robots.standins.mjpeg import encode, part
 
 HEADER = b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=uniforceframe\r\n\r\n"
@@ -55,7 +55,7 @@ def test_what_is_no_mjpeg_stream_is_a_typed_error(answer: bytes, says: str):
 def test_only_a_jpeg_of_sensible_size_is_decoded():
     jpeg = encode(np.full((48, 64, 3), 90, np.uint8))
     image = decode_bgr(jpeg)
-    assert jpeg_size(jpeg) == (64, 48) and image is not None and image.shape == (48, 64, 3)
+    assert image is not None and image.shape == (48, 64, 3)
     at = jpeg.index(b"\xff\xc0") + 5
     assert decode_bgr(jpeg[:at] + b"\xff\xff\xff\xff" + jpeg[at + 4 :]) is None  # 65,535 px a side
     assert decode_bgr(b"") is None and decode_bgr(b"\xff\xd8") is None and decode_bgr(b"GIF89a") is None

@@ -24,7 +24,8 @@ def test_an_arm_knows_when_it_moved_last(address: str) -> None:
         service.tick()
         shown = service.describe()
         assert (shown["held_since_ms"], shown["last_moving_ms"]) == (held_ms, moving_ms)
-    service.link.close()
+    service.link.listener.close()
+    service.link.udp.close()
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """Garbage in place of FCI messages is refused by name; that good ones are read, the real client shows."""
 
+import struct
 from functools import partial
 
 import numpy as np
@@ -31,7 +32,7 @@ DECODERS = [
     partial(p.unpack, p.MOVE, what="Move"),
     partial(p.decode_hand, p.Grasp),
     partial(p.decode_hand, p.HandMove),
-    partial(p.numbers, p.SETTERS[p.ArmCommand.SET_COLLISION_BEHAVIOR], what="SetCollisionBehavior"),
+    partial(p.numbers, struct.Struct(p.SETTERS[p.ArmCommand.SET_COLLISION_BEHAVIOR]), what="SetCollisionBehavior"),
     partial(p.unpack, p.CONNECT, what="Connect"),
     decode_state,
     p.RobotCommand.decode,

@@ -118,7 +118,7 @@ class Arm:
         return self._floats
 
     def _state_values(self) -> dict[str, np.ndarray]:
-        pose, turn = self.ee_to_base.T.ravel(), self.ee_to_base[:3, :3].T
+        pose = self.ee_to_base.T.ravel()
         motor = {"q": self.q_rad, "dq": self.dq_rad_s, "tau_J": self.tau_Nm}
         return {
             **dict.fromkeys(("O_T_EE", "O_T_EE_d", "O_T_EE_c"), pose),
@@ -130,7 +130,7 @@ class Arm:
             "dtheta": self.dq_rad_s,
             "tau_ext_hat_filtered": self.tau_ext_Nm,
             "O_F_ext_hat_K": self.contact_N,
-            "K_F_ext_hat_K": np.concatenate([turn @ self.contact_N[:3], turn @ self.contact_N[3:]]),
+            "K_F_ext_hat_K": (self.contact_N.reshape(2, 3) @ self.ee_to_base[:3, :3]).ravel(),
             **dict.fromkeys(("O_dP_EE_c", "O_dP_EE_d"), self.twist),
             "O_ddP_O": np.array([0.0, 0.0, -9.81]),  # a client computes gravity from this
         }

@@ -5,7 +5,9 @@ import time
 from dataclasses import dataclass
 from math import cos, sin
 
-from uniforce_robots.fr3 import DH, JOINTS, DQ_MAX_rad_s, FLANGE_m, Q_MAX_rad, Q_MIN_rad, TAU_MAX_Nm
+import numpy as np
+
+from uniforce_robots.fr3 import DH, DQ_MAX_rad_s, FLANGE_m, Q_MAX_rad, Q_MIN_rad, TAU_MAX_Nm
 from uniforce_robots.standins.fci import protocol as p
 from uniforce_robots.standins.fci.arm import Arm, TICK_s, broken_rules
 from uniforce_robots.standins.fci.link import Journal, Link
@@ -101,7 +103,7 @@ class ArmService:
             if message.command not in p.SETTERS:
                 raise p.ProtocolError("arm command", "0 to 11", message.command)
             command = p.ArmCommand(message.command)
-            values = p.numbers(p.SETTERS[command], message.payload, command.name)
+            values = p.numbers(struct.Struct(p.SETTERS[command]), message.payload, command.name)
         except p.ProtocolError as error:
             self.journal.write("invalid", why=str(error))
             return p.SetterStatus.INVALID_ARGUMENT
@@ -240,24 +242,27 @@ class ArmService:
         }
 
 
+URDF_LINK = (
+    '<link name="link{0}"><inertial><origin xyz="0 0 0" rpy="0 0 0"/><mass value="{1}"/>'
+    '<inertia ixx="{2}" iyy="{2}" izz="{2}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+)
+URDF_JOINT = (
+    '<joint name="fr3_joint{1}" type="revolute"><parent link="link{0}"/><child link="link{1}"/>'
+    '<origin xyz="{2}" rpy="{3:.12g} 0 0"/><axis xyz="0 0 1"/>'
+    '<limit lower="{4}" upper="{5}" velocity="{6}" effort="{7}"/>'
+    '<position_based_velocity_limits velocity_offset="0.3" deceleration_limit="6.0"/></joint>'
+)
+URDF_FLANGE = (
+    '<joint name="fr3_joint8" type="fixed"><parent link="link7"/><child link="link8"/>'
+    '<origin xyz="0 0 {}" rpy="0 0 0"/></joint>'
+)
+
+
 def urdf() -> str:
     """Return the model a client downloads: the names and limit tags are those libfranka's model loader asks for."""
-    links = "".join(
-        f'<link name="link{i}"><inertial><origin xyz="0 0 0" rpy="0 0 0"/><mass value="{mass}"/>'
-        f'<inertia ixx="{0.004 * mass}" iyy="{0.004 * mass}" izz="{0.004 * mass}" ixy="0" ixz="0" iyz="0"/>'
-        "</inertial></link>"
-        for i, mass in enumerate(LINK_MASS_kg)
-    )
-    joints = "".join(
-        f'<joint name="fr3_joint{i + 1}" type="revolute"><parent link="link{i}"/><child link="link{i + 1}"/>'
-        f'<origin xyz="{a} {-d * sin(alpha):.12g} {d * cos(alpha):.12g}" rpy="{alpha:.12g} 0 0"/>'
-        f'<axis xyz="0 0 1"/><limit lower="{Q_MIN_rad[i]}" upper="{Q_MAX_rad[i]}" velocity="{DQ_MAX_rad_s[i]}" '
-        f'effort="{TAU_MAX_Nm[i]}"/>'
-        '<position_based_velocity_limits velocity_offset="0.3" deceleration_limit="6.0"/></joint>'
-        for i, (a, d, alpha) in enumerate(DH)
-    )
-    flange = (
-        f'<joint name="fr3_joint8" type="fixed"><parent link="link{JOINTS}"/><child link="link{JOINTS + 1}"/>'
-        f'<origin xyz="0 0 {FLANGE_m}" rpy="0 0 0"/></joint>'
-    )
-    return f'<?xml version="1.0"?><robot name="fr3">{links}{joints}{flange}</robot>'
+    parts = [URDF_LINK.format(i, mass, 0.004 * mass) for i, mass in enumerate(LINK_MASS_kg)]
+    limits = np.column_stack([Q_MIN_rad, Q_MAX_rad, DQ_MAX_rad_s, TAU_MAX_Nm]).tolist()
+    for i, (a, d, alpha) in enumerate(DH.tolist()):
+        origin = f"{a} {-d * sin(alpha):.12g} {d * cos(alpha):.12g}"
+        parts.append(URDF_JOINT.format(i, i + 1, origin, alpha, *limits[i]))
+    return '<?xml version="1.0"?><robot name="fr3">' + "".join(parts) + URDF_FLANGE.format(FLANGE_m) + "</robot>"

@@ -82,9 +82,9 @@ class Hand:
 class HandService:
     """A hand behind its port."""
 
-    def __init__(self, address: str, state_hz: float, journal: Journal) -> None:
+    def __init__(self, address: str, journal: Journal) -> None:
         self.link = Link(address, p.HAND_PORT, p.HAND_HEADER, journal)
-        self.state_hz, self.hand = state_hz, Hand()
+        self.hand = Hand()
         self.pending: p.Message | None = None  # what is to be answered when the fingers have arrived
         self._states = 0
         self._next_state_s = self.last_tick_s = time.monotonic()
@@ -141,7 +141,7 @@ class HandService:
         if outcome is not None:
             self._end(outcome)
         if now_s >= self._next_state_s:
-            self._next_state_s = now_s + 1 / self.state_hz
+            self._next_state_s = now_s + 1 / STATE_HZ
             self._states += 1
             self.send(p.HandState(self._states, self.hand.width_m, MAX_WIDTH_m, self.hand.is_grasped, REST_C))
 

@@ -15,10 +15,10 @@ UNREAD_s = 1.0  # how long an answer may wait for its client to read
 
 
 class Journal:
-    """What the wire saw, a JSON object per line. ``time_s`` is CLOCK_MONOTONIC, which other processes share."""
+    """What the wire saw, a JSON object per line, readable at once; ``time_s`` is CLOCK_MONOTONIC, which all share."""
 
     def __init__(self, path: Path | None) -> None:
-        self._file: TextIO | None = path.open("w") if path else None
+        self._file: TextIO | None = path.open("w", buffering=1) if path else None
 
     @property
     def is_on(self) -> bool:
@@ -29,11 +29,6 @@ class Journal:
         """Add a line."""
         if self._file is not None:
             self._file.write(json.dumps({"time_s": time.monotonic(), "what": what, **details}) + "\n")
-
-    def flush(self) -> None:
-        """Make the lines so far readable for others."""
-        if self._file is not None:
-            self._file.flush()
 
 
 def read_journal(path: Path, begin: int = 0) -> list[dict]:
@@ -168,9 +163,3 @@ class Link:
                 yield self.udp.recv(DATAGRAM_BYTES)
             except (BlockingIOError, ConnectionError):
                 return
-
-    def close(self) -> None:
-        """Close every socket."""
-        self.drop("closing")
-        self.listener.close()
-        self.udp.close()

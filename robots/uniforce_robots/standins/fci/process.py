@@ -19,12 +19,11 @@ class StandIn(AnyStandIn):
         super().__init__(self.module, address, *options, *(("--log", str(log)) if log else ()))
 
     def do(self, what: str, **details: object) -> dict:
-        """Order something (see ``Server``) and return ``{"arm": …, "hand": …}`` as they are afterwards."""
-        return self.order(json.dumps({"do": what, **details}))
+        """Order something (see ``Server``) and return ``{"arm": …, "hand": …}`` as they are afterwards.
 
-    def order(self, line: str) -> dict:
-        """Send a line, which should be such an order; ValueError: it makes no sense."""
-        answer: dict = json.loads(self._ask(line, ANSWER))
+        Raises ValueError: it makes no sense.
+        """
+        answer: dict = json.loads(self._ask(json.dumps({"do": what, **details}), ANSWER))
         if "error" in answer:
             raise ValueError(answer["error"])
         return answer
@@ -39,6 +38,4 @@ class StandIn(AnyStandIn):
         """Return the log so far."""
         if self.log is None:
             raise RuntimeError("this stand-in was started without a log")
-        if self.process.poll() is None:
-            self.do("flush")
         return read_journal(self.log)

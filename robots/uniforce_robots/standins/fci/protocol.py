@@ -119,14 +119,14 @@ HAND_HEADER = Header(struct.Struct("<HII"), "hand")
 CONNECT = struct.Struct("<HH")  # version, UDP port for the states
 # controller, generator, two deviations m rad rad, asynchronous, speeds rad/s
 MOVE = struct.Struct("<II3d3d?7d")
-SETTERS = {
-    ArmCommand.SET_COLLISION_BEHAVIOR: struct.Struct("<52d"),  # lower, upper: torque 7 7, nominal 7 7, force likewise
-    ArmCommand.SET_JOINT_IMPEDANCE: struct.Struct("<7d"),
-    ArmCommand.SET_CARTESIAN_IMPEDANCE: struct.Struct("<6d"),
-    ArmCommand.SET_GUIDING_MODE: struct.Struct("<7?"),  # x, y, z, roll, pitch, yaw, elbow
-    ArmCommand.SET_EE_TO_K: struct.Struct("<16d"),
-    ArmCommand.SET_NE_TO_EE: struct.Struct("<16d"),
-    ArmCommand.SET_LOAD: struct.Struct("<13d"),  # mass kg, centre m, inertia kg m²
+SETTERS = {  # layouts of their payloads
+    ArmCommand.SET_COLLISION_BEHAVIOR: "<52d",  # lower, upper: torque 7 7, nominal 7 7, force likewise
+    ArmCommand.SET_JOINT_IMPEDANCE: "<7d",
+    ArmCommand.SET_CARTESIAN_IMPEDANCE: "<6d",
+    ArmCommand.SET_GUIDING_MODE: "<7?",  # x, y, z, roll, pitch, yaw, elbow
+    ArmCommand.SET_EE_TO_K: "<16d",
+    ArmCommand.SET_NE_TO_EE: "<16d",
+    ArmCommand.SET_LOAD: "<13d",  # mass kg, centre m, inertia kg m²
 }
 # of the collision behaviour: the nominal ones, above which the arm stops by reflex
 UPPER_TORQUE, UPPER_FORCE = slice(21, 28), slice(46, 52)
@@ -184,8 +184,7 @@ _NAMES, _SIZES = _WORDS[::2], [int(size) for size in _WORDS[1::2]]
 _ENDS = np.cumsum(_SIZES).tolist()
 STATE_SLICES = {n: slice(end - size, end) for n, size, end in zip(_NAMES, _SIZES, _ENDS, strict=True)}
 STATE_FLOAT_COUNT = _ENDS[-1]  # 320
-STATE = struct.Struct(f"<Q{4 * STATE_FLOAT_COUNT}sBB{ERRORS}s{ERRORS}sBf")
-STATE_BYTES = STATE.size  # 1377
+STATE = struct.Struct(f"<Q{4 * STATE_FLOAT_COUNT}sBB{ERRORS}s{ERRORS}sBf")  # 1377 bytes
 
 
 @dataclass(frozen=True)
@@ -194,12 +193,12 @@ class RobotState:
 
     message_id: int  # the robot's milliseconds; a command echoes it
     floats: np.ndarray  # (320,) float32, cut by ``STATE_SLICES``
-    generator: int = 0  # 0 when idle, otherwise the Move's + 1
-    controller: int = OTHER  # the Move's
-    errors: frozenset[int] = frozenset()  # of the 41 flags, those of what is wrong now
-    reflex_reason: frozenset[int] = frozenset()  # those of what caused the last reflex
-    mode: int = RobotMode.IDLE
-    success_rate: float = 0.0  # share of the last 100 commands that arrived in time
+    generator: int  # 0 when idle, otherwise the Move's + 1
+    controller: int  # the Move's
+    errors: frozenset[int]  # of the 41 flags, those of what is wrong now
+    reflex_reason: frozenset[int]  # those of what caused the last reflex
+    mode: int
+    success_rate: float  # share of the last 100 commands that arrived in time
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self.floats[STATE_SLICES[name]]
@@ -237,8 +236,7 @@ class RobotCommand:
         return cls(message_id, np.array(tau), motion_finished or finished)
 
 
-HAND_STATE = struct.Struct("<IddBH")
-HAND_STATE_BYTES = HAND_STATE.size  # 23
+HAND_STATE = struct.Struct("<IddBH")  # 23 bytes
 
 
 class HandState(NamedTuple):

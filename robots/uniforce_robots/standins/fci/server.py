@@ -1,56 +1,44 @@
 """Arm, hand and the orders on standard input in one single-threaded loop."""
 
+import argparse
 import json
 import os
 import select
 import socket
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from uniforce_robots.standins.control import InputLines, say
 from uniforce_robots.standins.fci.arm import TICK_s, Wall
 from uniforce_robots.standins.fci.arm_service import ArmService
-from uniforce_robots.standins.fci.hand import STATE_HZ, HandService
+from uniforce_robots.standins.fci.hand import HandService
 from uniforce_robots.standins.fci.link import Journal
-from uniforce_robots.standins.fci.protocol import ARM_VERSION, ErrorBit, ProtocolError
+from uniforce_robots.standins.fci.protocol import ErrorBit, ProtocolError
 
 ANSWER = "order"  # the word before an order's answer
 CATCH_UP_s = 0.05  # a loop that lags more forgets the lag instead of racing through it
 DIED = 9  # exit code of the death a test asked for
 
 
-@dataclass(frozen=True)
-class ServerOptions:
-    """Where to serve and how; see ``ArmService``."""
-
-    address: str  # loopback unless the command line says otherwise
-    server_version: int = ARM_VERSION
-    hand_hz: float = STATE_HZ  # states of the hand per second
-    mute: bool = False  # accept connections and never answer
-    log: Path | None = None  # file of JSON lines, one for each message
-
-
 class Server:
-    """The stand-in; ``orders`` are what it obeys, by name."""
+    """The stand-in; ``orders`` are what it obeys, by name. ``options`` are a command line's, see ``__main__``."""
 
     arm_service: type[ArmService] = ArmService
     hand_service: type[HandService] = HandService
 
-    def __init__(self, options: ServerOptions) -> None:
+    def __init__(self, options: argparse.Namespace) -> None:
         self.journal = Journal(options.log)
         self.arm = self.arm_service(options.address, options.server_version, self.journal)
-        self.hand = self.hand_service(options.address, options.hand_hz, self.journal)
-        self.mute, self.stopped = options.mute, False
+        self.hand = self.hand_service(options.address, self.journal)
+        self.mute = options.mute
         self._input = InputLines()
         self.orders: dict[str, Callable[..., object]] = {
             "look": lambda: None,
             "reflex": lambda: self.arm.reflex(frozenset({ErrorBit.CARTESIAN_REFLEX})),
             "user_stop": self.arm.user_stop,
-            "die": lambda: die(self.journal),
+            "die": die,
             "release": self.arm.release,
             "guide": self.arm.guide,
             "mute": lambda on=True: setattr(self, "mute", bool(on)),
@@ -58,14 +46,12 @@ class Server:
             "wrench": self._set_wrench,
             "wall": self._set_wall,
             "object": lambda width_m: setattr(self.hand.hand, "object_m", float(width_m)),
-            "flush": self.journal.flush,
-            "stop": lambda: setattr(self, "stopped", True),
         }
 
     def run(self) -> None:
-        """Serve until ordered to stop, or until a piped input ends."""
+        """Serve until the input ends."""
         due = time.monotonic()
-        while not (self.stopped or self._input.ended):
+        while not self._input.ended:
             now = time.monotonic()
             if now >= due and self.arm.is_due(now):
                 if not self.mute:
@@ -78,12 +64,6 @@ class Server:
         """Let one millisecond of the robot's time pass."""
         self.arm.tick()
         self.hand.tick(time.monotonic())
-
-    def close(self) -> None:
-        """Close every socket."""
-        self.arm.link.close()
-        self.hand.link.close()
-        self.journal.flush()
 
     def _serve(self, timeout_s: float) -> None:
         """Answer what has arrived, or wait for it. ``select`` waits in microseconds, ``epoll`` in milliseconds."""
@@ -146,7 +126,6 @@ class Server:
         self.arm.arm.refresh()
 
 
-def die(journal: Journal) -> None:
+def die() -> None:
     """End the process without a word to its clients."""
-    journal.flush()
     os._exit(DIED)
