@@ -225,6 +225,8 @@ class Episode:
         sent = np.array(list(self.robot.send_action(action).values()))
         now_s = self.clock()
         last_s, last = self.action or (now_s, None)
+        if self.held is not None:  # after a rest an action counts from there
+            last_s, last = -np.inf, np.array([*self.held, measured[4]])
         self._note(wrong_action(self.limits, sent, measured, last, now_s - last_s))
         self._note(["an action that is none was taken"] * (not sound))
         self._note(["another width than was said"] * (self.hand.width_m != sent[4]))
@@ -243,16 +245,13 @@ class Episode:
         now_s, target, here = self.arm.sent[-1]
         last_s, last, _ = self.arm.sent[-2] if count > self.first else (now_s, None, None)
         self._note(wrong_pose(self.limits, target, here, last, now_s - last_s))
+        if self.action is not None and now_s - self.action[0] > self.stream.settings.stale_s:
+            self.held = here if self.held is None else self.held
         if not self.sabotaged:
             self._note(["began elsewhere"] * (last is None and np.abs(target - here).max() > 1e-9))
-            self._judge_hold(target, here, now_s)
-
-    def _judge_hold(self, target: np.ndarray, here: np.ndarray, now_s: float) -> None:
-        """Without a new action the target has to be where the arm was, and stay there."""
-        if self.action is None or now_s - self.action[0] <= self.stream.settings.stale_s:
-            return
-        self.held = here if self.held is None else self.held
-        self._note(["follows an old action"] * (np.abs(target - self.held).max() > 1e-9))
+            # without a new action the target has to be where the arm was, and stay there
+            follows = self.held is not None and np.abs(target - self.held).max() > 1e-9
+            self._note(["follows an old action"] * bool(follows))
 
     def _meddle(self, target: ToolPose | None, now_s: float) -> ToolPose | None:
         """Return the stream's own target, or what a mistake further up might have made of it."""

@@ -79,7 +79,7 @@ MUTATIONS: dict[str, tuple[str, str, str]] = {  # name: file, what stands there,
         "        self._fault = None\n        self.guards.reset()",
         "        self._fault = None",
     ),
-    "robot: unguarded": (ROBOT, "self.guards(wanted, self.measured(), self._clock())", "wanted"),
+    "robot: unguarded": (ROBOT, "self.guards(wanted, measured, self._clock())", "wanted"),
 }
 PRELOAD = ["lerobot.robots", "uniforce_robots.sensors"]  # once, they take seconds; never the package itself
 

@@ -142,6 +142,8 @@ def _surroundings(error: Exception) -> str:
     match error:
         case OSError(filename=str() | bytes() | Path() as path):
             return f"{path!s}: {error.strerror}. Check the path and the room on its disk."
+        case OSError() if no_room(error):
+            return f"disk: {error.strerror}. Check the path and the room on its disk."
         case OSError():
             return f"{error}. Check files, devices and the network."
         case UnicodeDecodeError():

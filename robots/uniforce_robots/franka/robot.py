@@ -258,9 +258,10 @@ class UniforceFranka(Robot):
         if missing:
             raise RobotError(expected("action", AXES, f"{missing} missing", "Send all five."), "action")
         wanted = np.array([_number(axis, action[axis]) for axis in AXES])
-        if stream.rests:  # what was sent before the rest is no place to go on from
-            self.guards.reset()
-        sent = self.guards(wanted, self.measured(), self._clock())
+        measured, rest = self.measured(), stream.resting
+        if rest is not None:  # what was sent before the rest is no place to go on from
+            self.guards.start_from(np.array([*rest.position_m, rest.yaw_rad, measured[4]]))
+        sent = self.guards(wanted, measured, self._clock())
         stream.submit(ToolPose(sent[:3], float(sent[3])))
         hand.submit(float(sent[4]))
         return sent

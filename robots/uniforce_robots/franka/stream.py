@@ -158,9 +158,10 @@ class ArmStream:
             self._hand.stop()
 
     @property
-    def rests(self) -> bool:
-        """Whether the arm is held where it is, by a hold or by the watchdog, or had no action yet."""
-        return self._ramp is None or self._rest_wanted or self._holding
+    def resting(self) -> ToolPose | None:
+        """Where a hold or the watchdog keeps the arm; None while it follows actions, or before the first one."""
+        ramp = self._ramp
+        return ramp.end if ramp is not None and self._holding else None
 
     def _check(self) -> None:
         if self.fault is not None:

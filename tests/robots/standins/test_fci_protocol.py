@@ -13,7 +13,6 @@ from properties import examples
 from uniforce_robots.standins.fci import protocol as p
 
 
-# payload sizes of libfranka-common's structures
 def test_a_message_may_arrive_in_pieces() -> None:
     whole = p.ARM_HEADER.encode(p.Message(1, 5, b"abc"))
     for cut in range(len(whole)):
