@@ -1,8 +1,8 @@
 """A child process that talks JSON lines: what may hang or hold the GIL lives there, and can be killed."""
 
 import atexit
-import contextlib
 import json
+import logging
 import queue
 import subprocess
 import sys
@@ -14,6 +14,7 @@ from pathlib import Path
 from uniforce_robots.franka.arm import advised, fault_of
 from uniforce_vtla.errors import RobotError, expected
 
+log = logging.getLogger(__name__)
 LOAD_s = 60.0  # importing a client on a busy machine; not part of the robot's deadline
 END_s = 3.0
 SCRIPTS = Path(__file__).parent / "children"
@@ -42,6 +43,7 @@ class Child:
 
         Raises RobotError: as ``wait``; the process is gone then.
         """
+        begun = time.monotonic()
         self._answers = queue.Queue()
         pipe = subprocess.PIPE
         self._process = subprocess.Popen(self._command, stdin=pipe, stdout=pipe, text=True)
@@ -52,6 +54,7 @@ class Child:
         atexit.register(self.close)
         try:
             self.wait("loaded", LOAD_s)
+            log.info("client loaded in %.1f s", time.monotonic() - begun)
             return self.wait("connected", deadline_s)
         except RobotError:
             self.close()
@@ -139,8 +142,10 @@ class Child:
         process, self._process = self._process, None
         if process is None or process.stdin is None or process.stdout is None:
             return
-        with contextlib.suppress(BrokenPipeError):  # the child had gone before
+        try:
             process.stdin.close()  # the end of its orders is its order to end
+        except BrokenPipeError:
+            log.debug("the child had gone before")
         try:
             process.wait(grace_s)
         except subprocess.TimeoutExpired:

@@ -59,16 +59,15 @@ def read_devices(
     for name in settings:
         require_one_of(file, name, ("robot", "teleop"), "It holds these two sections.")
     types = {"teleop": names[teleop], "robot": FRANKA}
-    for part in classes:
+    options: dict[str, Option] = {}
+    for part, config_class in classes.items():
+        options |= options_of(config_class, f"{part}.")
         settings[part] = section(part, settings.get(part))
         kind = settings[part].pop("type", types[part])
         if part == "robot":
             require_one_of("robot.type", kind, [FRANKA])
         elif names.get(str(kind)) != types[part]:
             settings[part] = {}  # the file's teleoperator isn't the one that was asked for
-    options: dict[str, Option] = {}
-    for part, config_class in classes.items():
-        options |= options_of(config_class, f"{part}.")
     _with_flags(settings, flags, options)
     if not franka:
         return None, decode_file(classes["teleop"], "teleop", settings["teleop"])

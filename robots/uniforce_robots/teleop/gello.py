@@ -182,8 +182,7 @@ class UniforceGello(UniforceTeleoperator):
 
     def _pose(self) -> np.ndarray:
         """(5,) where the GELLO is, as the robot's axes."""
-        motors = self.device.newest(STALE_MS).raw
-        q: np.ndarray = np.array(self.config.signs) * (motors[:JOINTS] - np.array(self.config.offsets_rad))
+        q, trigger_rad = self._joints_and_trigger()
         turn_rad = np.abs(q - (q if self._last is None else self._last))
         self._last = q
         if turn_rad.max() > JUMP_rad:
@@ -192,5 +191,10 @@ class UniforceGello(UniforceTeleoperator):
             do = "Check horn and cable of the joint, then start again."
             raise TeleoperatorError(expected(what, wanted, f"{turn_rad.max():.2f}", do), "garbage")
         by_angle = np.array(sorted(zip(self.config.trigger_rad, self.config.width_m, strict=True)))
-        width_m = np.interp(motors[JOINTS], by_angle[:, 0], by_angle[:, 1])
+        width_m = np.interp(trigger_rad, by_angle[:, 0], by_angle[:, 1])
         return np.array([*tool_axes(q, self.config.flange_to_tool_m), width_m])
+
+    def _joints_and_trigger(self) -> tuple[np.ndarray, float]:
+        motors = self.device.newest(STALE_MS).raw
+        q: np.ndarray = np.array(self.config.signs) * (motors[:JOINTS] - np.array(self.config.offsets_rad))
+        return q, float(motors[JOINTS])
