@@ -203,6 +203,7 @@ def test_a_shared_dataset_is_checked_in_full_first(copy, monkeypatch, capsys) ->
     pushed: list[str] = []
     dataset = "lerobot.datasets.lerobot_dataset.LeRobotDataset.push_to_hub"
     monkeypatch.setattr(dataset, lambda self, **_: pushed.append(self.repo_id))
+    monkeypatch.setattr("huggingface_hub.HfApi.create_repo", lambda *_, **__: None)
     given = [f"dataset={copy}", "push=somebody/wipe"]
     assert share.main(given) == 0 and pushed == ["somebody/wipe"]
     camera = next((copy / "videos" / "observation.images.front").rglob("*001.mp4"))

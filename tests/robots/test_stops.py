@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 def test_after_a_stop_nothing_moves_until_a_new_wish(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.CRITICAL):
         counts = explore(20, SimWorld)
-    assert counts["violations"] == 0 and counts["moved"] > 20, "they did move"
+    assert counts["violations"] == 0 and counts["moved"] > 5, "they did move"
 
 
 def test_the_same_over_the_stand_in(address: str, caplog: pytest.LogCaptureFixture) -> None:

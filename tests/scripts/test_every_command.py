@@ -31,6 +31,8 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Room:
 def test_bad_inputs_end_in_one_line(name, room, monkeypatch, capfd) -> None:
     monkeypatch.chdir(room.folder.parent / "work")
     published, every = hashes(ROOT / PUBLISHED), trials(name, room)
+    if name not in command.VERBS:  # a benchmark looks at a file when it comes to it
+        every = [trial for trial in every if trial.bad.kind not in FILES]
     for trial in every[:: len(every) // SHARE]:
         code = _code(entry(name), trial.words)
         ended = Ended(code, "".join(capfd.readouterr()))

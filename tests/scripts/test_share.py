@@ -170,7 +170,14 @@ CARD_AFTER = {
     "sensors": {"tactile_left": {"rate_hz": 30.0, "settings": {"fps": 30.0}}},
     "settings": {"robot": "franka", "prompts": ["wipe"], "window": 17},
 }
-STRAYS = ("notes.txt", "meta/rig.json", "data/chunk-000/file-000.csv", "cards/todo.json", "meta/info.json.bak", ".env")
+STRAYS = (
+    "notes.txt",
+    "meta/notes.json",
+    "data/chunk-000/file-000.csv",
+    "cards/todo.json",
+    "meta/info.json.bak",
+    ".env",
+)
 
 
 @pytest.fixture

@@ -59,6 +59,10 @@ class GuardChain:
         """Forget the last target; the next one is counted from the measured pose."""
         self._last = None
 
+    def start_from(self, axes: np.ndarray) -> None:
+        """Count the next action from (5,) axes, where the robot was kept."""
+        self._last, self._last_s = axes, -np.inf
+
     def __call__(self, action: np.ndarray, measured: np.ndarray, now_s: float) -> np.ndarray:
         """Return the action that may be sent.
 
