@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from uniforce_cli.lerobot_training import train
 from uniforce_cli.record import RecordConfig, record
 from uniforce_cli.score import ScoreConfig, score
 from uniforce_cli.view import ViewConfig, make_view
+from uniforce_vtla.errors import ContractError
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 TINY = ["policy.tiny.width=64", "policy.tiny.depth=2", "policy.tiny.mlp_dim=32"]
@@ -72,7 +74,10 @@ def test_lerobot_eval_agrees_with_our_score(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_a_dataset_that_is_full_says_that_nothing_was_recorded(demos: Path) -> None:
-    end = record(RecordConfig(episodes=1, level="easy", root=str(demos), left_sensor="uskin:drawing"))
+    settings = RecordConfig(episodes=1, level="easy", root=str(demos), left_sensor="uskin:drawing")
+    with pytest.raises(ContractError, match="scene.left_sensor 'gelsight:drawing' → 'uskin:drawing'"):
+        record(settings)
+    end = record(replace(settings, settings_changed="accept"))
     assert end.exit_code == 0 and end.message.startswith(f"nothing new, {demos} holds 1 or more")
 
 

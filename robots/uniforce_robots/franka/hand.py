@@ -63,7 +63,7 @@ class Hand:
         self._stop_wanted = self._interrupted = False
         self._deadline_s = self._ended_s = 0.0  # of the command in flight; when the last one ended
         self._holds = False  # the last command was a grasp that succeeded
-        self._held_s: float | None = None  # when it last said that it holds something; None: nothing to lose
+        self._held: HandReading | None = None  # the last one that holds what was grasped; None: nothing to lose
         self._fault: RobotError | None = None
 
     def start(self) -> None:
@@ -144,7 +144,7 @@ class Hand:
         if self.is_busy and self._clock() > self._deadline_s:
             came, do = f"an answer to {self._last or 'a stop'}", "Is something in its way? Free it, then connect again."
             raise RobotError(expected("hand", came, "none in time", do), "hand_deadline")
-        held_s, reading = self._held_s, self._reading
+        held, reading = self._held, self._reading
         if reading is None:
             return
         age_s = self._clock() - max(reading.time_s, self._ended_s)
@@ -152,13 +152,13 @@ class Hand:
             wanted = f"a reading younger than {self.settings.reading_age_s} s"
             do = "Check the cable and the robot's controller."
             raise RobotError(expected("hand", wanted, f"{age_s:.2f} s", do), "hand_stale")
-        if held_s is not None and reading.time_s - held_s > LOST_s:
+        if held is not None and reading.time_s - held.time_s > LOST_s:
             do = "Put it back into the fingers, then call recover()."
             raise RobotError(expected("hand", "what was grasped", "nothing any more", do), "grasp_lost")
 
     def recover(self) -> None:
         """Forget a lost grasp on an operator's word, begin nothing; raises RobotError: anything else is wrong still."""
-        self._wish_m = self._held_s = None
+        self._wish_m = self._held = None
         if self._reading is None or not self._reading.is_grasped:
             self._last, self._holds = None, False
         self.tick()
@@ -172,7 +172,7 @@ class Hand:
             came, do = f"{widths[0]} of {widths[1]} m", "Home the hand, then connect again."
             raise RobotError(expected("hand", f"widths of 0 to {WIDEST_m} m", came, do), "hand_state")
         if self._holds and reading.is_grasped:
-            self._held_s = reading.time_s
+            self._held = reading
         self._reading = reading
 
     def _finish(self, succeeded: bool | None) -> None:
@@ -193,7 +193,8 @@ class Hand:
         is_same = self._last is not None and abs(wish_m - self._last.width_m) < self.settings.hysteresis_m
         if is_same and (self._succeeded or self._tries >= TRIES):
             return
-        command = next_command(wish_m, reading, self._holds, self.settings)
+        # from where something was held: fingers that close on nothing lost it, and opening them would hide that
+        command = next_command(wish_m, self._held or reading, self._holds, self.settings)
         if command is None:
             return
         end_m = 0.0 if command.force_N > 0 else command.width_m  # a grasp of nothing closes fully
@@ -201,7 +202,7 @@ class Hand:
         self._client.begin(command)
         self._deadline_s = self._clock() + travel_s + GRACE_s
         self._tries = self._tries + 1 if is_same else 1
-        self._held_s, self._last, self.is_busy = None, command, True
+        self._held, self._last, self.is_busy = None, command, True
         self._holds = self._interrupted = False
 
     def _wished(self) -> float | None:

@@ -129,6 +129,19 @@ def test_a_grip_that_wanders_by_more_than_the_hysteresis_stays_a_grasp() -> None
     assert [c.force_N for c in bench.client.commands] == [SETTINGS.grip_force_N]
 
 
+def test_what_slips_out_is_known_though_the_wish_went_on_after_the_grasp_began() -> None:
+    """Guards raise a wish step by step: the grasp was asked for at another width than is wished when it is lost."""
+    bench = Bench(moves=True)
+    bench.client.object_m = 0.035
+    bench.hand.submit(0.07)
+    assert bench.run(0.05) == ""
+    bench.hand.submit(0.02)
+    assert bench.run(1.5) == "" and bench.client.is_grasped
+    bench.client.is_grasped, bench.client.width_m = False, 0.0
+    assert bench.run(0.5) == "grasp_lost"
+    assert len(bench.client.commands) == 1, "opening fingers would hide it"
+
+
 def test_a_hand_that_opens_less_opens_as_far_as_it_goes_and_one_never_homed_is_named() -> None:
     bench = Bench(moves=True)
     bench.client.width_m, bench.client.max_width_m = 0.02, 0.0785

@@ -1,5 +1,7 @@
 """The LeRobot robot on a fake arm and hand: features, guarded actions, faults, and no motion after the end."""
 
+import importlib.util
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -153,26 +155,29 @@ def test_connecting_twice_is_refused(robot: UniforceFranka) -> None:
 
 
 @pytest.mark.slow
-def test_lerobots_rollout_does_not_lead_the_arm_back() -> None:
-    strategies = pytest.importorskip(STRATEGIES, reason="this LeRobot has no rollout strategies")
-    before = strategies.RolloutStrategy._return_to_initial_position
-    try:
-        assert forbid_return_motion()
-        sent: list[dict] = []
+def test_lerobots_rollout_does_not_lead_the_arm_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a copy of LeRobot's module of its own: a robot of another test may have changed the one that is loaded."""
+    pytest.importorskip(STRATEGIES, reason="this LeRobot has no rollout strategies")
+    spec = importlib.util.find_spec(STRATEGIES)
+    assert spec is not None and spec.loader is not None
+    strategies = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, STRATEGIES, strategies)
+    spec.loader.exec_module(strategies)
+    sent: list[dict] = []
 
-        class Hardware:
-            class robot_wrapper:  # noqa: N801
-                get_observation = staticmethod(lambda: action())
-                send_action = staticmethod(sent.append)
+    class Hardware:
+        class robot_wrapper:  # noqa: N801
+            get_observation = staticmethod(lambda: action())
+            send_action = staticmethod(sent.append)
 
-            initial_position = action(0.1)
+        initial_position = action(0.1)
 
-        strategies.RolloutStrategy._return_to_initial_position(Hardware, duration_s=0.1)
-        assert not sent
-        before(Hardware, duration_s=0.04)
-        assert sent, "LeRobot's own would have moved: if it no longer does, forbid_return_motion can go"
-    finally:
-        strategies.RolloutStrategy._return_to_initial_position = staticmethod(before)
+    strategies.RolloutStrategy._return_to_initial_position(Hardware, duration_s=0.04)
+    assert sent, "LeRobot's own would have moved: if it no longer does, forbid_return_motion can go"
+    sent.clear()
+    assert forbid_return_motion()
+    strategies.RolloutStrategy._return_to_initial_position(Hardware, duration_s=0.04)
+    assert not sent
 
 
 @dataclass
