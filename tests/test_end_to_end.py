@@ -75,7 +75,7 @@ def test_lerobot_eval_agrees_with_our_score(tmp_path: Path, monkeypatch: pytest.
 
 def test_a_dataset_that_is_full_says_that_nothing_was_recorded(demos: Path) -> None:
     settings = RecordConfig(episodes=1, level="easy", root=str(demos), left_sensor="uskin:drawing")
-    with pytest.raises(ContractError, match="scene.left_sensor 'gelsight:drawing' → 'uskin:drawing'"):
+    with pytest.raises(ContractError, match=r"scene\.left_sensor 'gelsight:drawing' → 'uskin:drawing'"):
         record(settings)
     end = record(replace(settings, settings_changed="accept"))
     assert end.exit_code == 0 and end.message.startswith(f"nothing new, {demos} holds 1 or more")

@@ -133,7 +133,7 @@ def make_teleoperator(config: TeleoperatorConfig) -> Teleoperator:
     """Return the teleoperator, not connected; ContractError where LeRobot can't build it."""
     try:
         return make_teleoperator_from_config(config)
-    except (ValueError, ImportError) as error:
+    except Exception as error:  # anybody's constructor
         do = "Check its settings and what it needs installed."
         raise ContractError(expected("teleop", "one that can be built", error, do)) from error
 

@@ -9,6 +9,7 @@ import numpy as np
 from lerobot.teleoperators import Teleoperator
 
 from uniforce_robots.franka.poses import by_axis
+from uniforce_robots.teleop.base import require_near
 from uniforce_vtla.errors import ContractError, TeleoperatorError, expected
 from uniforce_vtla.keys import AXES
 
@@ -47,10 +48,15 @@ class Steering:
             log.warning("%s", error)
 
     def start_from(self, axes: np.ndarray) -> None:
-        """Begin with the target on (5,) measured axes; raises TeleoperatorError where it can't start from here."""
+        """Begin on (5,) measured axes; raises TeleoperatorError where it can't start from here.
+
+        One that has a pose of its own, as any leader arm, must stand where the robot is.
+        """
+        if not hasattr(self._teleop, "start_from"):
+            require_near(self.name, self.target(axes), axes)
+            return
         with self._named():
-            if hasattr(self._teleop, "start_from"):
-                self._teleop.start_from(by_axis(axes))
+            self._teleop.start_from(by_axis(axes))
 
     def target(self, axes: np.ndarray) -> np.ndarray:
         """Return (5,) absolute targets for the (5,) measured axes.

@@ -16,13 +16,15 @@ import numpy as np
 from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
 
 from uniforce_robots.franka.arm import Gains
-from uniforce_robots.franka.poses import by_axis
+from uniforce_robots.franka.poses import by_axis, shortest_turn
 from uniforce_robots.sensors.faults import ProtocolError, StaleSensorError
 from uniforce_robots.teleop.integrator import TargetIntegrator
 from uniforce_vtla.errors import SensorError, TeleoperatorError, expected
 from uniforce_vtla.keys import AXES
 
 GAP_S = 0.15  # without a call, after which the robot may have come to rest: its watchdog waits 0.2 s
+# m, rad and m of width that a device with a pose of its own may stand from the robot at the start
+START = 0.05, 0.3, 0.03
 FEEDBACK_AGE_S = 0.2  # an older measured pose is not where the robot is; its own watchdog has the same
 
 
@@ -36,6 +38,20 @@ def checked_axes(axes: Mapping[str, Any] | np.ndarray, what: str) -> np.ndarray:
     if array.shape != (len(AXES),) or not np.isfinite(array).all():
         raise TeleoperatorError(expected(what, f"{AXES}, finite", array.tolist(), "Check it."), "garbage")
     return array
+
+
+def gap_sizes(gap: np.ndarray) -> tuple[float, float, float]:
+    """Return m, rad and m of width of a difference (5,) of poses."""
+    return float(np.linalg.norm(gap[:3])), abs(shortest_turn(0.0, float(gap[3]))), abs(float(gap[4]))
+
+
+def require_near(name: str, target: np.ndarray, measured: np.ndarray) -> None:
+    """Refuse a start from a target (5,) too far from the measured axes; raises TeleoperatorError (``far``)."""
+    gaps = gap_sizes(target - measured)
+    if np.greater(gaps, START).any():
+        wanted = "within {:.3f} m, {:.2f} rad, {:.3f} m of width of the robot".format(*START)
+        came = "{:.3f} m, {:.2f} rad, {:.3f} m away".format(*gaps)
+        raise TeleoperatorError(expected(name, wanted, came, "Bring them together, then start."), "far")
 
 
 class UniforceTeleoperator(Teleoperator):

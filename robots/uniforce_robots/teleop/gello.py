@@ -15,10 +15,10 @@ import numpy as np
 from lerobot.teleoperators import TeleoperatorConfig
 
 from uniforce_robots.fr3 import HAND_TO_FLANGE, JOINTS, posture
-from uniforce_robots.franka.poses import ToolPose, shortest_turn
+from uniforce_robots.franka.poses import ToolPose
 from uniforce_robots.sensors.faults import LostSensorError, ProtocolError
 from uniforce_robots.sensors.reader import ReaderLimits, SampleReader, SampleSource, Stamped, now_ns
-from uniforce_robots.teleop.base import UniforceTeleoperator
+from uniforce_robots.teleop.base import UniforceTeleoperator, gap_sizes, require_near
 from uniforce_robots.teleop.integrator import SteeringConfig, TargetLimits
 from uniforce_vtla.errors import ContractError, TeleoperatorError, expected
 
@@ -29,9 +29,7 @@ FAILED_IN_A_ROW = 5
 REST_S = 0.002  # between two questions, so that a fast bus doesn't take a core: some 200 Hz
 STALE_MS = 150.0  # an older reading is not followed
 JUMP_rad = 0.35  # a joint that turns further between two readings has slipped or lies
-# m, rad and m of width it may stand from the robot at the start; the target then closes the gap
-START = 0.05, 0.3, 0.03
-MOVED = 0.01, 0.05, 0.005  # the same, beyond which it was moved since the start
+MOVED = 0.01, 0.05, 0.005  # m, rad and m of width, beyond which it was moved since the start
 # A GELLO that lies still repeats itself: that is no fault.
 LIMITS = ReaderLimits(capacity=64, frozen_after=0, first_ms=2000.0, silent_s=1.0)
 _BROKEN = (OSError, termios.error, TypeError)  # TypeError: pyserial's descriptor vanished while it read
@@ -67,11 +65,6 @@ def offsets(motor_rad: np.ndarray, signs: np.ndarray, held_rad: np.ndarray) -> n
     Motors are mounted at quarter turns, so that rounding takes out how inexactly a hand holds the posture.
     """
     return np.round((motor_rad - signs * held_rad) / (np.pi / 2)) * (np.pi / 2)
-
-
-def _sizes(gap: np.ndarray) -> tuple[float, float, float]:
-    """Return m, rad and m of width of a difference (5,) of poses."""
-    return float(np.linalg.norm(gap[:3])), abs(shortest_turn(0.0, float(gap[3]))), abs(float(gap[4]))
 
 
 class GelloBus(SampleSource):
@@ -167,15 +160,11 @@ class UniforceGello(UniforceTeleoperator):
     def _begin(self, measured: np.ndarray) -> None:
         self._last = None
         self._start = self._pose()
-        gaps = _sizes(self._start - measured)
-        if np.greater(gaps, START).any():
-            wanted = "within {:.3f} m, {:.2f} rad, {:.3f} m of width of the robot".format(*START)
-            came = "{:.3f} m, {:.2f} rad, {:.3f} m away".format(*gaps)
-            raise TeleoperatorError(expected(self.name, wanted, came, "Bring them together, then start."), "far")
+        require_near(self.name, self._start, measured)
 
     def _next(self, elapsed_s: float) -> np.ndarray:
         pose = self._pose()
-        if self._start is not None and not np.greater(_sizes(pose - self._start), MOVED).any():
+        if self._start is not None and not np.greater(gap_sizes(pose - self._start), MOVED).any():
             return self.integrator.target
         self._start = None
         return self.integrator.towards(pose, elapsed_s, self.measured)

@@ -6,9 +6,11 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from lerobot.teleoperators import Teleoperator
 from recording_fakes import Sway, SwayConfig, sway
 
 from uniforce_datasets.features import dataset_features
@@ -115,6 +117,17 @@ def test_a_teleoperator_may_return_anything(tmp_path: Path, action: object) -> N
     teleop.get_action = lambda: action  # type: ignore[assignment, method-assign, return-value]
     with pytest.raises(errors.TeleoperatorError, match="recording_test"):
         Steering(teleop).target(np.zeros(5))
+
+
+@pytest.mark.parametrize("axis, far", [(AXES[0], 0.08), (AXES[3], 0.5), (AXES[4], 0.04)])
+def test_a_leader_of_anybodys_starts_where_the_robot_is(axis: str, far: float) -> None:
+    """Else the robot would go to it through whatever is there."""
+    teleop = Mock(Teleoperator, feedback_features={}, action_features=Sway.action_features)
+    teleop.name = "leader"
+    teleop.get_action = lambda: dict.fromkeys(AXES, 0.0) | {axis: far}
+    with pytest.raises(errors.TeleoperatorError, match="Bring them together") as caught:
+        Steering(teleop).start_from(np.zeros(5))
+    assert caught.value.fault == "far"
 
 
 def test_nobody_catches_the_end_of_the_program(tmp_path: Path) -> None:
