@@ -19,12 +19,12 @@ from benchmarks.trust.guard_oracle import SLACK, axes_of, pose_of, wrong_action,
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka import robot as robot_module
 from uniforce_robots.franka.arm import ArmState
-from uniforce_robots.franka.clients import HandReading
 from uniforce_robots.franka.guards import GuardLimits
 from uniforce_robots.franka.limits import StreamSettings
 from uniforce_robots.franka.poses import ToolPose
 from uniforce_robots.franka.stream import ArmStream
 from uniforce_vtla.errors import RobotError
+from uniforce_vtla.hand import HandReading
 from uniforce_vtla.keys import AXES
 
 STEPS = 50  # actions in an episode

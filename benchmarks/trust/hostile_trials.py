@@ -24,8 +24,8 @@ from benchmarks.ledger import Ledger
 from benchmarks.trust.hostile_arm import HostileStandIn
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka.guards import GuardLimits
-from uniforce_robots.franka.hand import LOST_s
 from uniforce_vtla.errors import RobotError
+from uniforce_vtla.hand import LOST_s
 from uniforce_vtla.keys import AXES
 
 ROWS = "trials"  # the ledger's file

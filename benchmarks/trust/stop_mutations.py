@@ -1,4 +1,4 @@
-"""Would the sessions notice a broken stop? Each mutation breaks one place of a copy of the robots' package."""
+"""Would the sessions notice a broken stop? Each mutation breaks one place of a copy of the two packages it lies in."""
 
 import importlib.util
 import logging
@@ -15,11 +15,18 @@ from tqdm import tqdm
 from uniforce_cli.boundary import command
 from uniforce_vtla.errors import ContractError, expected
 
-PACKAGE = Path(str(importlib.util.find_spec("uniforce_robots").origin)).parent  # type: ignore[union-attr]
+PACKAGES = ("uniforce_robots", "uniforce_vtla")
 SESSIONS = 250  # at most; most breaks are seen within ten
-HAND, STREAM, ROBOT, POSES = "franka/hand.py", "franka/stream.py", "franka/robot.py", "franka/poses.py"
-GUARDS, BASE, KEYS, INTEGRATOR = "franka/guards.py", "teleop/base.py", "teleop/keyboard.py", "teleop/integrator.py"
-SESSION, EPISODE = "recorder/session.py", "recorder/episode.py"
+HAND = "uniforce_vtla/hand.py"
+STREAM = "uniforce_robots/franka/stream.py"
+ROBOT = "uniforce_robots/franka/robot.py"
+POSES = "uniforce_robots/franka/poses.py"
+GUARDS = "uniforce_robots/franka/guards.py"
+BASE = "uniforce_robots/teleop/base.py"
+KEYS = "uniforce_robots/teleop/keyboard.py"
+INTEGRATOR = "uniforce_robots/teleop/integrator.py"
+SESSION = "uniforce_robots/recorder/session.py"
+EPISODE = "uniforce_robots/recorder/episode.py"
 MUTATIONS: dict[str, tuple[str, str, str]] = {  # name: file, what stands there, what is put in its place
     "hand: goes on after a stop": (HAND, "self._stop_wanted = True", "pass"),
     "hand: keeps the wish over a stop": (
@@ -94,18 +101,23 @@ def notice(name: str) -> str:
     file, old, new = MUTATIONS[name]
     logging.disable(logging.CRITICAL)
     with tempfile.TemporaryDirectory() as folder:
-        copy = Path(shutil.copytree(PACKAGE, Path(folder) / PACKAGE.name))
-        text = (copy / file).read_text()
+        for package in PACKAGES:
+            source = importlib.util.find_spec(package)
+            shutil.copytree(Path(str(source and source.origin)).parent, Path(folder) / package)
+        copy = Path(folder) / file
+        text = copy.read_text()
         if text.count(old) != 1:
             raise ContractError(expected(name, f"{old!r} once in {file}", text.count(old), "Mend the table."))
-        (copy / file).write_text(text.replace(old, new))
-        sys.path.insert(0, folder)  # the copy is found before the package itself
+        copy.write_text(text.replace(old, new))
+        sys.path.insert(0, folder)  # the copies are found before the packages themselves
+        for loaded in [module for module in sys.modules if module.partition(".")[0] in PACKAGES]:
+            del sys.modules[loaded]
         from benchmarks.trust.stop_sessions import explore
         from benchmarks.trust.stop_world import SimWorld
 
-        tried = sys.modules["uniforce_robots"].__file__ or ""
-        if not tried.startswith(folder):
-            raise ContractError(expected(name, f"sessions on the copy in {folder}", tried, "Is it preloaded?"))
+        tried = [str(sys.modules[package].__file__) for package in PACKAGES]
+        if not all(path.startswith(folder) for path in tried):
+            raise ContractError(expected(name, f"sessions on the copies in {folder}", tried, "Are they preloaded?"))
         try:
             explore(SESSIONS, SimWorld)
         except AssertionError as error:

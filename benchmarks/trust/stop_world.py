@@ -18,11 +18,11 @@ from uniforce_robots.fr3 import HAND_TO_FLANGE, HOME_q_rad, posture
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka import robot as robot_module
 from uniforce_robots.franka.arm import ArmSetup, ArmState
-from uniforce_robots.franka.clients import HandCommand, HandReading
 from uniforce_robots.franka.limits import HandSettings, StreamSettings
 from uniforce_robots.franka.stream import ArmStream
 from uniforce_robots.standins.fci.process import StandIn
 from uniforce_vtla.errors import RobotError
+from uniforce_vtla.hand import HandCommand, HandReading
 
 TICK_s = 0.01
 BRAKE_s = 0.4  # after a stop; from then on nothing may move

@@ -7,7 +7,6 @@ killed when it does not answer.
 import importlib.util
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from uniforce_robots.franka.arm import ROBOT_STOPS, ArmSetup, ArmState, refuse_s
 from uniforce_robots.franka.child import Child
 from uniforce_robots.franka.config import UniforceFrankaConfig
 from uniforce_vtla.errors import RobotError, expected
+from uniforce_vtla.hand import HandCommand, HandReading, OUTER_m
 
 CLIENT, EXTRA = "franky", "franka"
 DISTRIBUTION = "lerobot_policy_pi05_uniforce"
@@ -28,37 +28,6 @@ FIRST_READING_s = 3.0  # of the hand, which gives ten a second
 HAND_PORT = 1338  # of every Franka Hand; the arm's is 1337
 POLL_s = 0.002
 LOOK_s = 0.1  # a look at the hand's connection costs up to a millisecond
-THINNEST_m = 0.002  # of what may be grasped; fingers closer than this hold nothing
-OUTER_m = 0.08  # outer tolerance of a grasp: the tool may be thicker than the target, on purpose
-
-
-@dataclass(frozen=True)
-class HandCommand:
-    """What to ask of the hand: a grasp where ``force_N`` > 0, a plain move where it is 0."""
-
-    width_m: float
-    speed_m_s: float
-    force_N: float = 0.0
-
-    @property
-    def grasp_width_m(self) -> float:
-        """Width to name in a grasp: wide enough that fingers closed on nothing lie outside the tolerance."""
-        return max(self.width_m, 2 * THINNEST_m)
-
-    @property
-    def inner_m(self) -> float:
-        """Inner tolerance of a grasp: anything thicker than ``THINNEST_m`` counts as held."""
-        return self.grasp_width_m - THINNEST_m
-
-
-@dataclass(frozen=True)
-class HandReading:
-    """What the hand said: opening between the fingers, whether it holds something, host clock at receipt."""
-
-    time_s: float
-    width_m: float
-    max_width_m: float
-    is_grasped: bool
 
 
 def require_installed() -> None:

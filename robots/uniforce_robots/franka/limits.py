@@ -8,6 +8,7 @@ hardware.
 from dataclasses import dataclass
 
 from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.hand import HandRules
 from uniforce_vtla.options import Range
 
 
@@ -112,14 +113,8 @@ class StreamSettings:
 
 
 @dataclass(frozen=True)
-class HandSettings:
-    """How widths become commands; hard limits in ``limits.HARD_LIMITS``."""
-
-    speed_m_s: float = 0.05  # of the fingers
-    # of every closing; gels and domes are rated for about 11 N; the real hand's smallest force is unverified
-    grip_force_N: float = 10.0
-    hysteresis_m: float = 0.003  # a smaller change of the wished width is no new command
-    reading_age_s: float = 0.5  # an older reading stops the arm; the hand gives about ten a second
+class HandSettings(HandRules):
+    """``HandRules`` within the hard limits of ``limits.HARD_LIMITS``."""
 
     def __post_init__(self) -> None:
         require_in_limits(self)

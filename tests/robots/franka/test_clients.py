@@ -2,11 +2,14 @@
 
 import importlib.util
 import logging
+import os
 import signal
+import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +20,20 @@ from uniforce_robots.fr3 import HAND_TO_FLANGE, rotation_z
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka.arm import ArmSetup, Gains, advised, require_setup
 from uniforce_robots.franka.children import common
-from uniforce_robots.franka.clients import CLIENT, EXTRA, Arm, HandClient, require_installed
+from uniforce_robots.franka.clients import (
+    CLIENT,
+    EXTRA,
+    HAND_PORT,
+    Arm,
+    HandClient,
+    is_hand_closed,
+    require_installed,
+)
 from uniforce_robots.franka.guards import GuardLimits
-from uniforce_robots.franka.hand import Hand, HandCommand
 from uniforce_robots.franka.limits import HandSettings, StreamSettings
 from uniforce_robots.standins.fci.process import StandIn
 from uniforce_vtla.errors import RobotError
+from uniforce_vtla.hand import Hand, HandCommand
 
 CHILDREN = Path(common.__file__).parent
 PATIENCE_s = 60.0  # a busy machine; the robot's own clock is what is asserted on
@@ -278,3 +289,14 @@ def test_a_foreign_tool_or_load_is_refused_by_name() -> None:
 
 def test_a_kernel_without_real_time_is_told_what_helps() -> None:
     assert advised("libfranka: no realtime capabilities.").endswith("or boot a PREEMPT_RT kernel.")
+
+
+def test_a_connection_that_the_hand_has_closed_is_seen_from_outside_the_client(address: str) -> None:
+    with ExitStack() as closing:
+        server = closing.enter_context(socket.create_server((address, HAND_PORT)))
+        closing.enter_context(socket.create_connection((address, HAND_PORT)))
+        accepted, _ = server.accept()
+        assert not is_hand_closed(os.getpid())
+        accepted.close()
+        time.sleep(0.05)
+        assert is_hand_closed(os.getpid())

@@ -12,8 +12,9 @@ import draccus
 import numpy as np
 import pytest
 import torch
+from hand_fakes import FakeHand
 from lerobot.robots import RobotConfig, make_robot_from_config
-from robot_fakes import START, FakeArm, FakeHand
+from robot_fakes import START, FakeArm
 
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka import robot as module

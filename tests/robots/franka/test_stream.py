@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from robot_fakes import START, FakeArm
 
-from uniforce_robots.franka.hand import Hand
 from uniforce_robots.franka.poses import ToolPose
 from uniforce_robots.franka.stream import ArmStream, Ramp, StreamSettings
 from uniforce_vtla.errors import RobotError
+from uniforce_vtla.hand import Hand
 
 
 @pytest.fixture

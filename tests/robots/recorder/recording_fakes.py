@@ -8,8 +8,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from hand_fakes import FakeHand
 from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
-from robot_fakes import FakeArm, FakeHand
+from robot_fakes import FakeArm
 from scripted import ScriptedCapture
 
 from uniforce_robots import sensors

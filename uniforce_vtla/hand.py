@@ -7,9 +7,9 @@ loop at 30 Hz can wait for neither.
 import logging
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
 
-from uniforce_robots.franka.clients import HandClient, HandCommand, HandReading, THINNEST_m
-from uniforce_robots.franka.limits import HandSettings
 from uniforce_vtla.errors import RobotError, SensorError, expected
 
 log = logging.getLogger(__name__)
@@ -18,9 +18,73 @@ LOST_s = 0.3  # three readings without hold, by the hand's own word: what was gr
 TRIES = 2  # of a command that did not succeed while its width is still wished
 WIDEST_m = 0.12  # no hand opens so far
 UNHOMED_m = 0.01  # a hand that was never homed gives no larger opening than this
+THINNEST_m = 0.002  # of what may be grasped; fingers closer than this hold nothing
+OUTER_m = 0.08  # outer tolerance of a grasp: the tool may be thicker than the target, on purpose
 
 
-def next_command(wish_m: float, reading: HandReading, holds: bool, settings: HandSettings) -> HandCommand | None:
+@dataclass(frozen=True)
+class HandRules:
+    """How widths become commands."""
+
+    speed_m_s: float = 0.05  # of the fingers
+    # of every closing; gels and domes are rated for about 11 N; the real hand's smallest force is unverified
+    grip_force_N: float = 10.0
+    hysteresis_m: float = 0.003  # a smaller change of the wished width is no new command
+    reading_age_s: float = 0.5  # an older reading stops the arm; the hand gives about ten a second
+
+
+@dataclass(frozen=True)
+class HandCommand:
+    """What to ask of the hand: a grasp where ``force_N`` > 0, a plain move where it is 0."""
+
+    width_m: float
+    speed_m_s: float
+    force_N: float = 0.0
+
+    @property
+    def grasp_width_m(self) -> float:
+        """Width to name in a grasp: wide enough that fingers closed on nothing lie outside the tolerance."""
+        return max(self.width_m, 2 * THINNEST_m)
+
+    @property
+    def inner_m(self) -> float:
+        """Inner tolerance of a grasp: anything thicker than ``THINNEST_m`` counts as held."""
+        return self.grasp_width_m - THINNEST_m
+
+
+@dataclass(frozen=True)
+class HandReading:
+    """What the hand said: opening between the fingers, whether it holds something, host clock at receipt."""
+
+    time_s: float
+    width_m: float
+    max_width_m: float
+    is_grasped: bool
+
+
+class HandClient(Protocol):
+    """A hand: the robot's, in a child process, or the scene's. No call but ``connect`` waits."""
+
+    def connect(self) -> None:
+        """Open the connection and wait for a first reading."""
+
+    def read(self) -> HandReading | None:
+        """Return the newest reading, None before the first."""
+
+    def begin(self, command: HandCommand) -> None:
+        """Start a command; none is in flight."""
+
+    def poll(self) -> bool | None:
+        """Return how the command in flight ended (False: not done, nothing grasped), None while it runs."""
+
+    def stop(self) -> None:
+        """Stop the fingers where they are; a command in flight ends without success."""
+
+    def refuse_closed(self) -> None:
+        """Raise RobotError where the hand has closed the connection."""
+
+
+def next_command(wish_m: float, reading: HandReading, holds: bool, settings: HandRules) -> HandCommand | None:
     """Return the command that brings the fingers to a wished width, None where they are there.
 
     Closing by position would press with all the motor has, so every closing is a grasp with a bounded force. Fingers
@@ -50,9 +114,9 @@ class Hand:
     """
 
     def __init__(
-        self, client: HandClient, settings: HandSettings | None = None, clock: Callable[[], float] = time.monotonic
+        self, client: HandClient, settings: HandRules | None = None, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self.settings = settings or HandSettings()
+        self.settings = settings or HandRules()
         self.failed_commands = 0
         self._client, self._clock = client, clock
         self._reading: HandReading | None = None

@@ -1,18 +1,13 @@
 """What is asked of the hand and when it is at fault, on a fake client and a clock that is set."""
 
-import os
-import socket
-import time
-from contextlib import ExitStack
-
 import pytest
-from robot_fakes import FakeHand
+from hand_fakes import FakeHand
 
-from uniforce_robots.franka.clients import HAND_PORT, HandReading, is_hand_closed
-from uniforce_robots.franka.hand import TRIES, GRACE_s, Hand, HandCommand, HandSettings, next_command
+from uniforce_robots.franka.clients import HandReading
 from uniforce_vtla.errors import RobotError
+from uniforce_vtla.hand import TRIES, GRACE_s, Hand, HandCommand, HandRules, next_command
 
-SETTINGS = HandSettings()
+SETTINGS = HandRules()
 TICK_s = 0.01
 
 
@@ -240,14 +235,3 @@ def test_opening_on_purpose_loses_nothing(bench: Bench) -> None:
     bench.client.is_grasped = False
     bench.hand.submit(0.07)
     assert bench.run(1.0) == "" and len(bench.client.commands) == 2
-
-
-def test_a_connection_that_the_hand_has_closed_is_seen_from_outside_the_client(address: str) -> None:
-    with ExitStack() as closing:
-        server = closing.enter_context(socket.create_server((address, HAND_PORT)))
-        closing.enter_context(socket.create_connection((address, HAND_PORT)))
-        accepted, _ = server.accept()
-        assert not is_hand_closed(os.getpid())
-        accepted.close()
-        time.sleep(0.05)
-        assert is_hand_closed(os.getpid())
