@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from joblib import Parallel, delayed
 from tqdm import tqdm
@@ -97,6 +97,7 @@ class GatesCommand:
     """
 
     level: Level = "touch"
+    gripper: Literal["servo", "hand"] = "servo"  # of the scene
     episodes: Count = 100  # scenes, the same for every script
     first_seed: Seed = BLOCKS["gates"].start  # of them
     learn_from: Count = 250  # scenes that lag laws and observers are fitted on
@@ -108,8 +109,8 @@ class GatesCommand:
     out: OutFile = "outputs/gates.json"
 
 
-def _episode(level: str, name: str, seed: int, fitted: Fitted, folder: Path) -> dict[str, Any]:
-    result = run_script(WipeEnv(level=level, drawn=()), GATES[name].make(fitted, folder), seed)
+def _episode(level: str, gripper: str, name: str, seed: int, fitted: Fitted, folder: Path) -> dict[str, Any]:
+    result = run_script(WipeEnv(level=level, drawn=(), gripper=gripper), GATES[name].make(fitted, folder), seed)
     return {"script": name, "seed": seed, "clean": result.clean, "outcome": result.outcome} | {
         key: round(float(value), 4) for key, value in result.metrics.items()
     }
@@ -118,11 +119,12 @@ def _episode(level: str, name: str, seed: int, fitted: Fitted, folder: Path) -> 
 def run_all(config: GatesCommand, fitted: Fitted) -> list[dict[str, Any]]:
     """Return a row per script and scene; those of an earlier run are kept."""
     folder = Path(config.work)
-    ledger, own = Ledger(folder), f"{config.level}_{level_hash(get_level(config.level))}_{config.first_seed}"
+    hand = "_hand" if config.gripper == "hand" else ""
+    ledger, own = Ledger(folder), f"{config.level}{hand}_{level_hash(get_level(config.level))}_{config.first_seed}"
     done = {(row["script"], row["seed"]) for row in ledger.read(own)}
     seeds = range(config.first_seed, config.first_seed + config.episodes)
     wanted = [(name, seed) for seed in seeds for name in choose(GATES, config.only) if (name, seed) not in done]
-    jobs = [delayed(_episode)(config.level, name, seed, fitted, folder) for name, seed in wanted]
+    jobs = [delayed(_episode)(config.level, config.gripper, name, seed, fitted, folder) for name, seed in wanted]
     for row in tqdm(Parallel(config.workers, return_as="generator")(jobs), total=len(jobs), desc="episodes"):
         ledger.add(own, row)
     return [row for row in ledger.read(own) if row["seed"] in seeds]
@@ -154,13 +156,15 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
 @command(GatesCommand)
 def main(config: GatesCommand) -> None:
     one_thread()
-    fitted = fit(config.level, config.learn_from, config.sweep_on, config.learn_seed, config.workers, Path(config.work))
+    scenes = config.learn_from, config.sweep_on, config.learn_seed
+    fitted = fit(config.level, config.gripper, *scenes, config.workers, Path(config.work))
     scripts = summarise(run_all(config, fitted))
     for name, line in scripts.items():
         bar = f"≥ {line['at_least']}" if line["at_least"] is not None else f"≤ {line['at_most']}"
         print(f"{name:32} {line['clean']:3}/{line['n']}  {bar:7} {'holds' if line['holds'] else 'DOES NOT HOLD'}")
     content = {
         "level": config.level,
+        "gripper": config.gripper,
         "level_hash": level_hash(get_level(config.level)),
         "seeds": [config.first_seed, config.first_seed + config.episodes - 1],
         "learnt_on": [config.learn_seed, config.learn_seed + config.learn_from - 1],

@@ -46,7 +46,7 @@ class Fitted:
     observer_ink_r2: float
 
 
-def fit(level: str, episodes: int, swept: int, first_seed: int, workers: int, folder: Path) -> Fitted:
+def fit(level: str, gripper: str, episodes: int, swept: int, first_seed: int, workers: int, folder: Path) -> Fitted:
     """Return what the scripts learn on ``episodes`` scenes, set points on ``swept`` of them; ``folder`` keeps it."""
     path = folder / "fitted.json"
     if path.is_file():
@@ -54,9 +54,9 @@ def fit(level: str, episodes: int, swept: int, first_seed: int, workers: int, fo
         points = {style: BlindSettings(**point) for style, point in stored.pop("set_points").items()}
         return Fitted(points, LagLaw(**stored.pop("arm")), LagLaw(**stored.pop("gripper")), **stored)
     folder.mkdir(parents=True, exist_ok=True)
-    jobs = [delayed(_observe)(level, seed) for seed in range(first_seed, first_seed + episodes)]
+    jobs = [delayed(_observe)(level, gripper, seed) for seed in range(first_seed, first_seed + episodes)]
     found = list(tqdm(Parallel(workers, return_as="generator")(jobs), total=len(jobs), desc="scenes to learn from"))
-    set_points = _sweep(level, range(first_seed, first_seed + swept), workers)
+    set_points = _sweep(level, gripper, range(first_seed, first_seed + swept), workers)
     stiffness, rest = _line(found)
     r2 = {}
     for name, ink in (("observer", False), ("observer_ink", True)):
@@ -65,28 +65,29 @@ def fit(level: str, episodes: int, swept: int, first_seed: int, workers: int, fo
         ]
         model, r2[name] = train_observer(data)
         torch.save(model.state_dict(), folder / f"{name}.pt")
-    arm, gripper = (_law([(f.lag_s[k], f.scale[k]) for f in found if f.lag_s[k]]) for k in range(2))
-    fitted = Fitted(set_points, arm, gripper, stiffness, rest, r2["observer"], r2["observer_ink"])
+    arm_law = _law([(f.lag_s[0], f.scale[0]) for f in found if f.lag_s[0]])
+    gripper_law = _law([(f.lag_s[1], f.scale[1]) for f in found if f.lag_s[1]])
+    fitted = Fitted(set_points, arm_law, gripper_law, stiffness, rest, r2["observer"], r2["observer_ink"])
     path.write_text(json.dumps(asdict(fitted)))
     return fitted
 
 
-def _sweep(level: str, seeds: range, workers: int) -> dict[str, BlindSettings]:
+def _sweep(level: str, gripper: str, seeds: range, workers: int) -> dict[str, BlindSettings]:
     """Return each style's set points that wiped most of the scenes clean, by the mean in-band share where they tie."""
     tried = [
         (style, BlindSettings(press, grip))
         for style, (_, grips) in STYLES.items()
         for press, grip in itertools.product(PRESSES_N, grips)
     ]
-    jobs = [delayed(_try)(level, style, settings, seed) for style, settings in tried for seed in seeds]
+    jobs = [delayed(_try)(level, gripper, style, settings, seed) for style, settings in tried for seed in seeds]
     found = list(tqdm(Parallel(workers, return_as="generator")(jobs), total=len(jobs), desc="set points"))
     scores = np.array(found).reshape(len(tried), len(seeds), 2).mean(axis=1)
     ranked = sorted(zip(scores.tolist(), tried, strict=True), key=lambda pair: pair[0])
     return {style: settings for _, (style, settings) in ranked}  # the best comes last and stays
 
 
-def _try(level: str, style: str, settings: BlindSettings, seed: int) -> tuple[float, float]:
-    result = run_script(WipeEnv(level=level, drawn=()), BlindScript(settings, STYLES[style][0]), seed)
+def _try(level: str, gripper: str, style: str, settings: BlindSettings, seed: int) -> tuple[float, float]:
+    result = run_script(WipeEnv(level=level, drawn=(), gripper=gripper), BlindScript(settings, STYLES[style][0]), seed)
     return float(result.clean), result.metrics["in_band_share"]
 
 
@@ -101,8 +102,9 @@ class Observation:
     scale: tuple[float, float]  # their true stiffnesses over nominal
 
 
-def _observe(level: str, seed: int) -> Observation:
-    env, rng = WipeEnv(level=level, drawn=()), np.random.default_rng([seed, 77])
+def _observe(level: str, gripper: str, seed: int) -> Observation:
+    env = WipeEnv(level=level, drawn=(), gripper=gripper)
+    rng = np.random.default_rng([seed, 77])
     settings = AGAINST_PULL if env.level.pull else TouchSettings()
     expert = WipeExpert(settings=replace(settings, press_N=float(rng.uniform(*PRESS_N))))
     looked, press, sunk, grasp_m = [], [], [], np.nan

@@ -125,7 +125,7 @@ def draw(found: dict[str, dict[str, dict[str, Any]]], path: Path) -> Path:
 def main(config: NeededCommand) -> None:
     """Entry of ``python -m benchmarks.gates.needed``."""
     learnt = BLOCKS["what scripts of the gates learn from"].start
-    fitted = fit(LEVEL, config.learn_from, config.sweep_on, learnt, config.workers, Path(config.work))
+    fitted = fit(LEVEL, "servo", config.learn_from, config.sweep_on, learnt, config.workers, Path(config.work))
     seeds = range(config.first_seed, config.first_seed + config.episodes)
     found = curves(roll(config, fitted), seeds)
     for axis, lines in found.items():

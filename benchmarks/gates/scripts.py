@@ -97,9 +97,14 @@ class Keeping(TouchRegulator):
     """Feels half a second of wiping, then keeps the target's depth, or the height the hand had."""
 
     def __init__(
-        self, layout: Layout, contact: Callable[[], Contact], settings: TouchSettings, keeps_height: bool
+        self,
+        layout: Layout,
+        contact: Callable[[], Contact],
+        settings: TouchSettings,
+        hand_holds: bool,
+        keeps_height: bool,
     ) -> None:
-        super().__init__(layout, contact, settings)
+        super().__init__(layout, contact, settings, hand_holds)
         self._keeps_height, self._felt, self._height_m = keeps_height, 0, np.nan
 
     @property
@@ -134,4 +139,4 @@ class KeepingExpert(WipeExpert):
 
     def _regulator(self, layout: Layout, press_N: float, grip_N: float) -> Regulator:
         wanted = replace(self.settings, press_N=press_N, grip_N=grip_N)
-        return Keeping(layout, lambda: self._contact, wanted, self._keeps_height)
+        return Keeping(layout, lambda: self._contact, wanted, self._hand_holds, self._keeps_height)

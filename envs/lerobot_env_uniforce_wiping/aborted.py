@@ -1,4 +1,4 @@
-"""The scene for LeRobot's loops, which end a whole run over one exception: a lost sensor ends its episode alone."""
+"""The scene for LeRobot's loops, which end a whole run over one exception: a fault ends its episode alone."""
 
 import logging
 from typing import Any
@@ -6,14 +6,14 @@ from typing import Any
 import gymnasium
 
 from lerobot_env_uniforce_wiping.env import WipeEnv
-from uniforce_vtla.errors import SensorError
+from uniforce_vtla.errors import RobotError, SensorError, UniForceError
 
 log = logging.getLogger(__name__)
 Step = tuple[dict[str, Any], float, bool, bool, dict[str, Any]]
 
 
 class AbortedEpisodes(gymnasium.Wrapper):
-    """Truncate an episode whose sensor fails, unsuccessful, instead of raising; ``info["aborted"]`` says why.
+    """Truncate an episode whose sensor or hand fails, unsuccessful, instead of raising; ``info["aborted"]`` says why.
 
     What a policy is shown for that one step is the last observation, or, where the first look failed, the scene with
     its sensors as drawn: the other environments of a vector go on, and their policy must not stop for it.
@@ -43,12 +43,12 @@ class AbortedEpisodes(gymnasium.Wrapper):
             return self._end
         try:
             step = self.env.step(action)
-        except SensorError as error:
+        except (SensorError, RobotError) as error:
             return self._abort(error, self._scene._info())
         self._seen = step[0]
         return step
 
-    def _abort(self, error: SensorError, info: dict[str, Any]) -> Step:
+    def _abort(self, error: UniForceError, info: dict[str, Any]) -> Step:
         log.warning("episode aborted: %s", error)
         info |= {"is_success": False, "aborted": str(error)}
         self._end = (self._seen, 0.0, False, True, info)
@@ -57,7 +57,9 @@ class AbortedEpisodes(gymnasium.Wrapper):
     def _as_drawn(self, seed: int | None) -> tuple[dict[str, Any], dict[str, Any]]:
         scene = self._scene
         left, right = (f"{scene.sensors[finger]}:drawing" for finger in ("left", "right"))
-        return WipeEnv(scene.level.name, left, right, scene.drawn, scene.expose_wrench).reset(seed=seed)
+        return WipeEnv(scene.level.name, left, right, scene.drawn, scene.expose_wrench, gripper=scene.gripper).reset(
+            seed=seed
+        )
 
 
 def make_scene(**settings: Any) -> AbortedEpisodes:

@@ -8,6 +8,7 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
+from lerobot_env_uniforce_wiping.gripper import require_gripper
 from lerobot_env_uniforce_wiping.levels import CAMERA_PX, CONTROL_HZ, get_level
 from lerobot_env_uniforce_wiping.mjcf import SolverSettings
 from lerobot_env_uniforce_wiping.painter import Painter
@@ -38,6 +39,7 @@ class WipeEnv(gymnasium.Env):
         expose_wrench: add the true pad wrenches to the observation; for ceiling controls only.
         max_steps: cut episodes earlier or later than the level does.
         render_mode: gymnasium's; pictures are always arrays.
+        gripper: what moves the fingers: "servo", the level's own, or "hand", under the rules of the robot's hand.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": int(CONTROL_HZ)}
@@ -51,8 +53,10 @@ class WipeEnv(gymnasium.Env):
         expose_wrench: bool = False,
         max_steps: int | None = None,
         render_mode: str | None = "rgb_array",
+        gripper: str = "servo",
     ) -> None:
-        self.level = get_level(level)
+        require_gripper(gripper)
+        self.level, self.gripper = get_level(level), gripper
         self._wear: dict[Finger, Wear] = {"left": wear(left_sensor), "right": wear(right_sensor)}
         self.sensors: dict[str, str] = {finger: worn(0).kind for finger, worn in self._wear.items()}
         self.drawn = drawn
@@ -141,7 +145,9 @@ class WipeEnv(gymnasium.Env):
         scene = self.scene_of(seed)
         self.worn = {finger: worn(seed) for finger, worn in self._wear.items()}
         stiffness = self.worn["left"].stiffness, self.worn["right"].stiffness
-        self._sim = WipeSimulation(scene, self.sensors["left"], self.sensors["right"], self.solver, stiffness)
+        self._sim = WipeSimulation(
+            scene, self.sensors["left"], self.sensors["right"], self.solver, stiffness, self.gripper
+        )
         self._recorder = TraceRecorder(self._sim)
         self._steps = 0
         self.task = self.task_description = scene.task

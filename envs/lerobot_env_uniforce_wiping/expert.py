@@ -24,6 +24,7 @@ CLEARANCE_m = 0.008  # above the nominal contact height, where lowering slows do
 FAST_m_s, SLOW_m_s = 0.050, 0.018  # lowering
 LOWERING_GAIN = 3.5  # 1/s: speed per distance left above the clearance
 CLOSING_m_s = 0.040  # gripper in free air
+INSIDE_m = 0.008  # of what is held: where a hand that holds by itself is asked to stay, far from asking it to open
 
 
 def lowering_speed(target_m: float, layout: Layout) -> float:
@@ -82,18 +83,30 @@ AGAINST_PULL = TouchSettings(press_N=6.0, grip_N=8.5, press_rate_m_s_N=0.008)
 
 
 class TouchRegulator:
-    """Regulates grip and press by touch; keeps no memory beyond its own target."""
+    """Regulates grip and press by touch; keeps no memory beyond its own target.
 
-    def __init__(self, layout: Layout, contact: Callable[[], Contact], settings: TouchSettings) -> None:
+    Where the ``hand_holds`` by a force of its own, press alone: a width inside what is held keeps the grasp.
+    """
+
+    def __init__(
+        self, layout: Layout, contact: Callable[[], Contact], settings: TouchSettings, hand_holds: bool = False
+    ) -> None:
         self._layout, self._contact, self._settings = layout, contact, settings
+        self._hand_holds = hand_holds
 
     def close(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
         """Close fast until a pad touches something, then regulate; made at `lift_from` of the wanted grip."""
         s = self._settings
-        return self.hold(target_m, measured), self._contact().grip_N > s.lift_from * s.grip_N
+        is_made = self._contact().grip_N > s.lift_from * s.grip_N
+        if self._hand_holds:
+            return target_m - CLOSING_m_s / CONTROL_HZ, is_made
+        return self.hold(target_m, measured), is_made
 
     def hold(self, target_m: float, measured: np.ndarray) -> float:
-        """Move the width against the grip error."""
+        """Move the width against the grip error; to a width inside what is held where the hand holds."""
+        if self._hand_holds:
+            step_m = CLOSING_m_s / CONTROL_HZ
+            return float(target_m + np.clip(measured[4] - INSIDE_m - target_m, -step_m, step_m))
         s = self._settings
         speed = np.clip(s.grip_rate_m_s_N * (self._contact().grip_N - s.grip_N), -CLOSING_m_s, CLOSING_m_s)
         return float(target_m + speed / CONTROL_HZ)
@@ -163,6 +176,7 @@ class WipeExpert:
         self._felt.clear()
         level = self._own_heights(level)
         self._weight_N = level.layout.eraser_mass_kg * GRAVITY_m_s2
+        self._hand_holds = env.gripper == "hand"
         regulator = self._regulator(level.layout, press, grip)
         start = env.state.astype(np.float64)
         self._sequence = WipeSequence(level, regulator, start, lambda: look_back(env), pace, self._stray)
@@ -184,7 +198,7 @@ class WipeExpert:
 
     def _regulator(self, layout: Layout, press_N: float, grip_N: float) -> Regulator:
         wanted = replace(self.settings, press_N=press_N, grip_N=grip_N)
-        return TouchRegulator(layout, lambda: self._contact, wanted)
+        return TouchRegulator(layout, lambda: self._contact, wanted, self._hand_holds)
 
     @property
     def phase(self) -> str:

@@ -35,6 +35,7 @@ class UniforceWipingConfig(EnvConfig):
     level: str = "easy"
     left_sensor: str = "gelsight"
     right_sensor: str = "tactip"
+    gripper: str = "servo"  # servo, the level's own | hand, under the rules of the robot's
     expose_wrench: bool = False  # ceiling control only
     episode_length: int | None = None  # steps; None = the level's own
     features: dict[str, PolicyFeature] = field(default_factory=_features)
@@ -61,5 +62,5 @@ class UniforceWipingConfig(EnvConfig):
     @property
     def gym_kwargs(self) -> dict[str, Any]:
         """Arguments of ``WipeEnv``."""
-        settings = ("level", "left_sensor", "right_sensor", "expose_wrench")
+        settings = ("level", "left_sensor", "right_sensor", "gripper", "expose_wrench")
         return {name: getattr(self, name) for name in settings} | {"max_steps": self.episode_length}

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from lerobot_env_uniforce_wiping.gripper import FrankaHand, Gripper, Servo, finger_addresses
 from lerobot_env_uniforce_wiping.hidden import UnevenBoard, hand_pull
 from lerobot_env_uniforce_wiping.ink import InkField
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ
@@ -46,6 +47,7 @@ class WipeSimulation:
         right_sensor: likewise.
         solver: of the physics.
         stiffness: of the left and the right unit over its kind's.
+        gripper: what moves the fingers, one of ``gripper.GRIPPERS``.
     """
 
     def __init__(
@@ -55,6 +57,7 @@ class WipeSimulation:
         right_sensor: str,
         solver: SolverSettings | None = None,
         stiffness: tuple[float, float] = (1.0, 1.0),
+        gripper: str = "servo",
     ) -> None:
         self.scene, self.solver = scene, solver or SolverSettings()
         self.sensors = {"left": left_sensor, "right": right_sensor}
@@ -65,6 +68,9 @@ class WipeSimulation:
         self._set_pad_stiffness(dict(zip(FINGERS, stiffness, strict=True)))
         self._draw_hidden()
         self._place_arm()
+        self.gripper = self._make_gripper(gripper)
+        self._apply(self.target)
+        mujoco.mj_forward(self.model, self.data)
         self.pads = {f: PadTruth(np.zeros(4, np.float32), 0.0) for f in FINGERS}
         self.press_N = self.slide_m = 0.0
         self.push_N = np.zeros(3)  # on the hand, besides the scene's pull
@@ -80,7 +86,6 @@ class WipeSimulation:
         self._hand, self._board = m.body("hand").id, m.geom("board").id
         self._board_body = m.body("board").id
         self._reference = m.site("base_tool").pos.copy()
-        self._fingers_q = [m.jnt_qposadr[m.joint(f"finger_{f}").id] for f in FINGERS]
 
     def _set_pad_stiffness(self, over_nominal: dict[Finger, float]) -> None:
         """Pad stiffness K by formula: MuJoCo's solref then gives K whatever the eraser weighs."""
@@ -106,20 +111,21 @@ class WipeSimulation:
         layout, offset = self.scene.level.layout, np.array(self.scene.start_offset_m)
         start = np.array([*layout.tray_m, layout.start_height_m]) + offset
         solve_arm(self.model, self.data, start, TOOL_DOWN)
-        for address in self._fingers_q:
+        for address in finger_addresses(self.model):
             self.data.qpos[address] = layout.open_width_m / 2
         self.target = np.array([*start, 0.0, layout.open_width_m])
-        self._width_applied = layout.open_width_m
-        self._apply(self.target)
-        mujoco.mj_forward(self.model, self.data)
+
+    def _make_gripper(self, name: str) -> Gripper:
+        if name == "hand":
+            return FrankaHand(self.model, self.data, self.scene.seed)
+        return Servo(self.model, self.data, self.target[4], self.scene.gripper_dead_band_m)
 
     @property
     def measured(self) -> np.ndarray:
         """(5,) measured x, y, z, yaw, width: all a policy may know of the robot."""
         matrix = self.data.site_xmat[self._tcp].reshape(3, 3)
         yaw = np.arctan2(matrix[1, 0], matrix[0, 0])
-        width = sum(self.data.qpos[a] for a in self._fingers_q)
-        return np.array([*self.data.site_xpos[self._tcp], yaw, width])
+        return np.array([*self.data.site_xpos[self._tcp], yaw, self.gripper.width_m])
 
     def command(self, action: np.ndarray) -> None:
         """Move the inner target towards an absolute target: speed-limited, leashed, in range."""
@@ -136,9 +142,7 @@ class WipeSimulation:
     def _apply(self, target: np.ndarray) -> None:
         self.data.ctrl[:3] = TOOL_DOWN @ (target[:3] - self._reference)
         self.data.ctrl[3:6] = (0.0, 0.0, -target[3])
-        if abs(target[4] - self._width_applied) > self.scene.gripper_dead_band_m:
-            self._width_applied = target[4]
-        self.data.ctrl[6] = self._width_applied
+        self.gripper.command(target[4])
 
     def step(self) -> None:
         """Advance 1/30 s, averaging touch over the step and wearing ink."""
@@ -148,6 +152,7 @@ class WipeSimulation:
         self._steps += 1
         for _ in range(READS):
             self._raise_board()
+            self.gripper.advance(1 / CONTROL_HZ / READS)
             mujoco.mj_step(self.model, self.data, self.solver.substeps)
             self._read_contacts(forces, press)
         for finger in FINGERS:

@@ -49,6 +49,8 @@ class RecordConfig:
     # simulation, a robot's own config says it there: unit 1 of it, or uskin:7 | uskin:any | uskin:drawing
     left_sensor: Worn = "gelsight"
     right_sensor: Worn = "tactip"  # likewise
+    # simulation: servo, the level's own, regulates grip finely | hand holds by force, as the robot's does
+    gripper: Literal["servo", "hand"] = "servo"
     root: options.OutFolder = "outputs/demos"  # the dataset's folder
     resume: options.Dataset = ""  # the same as root, but refuses a folder without a dataset
     repo_id: options.HubName = "local/uniforce_wiping"  # LeRobot's name for it; nothing is uploaded
@@ -117,7 +119,7 @@ def _record_expert(config: RecordConfig) -> SessionEnd:
 
     drawn, settings = (config.episodes, config.seed, config.keep_failures), _scene(config)
     agreed_changes(options.absolute(config.root), settings, config.settings_changed == "accept")
-    with closing(WipeEnv(config.level, config.left_sensor, config.right_sensor)) as env:
+    with closing(WipeEnv(config.level, config.left_sensor, config.right_sensor, gripper=config.gripper)) as env:
         new = record_expert(env, Path(config.root), config.repo_id, *drawn, settings)
     if not new:
         return SessionEnd(0, f"nothing new, {config.root} holds {config.episodes} or more; set episodes= or root=")
@@ -125,7 +127,7 @@ def _record_expert(config: RecordConfig) -> SessionEnd:
 
 
 def _scene(config: RecordConfig) -> dict[str, Any]:
-    return {f"scene.{name}": getattr(config, name) for name in ("level", "left_sensor", "right_sensor")}
+    return {f"scene.{name}": getattr(config, name) for name in SCENE}
 
 
 def _robot(config: RecordConfig, robot: RobotConfig) -> dict[str, Any]:
@@ -151,7 +153,8 @@ def _rig(config: RecordConfig, robot: RobotConfig | None, teleop: Teleoperator) 
         from uniforce_robots.recorder.sim_rig import SimRig
 
         max_steps = round(config.episode_s * WipeEnv.metadata["render_fps"])
-        env = WipeEnv(config.level, config.left_sensor, config.right_sensor, max_steps=max_steps)
+        worn = config.left_sensor, config.right_sensor
+        env = WipeEnv(config.level, *worn, max_steps=max_steps, gripper=config.gripper)
         return SimRig(env, config.real_time)
     from uniforce_robots.recorder.build import make_robot
     from uniforce_robots.recorder.robot_rig import RobotRig
@@ -172,7 +175,7 @@ def _check(config: RecordConfig) -> None:
 
 
 ROBOT = ("rig", "keep_raw", "window")
-SCENE = ("level", "left_sensor", "right_sensor")
+SCENE = ("level", "left_sensor", "right_sensor", "gripper")
 BY_HAND = ("prompts", "episode_s", "operator", "verdict", "quick_notes", "drive_between", "keep_aborted")
 EXPERT = ("keep_failures",)
 IGNORED = {  # by how it records: settings that would change nothing

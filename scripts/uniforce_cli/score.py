@@ -159,7 +159,8 @@ def write_report(config: ScoreConfig) -> list[ArmReport]:
         if settings["level"] == config.level and (found := [rows[seed] for seed in asked if seed in rows]):
             reports.append(ArmReport(settings["arm"], found))
             policies = settings.get("acts", {}).get("policies", [])
-            arms[settings["arm"]] = reports[-1].as_dict() | {"policies": policies}
+            gripper = settings.get("gripper", "servo")
+            arms[settings["arm"]] = reports[-1].as_dict() | {"policies": policies, "gripper": gripper}
     for first, second in itertools.combinations(reports, 2):
         one, two = paired_clean(first.clean_by_seed, second.clean_by_seed)
         if one:

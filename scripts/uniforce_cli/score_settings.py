@@ -24,6 +24,7 @@ class Rig:
     left_calibration: str = ""
     right_calibration: str = ""
     monitor: str = "stop"
+    gripper: str = "servo"
 
     @property
     def mounted(self) -> dict[Finger, str]:
@@ -63,6 +64,8 @@ class ScoreConfig:
     right_calibration: options.FolderPath = ""  # likewise
     # stop: where a sensor gives what no healthy one of its kind does the episode is aborted | off: go on
     monitor: Literal["stop", "off"] = "stop"
+    # servo: the level's own, which regulates grip finely | hand: one that holds by force, as the robot's does
+    gripper: Literal["servo", "hand"] = "servo"
     swap: options.Slots = ""  # e.g. touch0:left — which finger fills which slot
     # touch taken away | another scene's touch of the same phase | frozen half a second into the wipe
     control: Literal["", "masked", "shuffled", "frozen"] = ""
@@ -80,6 +83,7 @@ class ScoreConfig:
         differs = [f"{finger} {words}" for finger, words in fingers if words]
         differs += [f"{finger} calibrated" for finger in self.rig.calibrations]
         usual = self.policy if self.policy in SCRIPTS else "V+T"
+        differs += ["hand"] if self.gripper == "hand" else []
         differs += ["unwatched"] if self.monitor == "off" else []
         self.arm = self.arm or ", ".join([usual, *differs, *filter(None, (self.swap, self.control))])
 
@@ -113,7 +117,8 @@ class ScoreConfig:
         control = f"_{self.control}" if self.control else ""
         control += "_unwatched" if self.monitor == "off" else ""
         rig = "+".join(self.rig.mounted.values()).replace(":", "-").replace("=", "-")
-        return Path(self.out) / f"{arm}_{rig}_{self.level}{swap}{control}"
+        hand = "_hand" if self.gripper == "hand" else ""
+        return Path(self.out) / f"{arm}_{rig}_{self.level}{hand}{swap}{control}"
 
     def video(self, seed: int) -> Path:
         """Return where an episode's video lies, once it is filmed."""

@@ -84,23 +84,25 @@ def _build(policy: str, rig: Rig, control: str, out: Path) -> tuple[WipeEnv, Con
         if control:
             do = "Controls are for policies."
             raise ContractError(expected(f"control of the {policy}", "none", control, do))
-        env = WipeEnv(rig.level, rig.mounted["left"], rig.mounted["right"], drawn=())  # it reads the true wrench
+        worn = rig.mounted
+        # nothing is drawn: it reads the true wrench
+        env = WipeEnv(rig.level, worn["left"], worn["right"], drawn=(), gripper=rig.gripper)
         controller = ScriptController(SCRIPTS[policy]())
     else:
         env, plain = policy_on_rig(policy, rig)
-        controller = controlled(plain, control, env, rig.mounted)
+        controller = controlled(plain, control, env, rig)
     write_json(out / "sensors.json", {"notes": getattr(controller, "notes", []), **env.sensors})
     return env, controller
 
 
-def controlled(controller: PolicyController, control: str, env: WipeEnv, mounted: dict[Finger, str]) -> Controller:
+def controlled(controller: PolicyController, control: str, env: WipeEnv, rig: Rig) -> Controller:
     """Return the controller under a control, ``masked``, ``shuffled`` or ``frozen``; "" leaves it as it is.
 
-    ``mounted`` says in words what the fingers wear, in the scenes that lend their touch too. Raises ContractError: an
+    Scenes that lend their touch have the same ``rig``. Raises ContractError: an
     unknown control.
     """
     if control == "shuffled":
-        return ShuffledTouch(controller, donated_touch(env.level.name, mounted, env.drawn))
+        return ShuffledTouch(controller, donated_touch(rig, env.drawn))
     if control == "frozen":
         return FrozenTouch(controller)
     if control not in ("", "masked"):
@@ -109,11 +111,11 @@ def controlled(controller: PolicyController, control: str, env: WipeEnv, mounted
     return controller
 
 
-def donated_touch(
-    level: str, mounted: dict[Finger, str], fingers: tuple[Finger, ...] = FINGERS, donors: int = DONORS
-) -> dict[int, list[Donated]]:
+def donated_touch(rig: Rig, fingers: tuple[Finger, ...] = FINGERS, donors: int = DONORS) -> dict[int, list[Donated]]:
     """Return marker images of expert episodes on other scenes, by phase of the task."""
-    env, expert = WipeEnv(level, mounted["left"], mounted["right"], fingers), WipeExpert()
+    worn = rig.mounted
+    env = WipeEnv(rig.level, worn["left"], worn["right"], fingers, gripper=rig.gripper)
+    expert = WipeExpert()
     names = [tactile_name(finger, reference) for finger in fingers for reference in (False, True)]
     bank: dict[int, list[Donated]] = {}
     for seed in tqdm(range(DONOR_SEED, DONOR_SEED + donors), desc="donated touch"):
@@ -185,7 +187,8 @@ def policy_on_rig(policy: str, rig: Rig) -> tuple[WipeEnv, PolicyController]:
     asked = {finger: rig.kinds[finger] for finger, words in named.items() if words}
     controller = PolicyController(path, rig.kinds, rig.swap, asked, rig.calibrations, rig.monitor)
     worn, reads = (rig.mounted["left"], rig.mounted["right"]), controller.reads
-    return WipeEnv(rig.level, *worn, drawn=reads, expose_wrench=controller.needs_true_wrench), controller
+    exposes = controller.needs_true_wrench
+    return WipeEnv(rig.level, *worn, drawn=reads, expose_wrench=exposes, gripper=rig.gripper), controller
 
 
 def _keep(rollout: Rollout, config: ScoreConfig) -> None:

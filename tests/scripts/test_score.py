@@ -15,6 +15,7 @@ from lerobot_env_uniforce_wiping import WipeEnv
 from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint, stored_config
 from uniforce_cli import score_worker
 from uniforce_cli.score import ROWS, SCRIPTS, ScoreConfig, score, score_arms, write_report
+from uniforce_cli.score_settings import Rig
 from uniforce_cli.score_worker import FrozenTouch, ShuffledTouch, controlled, donated_touch, score_job
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.evaluation.arms import EpisodeRow
@@ -172,7 +173,7 @@ class Watching:
 @pytest.mark.slow
 @pytest.mark.parametrize("phase", [0, 2])
 def test_shuffled_touch_is_another_scenes_in_the_same_phase(phase: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    bank = donated_touch("easy", {"left": "gelsight", "right": "tactip"}, donors=1)
+    bank = donated_touch(Rig("easy"), donors=1)
     assert set(bank) == {0, 1, 2, 3}
     monkeypatch.setattr(WipeEnv, "phase", phase)
     watching, env = Watching(), WipeEnv("easy")
@@ -208,7 +209,7 @@ def test_frozen_touch_stays_as_it_was_half_a_second_into_the_wipe() -> None:
 
 def test_unknown_controls_and_controls_of_scripts_are_refused(tmp_path: Any) -> None:
     with pytest.raises(ContractError, match="masked"):
-        controlled(None, "asleep", WipeEnv("easy"), {})  # type: ignore[arg-type]
+        controlled(None, "asleep", WipeEnv("easy"), Rig("easy"))  # type: ignore[arg-type]
     with pytest.raises(ContractError, match="Controls are for policies"):
         score_job(0, ScoreConfig(policy="expert", control="masked", out=str(tmp_path)), 1)
 

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from uniforce_vtla.errors import RolloutError, SensorError, expected
+from uniforce_vtla.errors import RobotError, RolloutError, SensorError, expected
 from uniforce_vtla.evaluation.episode import EpisodeResult, EpisodeTrace, empty_trace, score_episode
 
 
@@ -66,8 +66,8 @@ class ChunkError(RolloutError):
 def roll_out(env: Environment, controller: Controller, seed: int, keep_frames: bool = False) -> Rollout:
     """Run one episode to its end.
 
-    Where a sensor is lost or not healthy, from the first look on, or the policy stops, the robot stops too and the
-    episode is aborted; the next one may go well.
+    Where a sensor is lost or not healthy, from the first look on, the hand loses its tool, or the policy stops, the
+    robot stops too and the episode is aborted; the next one may go well.
 
     Raises ChunkError: the controller returned a non-finite or misshapen chunk; the robot is not moved by it.
     """
@@ -84,7 +84,7 @@ def roll_out(env: Environment, controller: Controller, seed: int, keep_frames: b
         result = env.result()
     except ChunkError:
         raise
-    except (SensorError, RolloutError) as error:
+    except (SensorError, RolloutError, RobotError) as error:
         result = _aborted(env.result(), error)
     return Rollout(seed, result, env.trace, np.asarray(think_ms), frames, controller.facts())
 
