@@ -23,10 +23,11 @@ ROBOT = "uniforce_robots/franka/robot.py"
 POSES = "uniforce_robots/franka/poses.py"
 GUARDS = "uniforce_robots/franka/guards.py"
 BASE = "uniforce_robots/teleop/base.py"
-KEYS = "uniforce_robots/teleop/keyboard.py"
 INTEGRATOR = "uniforce_robots/teleop/integrator.py"
 SESSION = "uniforce_robots/recorder/session.py"
 EPISODE = "uniforce_robots/recorder/episode.py"
+# Left out, since another layer does the same and nothing moves either way: keys that are not forgotten at a start (a
+# deflected device is refused there), and letters of a note that steer (a note holds, and its end is a start).
 MUTATIONS: dict[str, tuple[str, str, str]] = {  # name: file, what stands there, what is put in its place
     "hand: goes on after a stop": (HAND, "self._stop_wanted = True", "pass"),
     "hand: keeps the wish over a stop": (
@@ -58,12 +59,6 @@ MUTATIONS: dict[str, tuple[str, str, str]] = {  # name: file, what stands there,
         INTEGRATOR,
         "self._target = np.array(measured, dtype=np.float64)\n        self._low",
         'self._target = getattr(self, "_target", np.array(measured, dtype=np.float64))\n        self._low',
-    ),
-    "keyboard: held keys go on": (KEYS, "        self._dead = set(self._meanings)", "        pass"),
-    "keyboard: a note steers": (
-        KEYS,
-        "        if self.is_text:\n            self._others",
-        "        if self.is_text and key not in self._meanings:\n            self._others",
     ),
     "session: a fault is forgotten at once": (SESSION, "        self._is_off = True\n", ""),
     "session: begins without a hold": (

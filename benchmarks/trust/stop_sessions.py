@@ -65,6 +65,7 @@ WORKERS = 2
 FPS = 30
 STEPS = 30  # of a session, at most
 FULL = 350.0  # counts of a cap at full deflection
+SAVING_s = 0.3  # an episode takes; its encoders may take much longer
 PULSE_TICKS = 4  # a key counts as held for so long after its last press
 TEXT = "abcdefghijklmnopqrstuvwxyz"
 COMMANDS = ("space", "esc", "enter", "y", "f", "g", "x", "r", "v", "t", "T", "V", "backspace")
@@ -153,17 +154,22 @@ class SessionRig(Rig):
 
 
 class Store:
-    """A recorder that only counts."""
+    """A recorder that only counts, and takes its time to save."""
 
     num_frames = num_episodes = total_frames = 0
+
+    def __init__(self, world: World) -> None:
+        self._world = world
 
     def add(self, row: Any, task: str, raw: Any = None) -> None:
         """Take a row."""
         self.num_frames += 1
 
     def save(self, *outcome: Any, **more: Any) -> None:
-        """Forget the rows."""
+        """Forget the rows, after a while in which nothing may move."""
         self.num_frames = 0
+        self._world.watch.stopped("an episode's end", self._world.clock(), at_once=True)
+        self._world.sleep(SAVING_s)
 
     discard = save
 
@@ -181,7 +187,8 @@ class Person(KeyOperator):
     def poll(self, phase: Phase) -> list[Event]:
         """Let the other thread act when its ticks are over; return what was ordered."""
         if phase is not self.phase:
-            self._world.watch.stopped(f"{self.phase.value} became {phase.value}", self._world.clock())
+            why = f"{self.phase.value} became {phase.value}"
+            self._world.watch.stopped(why, self._world.clock(), at_once=True)
         self.phase = phase
         if self._world.paced:
             self._world.look()
@@ -249,7 +256,7 @@ class Session:
                 stack.enter_context(patch)
             view = LiveView(None)
             steering = Steering(self.teleop)
-            parts = Parts(self.rig, steering, self.person, Store(), disk, view, self.interrupts)  # type: ignore[arg-type]
+            parts = Parts(self.rig, steering, self.person, Store(self.world), disk, view, self.interrupts)  # type: ignore[arg-type]
             wanted = SessionSettings(episodes=1000, prompts=("wipe",), episode_s=4.0, late_share=1.0)
             try:
                 self.end = RecordingSession(parts, wanted, 0, 0).run()
@@ -290,6 +297,7 @@ class StopMachine(RuleBasedStateMachine):
         super().__init__()
         self.session: Session | None = None
         self.last_press_s: dict[str, float] = {}
+        self.last_wish: np.ndarray | None = None  # of a policy's loop
         self.steps = 0
 
     @initialize(teleop=st.sampled_from(sorted(TELEOPS)))
@@ -331,8 +339,8 @@ class StopMachine(RuleBasedStateMachine):
         if session is not None and session.is_over:
             self.session = None
 
-    def _stop(self, why: str) -> None:
-        self.watch.stopped(why, self.world.clock())
+    def _stop(self, why: str, at_once: bool = False) -> None:
+        self.watch.stopped(why, self.world.clock(), at_once)
 
     def _wait(self, ticks: int) -> None:
         if self.session is not None:
@@ -367,7 +375,7 @@ class StopMachine(RuleBasedStateMachine):
         """Press a key of the session."""
         assert self.session is not None
         if key in STOPS and not self.session.keys.is_text:
-            self._stop(f"{key} in {self.session.person.phase.value}")
+            self._stop(f"{key} in {self.session.person.phase.value}", at_once=True)
         self.session.keys.press(key)
         self._wait(ticks)
 
@@ -377,7 +385,7 @@ class StopMachine(RuleBasedStateMachine):
         """Begin a note and type it, a letter a tick."""
         assert self.session is not None
         if not self.session.keys.is_text:
-            self._stop(f"a note in {self.session.person.phase.value}")
+            self._stop(f"a note in {self.session.person.phase.value}", at_once=True)
         for key in ("t", *text):
             self.session.keys.press(key)
             if not self.session.is_over:
@@ -403,18 +411,28 @@ class StopMachine(RuleBasedStateMachine):
         self._wait(ticks)
 
     @precondition(lambda self: self.session and self.session.cap)
-    @rule(gone=st.integers(1, 10), ticks=TICKS)
+    @rule(gone=st.integers(0, 10), ticks=TICKS)
     def replug(self, gone: int, ticks: int) -> None:
-        """Unplug the cap and plug it in again, pushed or not."""
+        """Unplug the cap and plug it in again, pushed or not; for no tick at all it is back before anybody looked."""
         session = self.session
         assert session is not None and session.cap is not None
         self._stop("an unplugged cap")
         session.cap.is_plugged = False
-        self._wait(gone)
+        if gone:
+            self._wait(gone)
         session.cap.is_plugged = True
         session.cap.reconnects += 1
         if not session.is_over:
             self._wait(ticks)
+
+    @precondition(lambda self: self.session and self.session.cap)
+    @rule(axis=st.integers(0, 2), share=st.sampled_from([-1.0, 1.0]), before=st.integers(3, 6))
+    def replug_unseen(self, axis: int, share: float, before: int) -> None:
+        """Let a pushed cap lose its plug and get it back between two ticks."""
+        self.let_go(2)
+        self.push(axis, share, before)
+        if self.session is not None and not self.session.is_over:
+            self.replug(0, 20)
 
     # --- the robot, its sensors and its computer ---------------------------------------------------------------------
 
@@ -482,11 +500,27 @@ class StopMachine(RuleBasedStateMachine):
             self.see(SensorError("lost"), 1)
             session.rig.fault = None
         elif how == "replug" and session.cap is not None:
-            self.replug(2, 1)
+            self.replug(data.draw(st.sampled_from([0, 2])), 1)
         else:
             self.order(how if len(how) == 1 or how in COMMANDS else "space", 1)
         if not session.is_over:
             self._wait(after)
+
+    @precondition(lambda self: self.session)
+    @rule(key=st.sampled_from(["p", "o", "w", "s", "c", "j"]), before=st.integers(3, 10), between=st.integers(1, 4))
+    def pause_and_go_on(self, key: str, before: int, between: int) -> None:
+        """Pause for a moment and go on while the key or the cap is held: nobody asks for motion anew."""
+        session = self.session
+        assert session is not None
+        if session.cap is None:
+            self.steer(key, 60, before)
+        else:
+            self.push(0, 1.0, before)
+        for ticks in (between, 12):
+            if not session.is_over and session.person.phase in (Phase.RUNNING, Phase.PAUSED):
+                self._stop("a short pause", at_once=True)
+                session.keys.press("space")
+                self._wait(ticks)
 
     @precondition(lambda self: self.session)
     @rule(ticks=TICKS)
@@ -545,6 +579,7 @@ class StopMachine(RuleBasedStateMachine):
             return
         if self._is_well:
             self.watch.wished()
+        self.last_wish = wish
         self._send(wish, ticks)
 
     @precondition(lambda self: not self.session)
@@ -560,9 +595,8 @@ class StopMachine(RuleBasedStateMachine):
         for _ in range(ticks):
             try:
                 self.robot.send_action(dict(zip(AXES, wish.tolist(), strict=True)))
-            except RobotError:
+            except RobotError:  # a loop that goes on regardless: what it sends is no new wish
                 self._stop("a refused action")
-                return
             self.world.sleep(1 / FPS)
 
     @precondition(lambda self: not self.session)
@@ -572,9 +606,14 @@ class StopMachine(RuleBasedStateMachine):
         mends=st.booleans(),
     )
     def act_and_stop(self, width_m: float, how: str, mends: bool) -> None:
-        """Move arm and fingers, stop on the way, perhaps recover, and wish to stay."""
+        """Move arm and fingers, stop on the way, perhaps recover, and wish to stay.
+
+        Where the stop was a fault, the loop first goes on with what it wished before.
+        """
         self.act([0.02, 0.0, -0.02, 0.1], width_m, 8)
         self.stop(how, 3)
+        if how in ("nan", "no action") and self.last_wish is not None:
+            self._send(self.last_wish, 10)
         if mends:
             self.recover(10)
         self.stay(10)
@@ -583,7 +622,7 @@ class StopMachine(RuleBasedStateMachine):
     @rule(how=st.sampled_from(["hold", "nan", "no action", "silence"]), ticks=TICKS)
     def stop(self, how: str, ticks: int) -> None:
         """Stop by each way a loop can, silence included."""
-        self._stop(how)
+        self._stop(how, at_once=how == "hold")
         if how == "hold":
             self.robot.hold()
         elif how != "silence":

@@ -25,7 +25,9 @@ from uniforce_vtla.errors import RobotError
 from uniforce_vtla.hand import HandCommand, HandReading
 
 TICK_s = 0.01
-BRAKE_s = 0.4  # after a stop; from then on nothing may move
+BRAKE_s = 0.4  # after a fault or a silence; from then on nothing may move
+# After a hold that was ordered: sooner than any watchdog would stop it, so that a hold that does nothing is seen.
+HOLD_s = 0.1
 # The stand-in's arm swings out on its spring, and its clock is slow on a busy computer.
 STANDIN_BRAKE_s = 1.0
 STILL_m, STILL_rad = 0.001, np.radians(1.0)
@@ -40,8 +42,9 @@ FINGERS = HandSettings(speed_m_s=0.02)
 class Watch:
     """Compare where the robot is with where it was when a stop was over, until a new wish comes."""
 
-    def __init__(self, brake_s: float = BRAKE_s) -> None:
-        self._brake_s = brake_s
+    def __init__(self, brake_s: float = BRAKE_s, hold_s: float = HOLD_s) -> None:
+        self._brake_s, self._hold_s = brake_s, hold_s
+        self._rests_in_s = brake_s
         self.violations: list[str] = []
         self.moves = 0  # looks at which it had moved since the one before
         self._seen: tuple[np.ndarray, float] | None = None
@@ -49,9 +52,10 @@ class Watch:
         self._since_s: float | None = None  # of the last stop; None: a wish came since
         self._rest: tuple[np.ndarray, float] | None = None
 
-    def stopped(self, why: str, now_s: float) -> None:
-        """Note a stop."""
+    def stopped(self, why: str, now_s: float, at_once: bool = False) -> None:
+        """Note a stop; ``at_once``: a hold that somebody ordered, not one that has to be noticed first."""
         self._why, self._since_s, self._rest = why, now_s, None
+        self._rests_in_s = self._hold_s if at_once else self._brake_s
 
     def wished(self) -> None:
         """Note a new wish: the robot may move until the next stop."""
@@ -66,7 +70,7 @@ class Watch:
         if by_hand:
             self._rest = None
             return
-        if self._since_s is None or now_s - self._since_s < self._brake_s:
+        if self._since_s is None or now_s - self._since_s < self._rests_in_s:
             return
         if self._rest is None:
             self._rest = pose.copy(), width_m
@@ -300,7 +304,7 @@ class StandInWorld:
     orders = ("reflex", "user_stop", "guide", "release")
 
     def __init__(self, address: str) -> None:
-        self.watch = Watch(STANDIN_BRAKE_s)
+        self.watch = Watch(STANDIN_BRAKE_s, STANDIN_BRAKE_s)
         self.fci = StandIn(address)
         self._folder = tempfile.TemporaryDirectory()
         self._is_led = False
