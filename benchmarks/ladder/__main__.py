@@ -29,6 +29,7 @@ DEMONSTRATED = {"left_sensor": "gelsight", "right_sensor": "tactip"}
 CLEAN = "C"  # of EpisodeRow.code
 CLAIMABLE = 200  # an arm of fewer rollouts stands aside: no claim rests on it
 SECTIONS = {
+    "grip": "ladder",
     "ladder": "ladder",
     "left_out": "ladder",
     "weighed": "ladder",
@@ -45,7 +46,7 @@ class LadderCommand:
     Example: python -m benchmarks.ladder part=ladder checkpoints=outputs/arms onto=docs/results/wiping.json
     """
 
-    part: Literal["ladder", "left_out", "weighed", "controls", "arms"] = "ladder"
+    part: Literal["grip", "ladder", "left_out", "weighed", "controls", "arms"] = "ladder"
     checkpoints: FolderPath = "outputs/arms"  # ARM/seed0, ARM/seed1, …
     calibrations: FolderPath = ""  # of `uniforce calibrate`: shipped/uskin-2, …; "" = those rows wait
     rows: Text = ""  # names between commas: score these alone, the others wait; "" = all of the part
@@ -63,13 +64,15 @@ class LadderCommand:
 def score_config(entry: Entry, worn: str, **settings: Any) -> ScoreConfig:
     """Return how a row is scored with one of its sensors; ``settings`` are further fields of ``ScoreConfig``."""
     fingers: dict[str, Any] = DEMONSTRATED | {f"{entry.finger}_sensor": worn, "control": entry.control}
-    return ScoreConfig(**{"arm": entry.name, "swap": entry.swap, "videos": 0, **fingers, **settings})
+    return ScoreConfig(
+        **{"arm": entry.name, "swap": entry.swap, "grip": entry.grip, "videos": 0, **fingers, **settings}
+    )
 
 
 def configured(config: LadderCommand, entry: Entry) -> list[ScoreConfig]:
     """Return how a row is scored, one part per sensor it wears; none where checkpoints or calibrations aren't there."""
     policy = entry.checkpoints
-    if policy not in SCRIPTS:
+    if policy not in (*SCRIPTS, "shipped"):
         seeds = sorted(Path(config.checkpoints, policy).glob("seed*"))
         policy = ",".join(str(seed) for seed in seeds)
     folder = Path(config.calibrations, entry.tokenizer)

@@ -40,6 +40,7 @@ class Entry:
     calibrated: bool = False  # each wears its calibration against the demonstrations' TacTip
     tokenizer: str = "shipped"  # whose latents the checkpoints read: folder of the calibrations
     control: str = ""
+    grip: str = ""  # as ``ScoreConfig.grip``
     block: str = "swap ladder"  # of scenes (benchmarks.scene_blocks)
     rollouts: int = 204  # parts of 51: the same training seed acts in a scene in every row
 
@@ -150,7 +151,21 @@ ARMS = (
     Entry("V+T shuffled", "vt", control="shuffled", block="arms", rollouts=102),
     Entry("V+T frozen", "vt", control="frozen", block="arms"),
 )
+# Does holding a grip that a flat gel can't read buy anything? Planned on 2026-11-28, before a scene was rolled out: the
+# shipped policy, GelSights 2 to 5 with the label-free map of 300 grasps each, the level's servo, 100 development scenes
+# that nothing was chosen on. Gate: held is at least 25 points above read, exact McNemar p < .01
+GRIP = (
+    Entry("S0 beside grip", "shipped", block="grip held", rollouts=24),
+    *(
+        Entry(name, "shipped", _units("gelsight"), calibrated=True, grip=grip, block="grip held", rollouts=100)
+        for name, grip in (
+            ("S2 gelsight calibrated, grip read", "read"),
+            ("S2 gelsight calibrated, grip held", ""),
+        )
+    ),
+)
 PARTS = {
+    "grip": GRIP,
     "ladder": LADDER,
     "left_out": LEFT_OUT + LEFT_OUT_IN_NEWTONS,
     "weighed": WEIGHED,
@@ -177,6 +192,7 @@ CLAIMS = (
 )
 SLACK = 0.05  # of the bound beyond a claim's margin
 BETTER = (
+    ("S2 gelsight calibrated, grip held", "S2 gelsight calibrated, grip read"),
     ("S1 weighed", "S1 beside weighed"),
     ("S1 weighed beside TacTip 1", "S1 beside weighed"),
     ("V+T", "V"),

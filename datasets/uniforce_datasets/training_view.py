@@ -1,7 +1,7 @@
 """A training view in the place of a LeRobotDataset: what LeRobot's trainer asks for, from arrays."""
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -55,6 +55,8 @@ class ViewMetadata:
     repo_id: str = "local/view"
     has_language_columns: bool = False
     depth_keys: tuple[str, ...] = ()
+    # feature key of a touch input → measured state (T, axes) and touch (T, numbers) of each episode sampled from
+    touch_episodes: Callable[[str], Iterator[tuple[np.ndarray, np.ndarray]]] | None = None
 
 
 class TrainingView(Dataset):
@@ -192,7 +194,15 @@ class TrainingView(Dataset):
             total_frames=len(self),
             used_episodes=self.num_episodes,
             used_frames=self.num_frames,
+            touch_episodes=self.touch_episodes,
         )
+
+    def touch_episodes(self, key: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield the measured state (T, axes) and a touch input (T, numbers) of each episode sampled from."""
+        numbers = range(len(self._tasks)) if self.episodes is None else self.episodes
+        for number in numbers:
+            rows = slice(self._starts[number], self._starts[number + 1])
+            yield self._arrays[keys.STATE][rows], self._arrays[self._touch[key]][rows]
 
     def _sensors(self) -> dict[str, list[str]]:
         """Return finger → kinds worn in the episodes sampled from."""

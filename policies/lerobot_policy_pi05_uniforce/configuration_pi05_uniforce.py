@@ -17,13 +17,15 @@ from uniforce_vtla.keys import SLOTS, TACTILE_KEYS
 _BY_SIZE: Any = None
 
 # settings of who loads a checkpoint, not of who wrote it: stored at these values alone
-NEVER_STORED = {"verify": "full", "monitor": "stop", "left_calibration": "", "right_calibration": ""}
+NEVER_STORED = {"verify": "full", "monitor": "stop", "grip": "", "left_calibration": "", "right_calibration": ""}
+MOST_CARRIED_N = 100.0  # of a grip: no finger reads more
 FORMERLY = {"true": "always", "false": "robot"}  # action.stop_outside_demos
 ENCODED = ("latent", "newtons")  # touch inputs that come from the frozen tokenizer
 CHOICES = {
     "size": ("tiny", "base"),
     "verify": ("full", "quick", "off"),
     "monitor": ("stop", "off"),
+    "grip": ("", "read", "held"),
     "touch.input": ("latent", "newtons", "wrench", "descriptor", "marker_pair", "none"),
     "touch.site": ("prefix", "suffix"),
     "touch.on_sensor_loss": ("error", "mask"),
@@ -57,6 +59,8 @@ class TouchSettings:
     on_sensor_loss: str = "error"
     # slot → kinds seen in training, "gelsight+uskin"; "" or absent = any
     trained_sensors: dict[str, str] = field(default_factory=dict)
+    # slot → N of grip that the demonstrations' finger read once lifted (touch/grip.py); filled from a view
+    carried_N: dict[str, float] = field(default_factory=dict)
     tokenizer_path: str | None = None  # tactile tokenizer to freeze into a new policy; None = the shipped one
     marker_images: int = 1  # version of the marker images it was trained on; filled when the policy is made
     # its sizes, canonicalizer and content hash; filled when the policy is made
@@ -141,6 +145,9 @@ class PI05UniforceConfig(PI05Config):
     # rollout: "stop" when a sensor gives what no healthy one of its kind does (tokenizer/latent_range.py) | "off".
     # A checkpoint always stores "stop"
     monitor: str = "stop"
+    # rollout, touch.input=newtons: "read" as the finger reads it | "held", once lifted, at what demonstrations read |
+    # "": held where the finger's calibration can't read grip under a tool. Never stored
+    grip: str = ""
 
     touch: TouchSettings = field(default_factory=TouchSettings)
     action: ActionSettings = field(default_factory=ActionSettings)
@@ -195,6 +202,11 @@ class PI05UniforceConfig(PI05Config):
         _require(square, "image_resolution", "a square", self.image_resolution)
         mapped = touch.input in (*ENCODED, "descriptor") and bool(touch.slots)
         came = f"touch.input={touch.input} in {sorted(touch.slots)}"
+        feels = touch.input == "newtons" and bool(touch.slots)
+        _require(feels or self.grip != "held", "grip", "read: this policy feels no newtons", self.grip)
+        for slot, held_N in touch.carried_N.items():
+            fits = isinstance(held_N, int | float) and 0 < held_N < MOST_CARRIED_N
+            _require(fits, f"touch.carried_N of {slot}", f"0 to {MOST_CARRIED_N} N", held_N)
         fit = mapped or not (self.left_calibration or self.right_calibration)
         _require(fit, "left_calibration, right_calibration", "latents to map", came)
         deltas = self.state_token and action.form == "target_delta"

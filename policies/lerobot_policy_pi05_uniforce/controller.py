@@ -58,6 +58,7 @@ class PolicyController:
         asked: finger → kind the user named; only a named kind may differ from the trained one, which ``notes`` say.
         calibrations: finger → folder of a calibration that its sensor wears.
         monitor: "stop" when a sensor isn't healthy | "off".
+        grip: "read" | "held" | "", see the config's.
 
     Raises CheckpointError: as ``stored_config``, weights that don't fit, or a sensor that differs unasked.
     """
@@ -70,9 +71,10 @@ class PolicyController:
         asked: dict[Finger, str] | None = None,
         calibrations: dict[Finger, str] | None = None,
         monitor: str = "stop",
+        grip: str = "",
     ) -> None:
         config = stored_config(Path(checkpoint))
-        config.monitor = monitor
+        config.monitor, config.grip = monitor, grip
         config.swap = swap or config.swap
         for finger, sensor in (asked or {}).items():
             setattr(config, f"{finger}_sensor", sensor or getattr(config, f"{finger}_sensor"))
@@ -83,6 +85,7 @@ class PolicyController:
             setattr(config, f"{finger}_sensor", kind)
         folder = str(config.pretrained_path)
         self.policy = PI05UniforcePolicy.from_pretrained(folder, config=config)
+        self.notes = [*self.notes, *self.policy.touch.notes]
         with stored.misfits_named(f"processors of {folder}"):
             self._before, self._after = make_pre_post_processors(config, pretrained_path=folder)
         self.config: PI05UniforceConfig = self.policy.config

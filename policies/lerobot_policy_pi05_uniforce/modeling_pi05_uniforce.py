@@ -113,6 +113,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
         training.read_view(meta, config)
         if meta is not None:
             training.read_provenance(meta, config)
+            training.read_carried(meta, config, self.model.tactile_encoder)
         if not stats:
             return
         stats.update(floor_quantiles(stats))

@@ -14,6 +14,7 @@ from lerobot.policies.pi05 import modeling_pi05 as stock
 from torch import Tensor, nn
 
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import ENCODED, PI05UniforceConfig
+from lerobot_policy_pi05_uniforce.touch.grip import carried_grip
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import ACTION, VIEW_MARKER, descriptor_key, latent_key
@@ -94,6 +95,29 @@ def read_provenance(dataset_meta: Any, config: PI05UniforceConfig) -> None:
         total = getattr(dataset_meta, f"total_{name}", None)
         found[name] = getattr(dataset_meta, f"used_{name}", total)
     config.trained_on = {name: str(value) for name, value in found.items() if value is not None}
+
+
+def read_carried(dataset_meta: Any, config: PI05UniforceConfig, encoder: Any) -> None:
+    """Note by slot which grip the demonstrations' finger reads once something is lifted, where a view's latents say."""
+    episodes = getattr(dataset_meta, "touch_episodes", None)
+    if episodes is None or encoder is None or encoder.head is None:
+        return
+    shape = config.tokens_per_slot, config.latent_size
+    for slot in config.slots:
+        felt = (
+            (torch.from_numpy(state), _newtons(torch.from_numpy(latents), shape, encoder.head))
+            for state, latents in episodes(latent_key(slot))
+        )
+        carried_N = carried_grip(felt)
+        if carried_N is not None:
+            config.touch.carried_N[slot] = carried_N
+
+
+@torch.no_grad()
+def _newtons(latents: Tensor, shape: tuple[int, int], head: Any) -> Tensor:
+    """Return (T, 3) N that a head reads in pooled latents (T, K · latent)."""
+    force_N: Tensor = head.step(latents.float().reshape(len(latents), *shape), None)[0]
+    return force_N
 
 
 def read_view(dataset_meta: Any, config: PI05UniforceConfig) -> None:

@@ -139,6 +139,8 @@ def main(config: CalibrateCommand) -> None:
     if abs(found.turn_deg) > TURN_DEG:
         logger.warning("%s seems turned by %.0f°: see `uniforce touch check=angle`", config.new, found.turn_deg)
     worst = check_agreement(found, config)
+    if not found.reads_grip:
+        print(f"{found.grip_in_words}: a policy holds it from the lift on (grip=read | held says otherwise)")
     if found.worst()[1] < config.fit.warn_below:
         logger.warning("%s: grasp again, more of them and all over the pad", worst)
     print(f"{worst}; map in {found.save(config.out)}. Next: {then}")

@@ -25,6 +25,7 @@ class Rig:
     right_calibration: str = ""
     monitor: str = "stop"
     gripper: str = "servo"
+    grip: str = ""
 
     @property
     def mounted(self) -> dict[Finger, str]:
@@ -64,6 +65,9 @@ class ScoreConfig:
     right_calibration: options.FolderPath = ""  # likewise
     # stop: where a sensor gives what no healthy one of its kind does the episode is aborted | off: go on
     monitor: Literal["stop", "off"] = "stop"
+    # read: as the finger reads it | held: once lifted, as the demonstrations read it | "": held where the calibration
+    # can't read grip under a tool
+    grip: Literal["", "read", "held"] = ""
     # servo: the level's own, which regulates grip finely | hand: one that holds by force, as the robot's does
     gripper: Literal["servo", "hand"] = "servo"
     swap: options.Slots = ""  # e.g. touch0:left — which finger fills which slot
@@ -83,6 +87,7 @@ class ScoreConfig:
         differs = [f"{finger} {words}" for finger, words in fingers if words]
         differs += [f"{finger} calibrated" for finger in self.rig.calibrations]
         usual = self.policy if self.policy in SCRIPTS else "V+T"
+        differs += [f"grip {self.grip}"] if self.grip else []
         differs += ["hand"] if self.gripper == "hand" else []
         differs += ["unwatched"] if self.monitor == "off" else []
         self.arm = self.arm or ", ".join([usual, *differs, *filter(None, (self.swap, self.control))])
@@ -117,8 +122,9 @@ class ScoreConfig:
         control = f"_{self.control}" if self.control else ""
         control += "_unwatched" if self.monitor == "off" else ""
         rig = "+".join(self.rig.mounted.values()).replace(":", "-").replace("=", "-")
+        grip = f"_grip-{self.grip}" if self.grip else ""
         hand = "_hand" if self.gripper == "hand" else ""
-        return Path(self.out) / f"{arm}_{rig}_{self.level}{hand}{swap}{control}"
+        return Path(self.out) / f"{arm}_{rig}_{self.level}{hand}{grip}{swap}{control}"
 
     def video(self, seed: int) -> Path:
         """Return where an episode's video lies, once it is filmed."""

@@ -185,7 +185,7 @@ def policy_on_rig(policy: str, rig: Rig) -> tuple[WipeEnv, PolicyController]:
     path = shipped_checkpoint() if policy == "shipped" else Path(policy)
     named: dict[Finger, str] = {"left": rig.left_sensor, "right": rig.right_sensor}
     asked = {finger: rig.kinds[finger] for finger, words in named.items() if words}
-    controller = PolicyController(path, rig.kinds, rig.swap, asked, rig.calibrations, rig.monitor)
+    controller = PolicyController(path, rig.kinds, rig.swap, asked, rig.calibrations, rig.monitor, rig.grip)
     worn, reads = (rig.mounted["left"], rig.mounted["right"]), controller.reads
     exposes = controller.needs_true_wrench
     return WipeEnv(rig.level, *worn, drawn=reads, expose_wrench=exposes, gripper=rig.gripper), controller

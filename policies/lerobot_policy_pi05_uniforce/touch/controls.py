@@ -9,6 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
+from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
+from lerobot_policy_pi05_uniforce.touch.grip import GripHold, held_grips
 from lerobot_policy_pi05_uniforce.touch.tokens import ForceTokens
 from lerobot_policy_pi05_uniforce.touch.touch_input import LATENT_KEYS, TouchInput, load_calibrations, taken
 from uniforce_vtla.keys import descriptor_key, marker_pair_key, wrench_key
@@ -61,6 +63,8 @@ class NewtonInput(TouchInput):
     def __init__(self, latents: TouchInput) -> None:
         super().__init__(latents.config, latents.encoder, SHAPES["newtons"], monitors=latents.monitors)
         self._latents = latents
+        held_N, self.notes = held_grips(latents.config, latents.worn)
+        self._grip = GripHold(held_N)
 
     def to(self, device: torch.device) -> None:
         """Move what the latents' reader holds; the monitors are this one's too."""
@@ -69,13 +73,17 @@ class NewtonInput(TouchInput):
     def reset(self) -> None:
         """Let the latents' reader forget; its encoder and monitors are this one's too."""
         self._latents.reset()
+        self._grip.reset()
 
     def read(self, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor:
         """Return (B, 1, 3) N of a slot; RolloutError where its sensor is lost."""
         with torch.no_grad():
             force_N = self.encoder.head.step(self._latents.read(batch, slot, device), None)[0][:, None]
+        if LATENT_KEYS[slot] in batch:  # a demonstration's
+            return force_N
         worn = self._latents.worn.get(self.config.finger_by_slot()[slot])
-        return force_N if worn is None or LATENT_KEYS[slot] in batch else force_N * worn.gain
+        force_N = force_N if worn is None else force_N * worn.gain
+        return self._grip(slot, force_N, taken(batch, MEASURED_STATE)) if slot in self._grip.held_N else force_N
 
 
 class MarkerPairTokens(nn.Module):

@@ -1,0 +1,86 @@
+"""The scene's hand: the robot's rules, bounded force, slow readings, and what is noticed without touch."""
+
+import numpy as np
+import pytest
+
+from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
+from lerobot_env_uniforce_wiping.gripper import FORCE_ERROR, STATE_PERIOD_s, force_share
+from uniforce_vtla.errors import ContractError, RobotError
+from uniforce_vtla.hand import HandRules
+
+SEED = 20_001
+RULES = HandRules()
+
+
+def started(seed: int = SEED) -> WipeEnv:
+    env = WipeEnv("touch", drawn=(), gripper="hand")
+    env.start(seed)
+    return env
+
+
+def stay(env: WipeEnv, width_m: float, steps: int) -> list[np.ndarray]:
+    """Wish a width where the hand is; return what both pads bear and the measured width, step by step."""
+    felt = []
+    wish = env.state.astype(np.float64)
+    wish[4] = width_m
+    for _ in range(steps):
+        env.advance(wish)
+        grips = [float(wrench[2]) for wrench in env.true_wrench().values()]
+        felt.append(np.array([*grips, env.state[4]]))
+    return felt
+
+
+@pytest.fixture
+def grasping() -> WipeEnv:
+    """One whose expert has just lifted the eraser."""
+    env = started()
+    expert = WipeExpert()
+    expert.reset(env)
+    while expert.phase != "carry":
+        env.advance(expert.act(env))
+    return env
+
+
+def test_a_grasp_holds_by_force_whatever_the_wish_inside_is(grasping: WipeEnv) -> None:
+    wanted_N = RULES.grip_force_N * force_share(SEED)
+    for width_m in (0.005, 0.015, 0.022):
+        for left_N, right_N, _ in stay(grasping, width_m, 20)[-5:]:
+            assert left_N == pytest.approx(wanted_N, rel=0.05) and right_N == pytest.approx(wanted_N, rel=0.05)
+
+
+def test_a_wider_wish_opens(grasping: WipeEnv) -> None:
+    assert stay(grasping, 0.05, 40)[-1][2] == pytest.approx(0.05, abs=0.002)
+
+
+def test_the_force_of_an_episode_is_its_own_and_within_the_hands_specification() -> None:
+    shares = np.array([force_share(seed) for seed in range(200)])
+    assert np.abs(shares - 1).max() <= FORCE_ERROR and shares.std() > FORCE_ERROR / 3
+    assert force_share(7) == force_share(7)
+
+
+def test_the_width_is_read_ten_times_a_second() -> None:
+    env = started()
+    widths = [width_m for *_, width_m in stay(env, 0.02, 30)]
+    changes = np.flatnonzero(np.diff(widths))
+    assert len(changes) > 3 and np.diff(changes).min() >= round(STATE_PERIOD_s * 30) - 1
+
+
+def test_a_small_change_of_the_wish_moves_nothing() -> None:
+    env = started()
+    stay(env, 0.05, 10)
+    width_m = env.sim.measured[4]
+    stay(env, width_m - 0.9 * RULES.hysteresis_m, 20)
+    assert env.sim.measured[4] == pytest.approx(width_m, abs=2e-4)
+
+
+def test_a_dropped_tool_is_noticed_by_the_hand_itself(grasping: WipeEnv) -> None:
+    eraser = grasping.sim.model.joint("eraser").qposadr[0]
+    grasping.sim.data.qpos[eraser : eraser + 3] = (0.3, 0.3, 0.1)  # somebody pulls it out
+    with pytest.raises(RobotError, match="what was grasped"):
+        stay(grasping, 0.01, 60)
+
+
+def test_the_servo_stays_the_levels_gripper() -> None:
+    assert WipeEnv("touch", drawn=()).gripper == "servo"
+    with pytest.raises(ContractError, match=r"servo \| hand"):
+        WipeEnv("touch", drawn=(), gripper="claw")

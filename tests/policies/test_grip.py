@@ -1,0 +1,96 @@
+"""A grip that can't be read: when it is held, what is said of it, and what demonstrations tell of it."""
+
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig, TouchSettings
+from lerobot_policy_pi05_uniforce.touch.grip import GripHold, Lift, carried_grip, held_grips
+from uniforce_vtla.errors import ContractError
+
+TABLE_m, CARRIED_m = 0.03, 0.075
+READ_N, HELD_N = 12.0, 8.9
+
+
+def reading(grip_N: float) -> torch.Tensor:
+    return torch.tensor([[[0.3, -2.5, grip_N]]])
+
+
+def state(height_m: float) -> torch.Tensor:
+    return torch.tensor([[0.5, 0.0, height_m, 0.0, 0.03]])
+
+
+def test_a_grip_is_as_read_until_the_hand_has_lifted_and_the_stored_one_from_then_on() -> None:
+    hold = GripHold({"touch0": HELD_N})
+    # moving about, closing on the table, lifting, and pressing on the board, lower than it carried
+    way = [(0.09, 0.0), (TABLE_m, 0.0), (TABLE_m, READ_N), (CARRIED_m, READ_N), (0.04, READ_N)]
+    given = [hold("touch0", reading(grip_N), state(height_m)) for height_m, grip_N in way]
+    assert [float(one[0, 0, 2]) for one in given] == pytest.approx([0.0, 0.0, READ_N, HELD_N, HELD_N])
+    assert all(one[0, 0, :2].tolist() == pytest.approx([0.3, -2.5]) for one in given), "shear is felt"
+
+
+def test_fingers_that_hold_nothing_are_never_said_to_hold() -> None:
+    hold = GripHold({"touch0": HELD_N})
+    for height_m, grip_N in ((TABLE_m, READ_N), (CARRIED_m, READ_N)):
+        hold("touch0", reading(grip_N), state(height_m))
+    assert float(hold("touch0", reading(0.1), state(CARRIED_m))[0, 0, 2]) == pytest.approx(0.1)
+    assert float(hold("touch0", reading(READ_N), state(CARRIED_m))[0, 0, 2]) == pytest.approx(HELD_N)
+    hold.reset()
+    assert float(hold("touch0", reading(READ_N), state(CARRIED_m))[0, 0, 2]) == pytest.approx(READ_N), "another episode"
+
+
+def test_each_environment_of_a_batch_lifts_for_itself() -> None:
+    lift = Lift()
+    grips_N = torch.full((2,), READ_N)
+    assert not lift.see(torch.tensor([TABLE_m, TABLE_m]), grips_N).any()
+    assert lift.see(torch.tensor([CARRIED_m, TABLE_m]), grips_N).tolist() == [True, False]
+
+
+def calibration(r2: float) -> SimpleNamespace:
+    return SimpleNamespace(reads_grip=r2 >= 0.9, grip_in_words=f"R² {r2}")
+
+
+@pytest.mark.parametrize(
+    "grip, r2, holds",
+    [("", 0.85, True), ("", 0.95, False), ("", None, False), ("read", 0.85, False), ("held", 0.95, True)],
+)
+def test_calibrations_decide_and_a_user_overrides(grip: str, r2: float | None, holds: bool) -> None:
+    config = PI05UniforceConfig(size="tiny", device="cpu", grip=grip)
+    config.touch.carried_N = {"touch0": HELD_N}
+    held_N, notes = held_grips(config, {} if r2 is None else {"right": calibration(r2)})  # type: ignore[dict-item]
+    assert held_N == ({"touch0": HELD_N} if holds else {})
+    assert bool(notes) == holds and all("grip held at 8.9 N" in note for note in notes)
+
+
+def test_a_checkpoint_that_knows_no_grip_reads_it_and_refuses_to_hold(caplog: pytest.LogCaptureFixture) -> None:
+    config = PI05UniforceConfig(size="tiny", device="cpu")
+    assert held_grips(config, {"right": calibration(0.85)}) == ({}, [])  # type: ignore[dict-item]
+    assert "taken as read" in caplog.text
+    config.grip = "held"
+    with pytest.raises(ContractError, match="carried_N"):
+        held_grips(config, {})
+
+
+@pytest.mark.parametrize("held_N", [0.0, -1.0, float("nan"), float("inf"), 1e3, "8.9", None])
+def test_a_stored_grip_that_cannot_be_is_refused(held_N: object) -> None:
+    with pytest.raises(ContractError, match="carried_N"):
+        PI05UniforceConfig(
+            size="tiny", device="cpu", touch=TouchSettings(input="newtons", carried_N={"touch0": held_N})
+        )  # type: ignore[dict-item]
+
+
+def test_the_choice_is_never_stored(tmp_path) -> None:
+    PI05UniforceConfig(size="tiny", device="cpu", grip="read").save_pretrained(tmp_path)
+    assert PI05UniforceConfig.from_pretrained(tmp_path).grip == ""
+
+
+def test_demonstrations_tell_what_is_carried() -> None:
+    heights = torch.tensor([0.09, TABLE_m, TABLE_m, CARRIED_m, CARRIED_m, CARRIED_m])
+    grips = torch.tensor([0.0, 0.0, 7.0, 8.0, 9.0, 10.0])
+    states = torch.zeros(6, 5)
+    states[:, 2] = heights
+    forces = torch.zeros(6, 3)
+    forces[:, 2] = grips
+    assert carried_grip([(states, forces)]) == pytest.approx(9.0)
+    assert carried_grip([(states[:3], forces[:3])]) is None
