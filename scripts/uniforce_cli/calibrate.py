@@ -42,8 +42,9 @@ class CalibrateCommand:
     take a tool's flat handle. Record that with: uniforce pairs robot=franka rig=rig.yaml indenters=small,tool
     Example: uniforce calibrate new=gelsight anchor=tactip pairs=outputs/pairs/uniforce_pairs out=outputs/calibration
     In simulation: uniforce calibrate new=gelsight_stiff anchor=tactip, or a unit of them: new=tactip:7 anchor=tactip:1
-    With a kitchen scale, half a minute: uniforce calibrate new=tactip rig=rig.yaml finger=right loads_N=3,6,9
-    Its simulation: uniforce calibrate new=tactip:7 loads_N=3,6,9. For pads of the anchor's kind: a gain is all it fits.
+    With a kitchen scale, half a minute, the fingers holding the task's tool:
+    uniforce calibrate new=uskin rig=rig.yaml finger=right loads_N=3,6,9 through=tool
+    Its simulation: uniforce calibrate new=uskin:7 loads_N=3,6,9 through=tool. A gain is all it fits.
     Use it: uniforce score … right_sensor=uskin right_calibration=outputs/calibration
     """
 
@@ -55,6 +56,9 @@ class CalibrateCommand:
     task: Literal["both", "small", "tool"] = "both"  # which objects must agree, or the calibration is refused
     grasps: Count = 600  # simulated pairs
     loads_N: Numbers = ""  # known loads instead of an anchor's grasps, three or more
+    # loads_N: pad, pressed bare on a handle: one gain of all axes, of domes and taxels | tool, pressed on the scale by
+    # the fingers that hold it: one gain of the shear that a task feels, for every kind
+    through: Literal["pad", "tool"] = "pad"
     rig: FilePath = ""  # loads_N: YAML file with `robot: {cameras: …}`; empty = presses are simulated
     finger: Literal["left", "right"] = "right"  # loads_N: of the rig, whose sensor is pressed
     out: OutFolder = "outputs/calibration"  # the map's folder
@@ -81,7 +85,7 @@ def calibrate_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibrat
 
 def weigh_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
     """Have loads pressed and fit the gain; raises as ``Calibration.of_loads`` and the presses do."""
-    from uniforce_cli.known_loads import finger_of, known_loads, presses_by_hand, simulated_presses
+    from uniforce_cli.known_loads import finger_of, known_loads, presses_by_hand, simulated_presses, simulated_tool
     from uniforce_vtla.contact.worn_in_words import wear
     from uniforce_vtla.tokenizer.calibration import Calibration
     from uniforce_vtla.tokenizer.force_head import ForceHead
@@ -91,8 +95,11 @@ def weigh_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
     loads_N = known_loads(config.loads_N)
     worn, anchor = (wear(words)(config.seed) for words in (config.new, config.anchor))
     head, encode = ForceHead.from_pretrained(anchor.kind, config.tokenizer or None), pooled_latents(tokenizer)
+    by_tool = config.through == "tool"
+    fit = Calibration.through_a_tool if by_tool else Calibration.of_loads
     if not config.rig:
-        return Calibration.of_loads(*simulated_presses(worn, loads_N, config.seed, encode), head, config.new)
+        press = simulated_tool if by_tool else simulated_presses
+        return fit(*press(worn, loads_N, config.seed, encode), head, config.new)
     from lerobot.cameras.utils import make_cameras_from_configs
 
     wanted = finger_of(config.rig, config.finger)
@@ -102,7 +109,7 @@ def weigh_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
     finger = cast("TactileFinger", make_cameras_from_configs({"finger": wanted})["finger"])
     print(f"{wanted.label}: taking the reference, keep it in free air")
     with finger:
-        return Calibration.of_loads(*presses_by_hand(finger, loads_N, encode), head, config.new)
+        return fit(*presses_by_hand(finger, loads_N, encode, by_tool), head, config.new)
 
 
 def check_agreement(found: Calibration, config: CalibrateCommand) -> str:
@@ -128,7 +135,8 @@ def main(config: CalibrateCommand) -> None:
     then = f"uniforce score policy=… right_sensor={config.new} right_calibration={config.out}"
     if config.loads_N:
         found = weigh_sensor(config, Tokenizer.from_pretrained(config.tokenizer or None))
-        print(f"{config.new}: gain {found.gain:.2f}; in {found.save(config.out)}. Next: {then}")
+        what = "gain of shear" if found.through_tool else "gain"
+        print(f"{config.new}: {what} {found.gain:.2f}; in {found.save(config.out)}. Next: {then}")
         return
     found = calibrate_sensor(config, Tokenizer.from_pretrained(config.tokenizer or None))
     print(f"{config.new} against {config.anchor}, held-out grasps, R² (|r|) of the force read")

@@ -21,11 +21,15 @@ if TYPE_CHECKING:
     from uniforce_vtla.tokenizer.latent import Latent
 
 PER_LOAD = 3  # simulated presses of each load, each of another face at another place
+TOOL_GRIP_N = 10.0  # of the hand that holds the tool, less or more by a fifth
+TOOL_WEIGHT_N = 0.5
 FRAMES = 10  # read of each press by hand, a third of a second
 STANDARD_m_s2 = 9.80665  # newtons to what a scale shows
 
 LOADS_N = (0.5, 50.0)  # lighter a scale shows badly, firmer breaks a gel
 
+ON_HANDLE = "Lay a tool's handle on a kitchen scale, set it to zero, and press the pad straight down on the handle."
+WITH_TOOL = "Let both fingers grasp the tool, hold it upright above a kitchen scale, and press it straight down on it."
 Presses = tuple["Latent", np.ndarray]  # (n, P, L) pooled latents, and their loads (n,) in N
 
 
@@ -63,6 +67,33 @@ def simulated_presses(worn: WornSensor, loads_N: Sequence[float], seed: int, enc
     return torch.stack([found[row] for row in rows]), load_N[rows]  # type: ignore[return-value]  # stack keeps the origin
 
 
+def simulated_tool(worn: WornSensor, loads_N: Sequence[float], seed: int, encode: Encode) -> Presses:
+    """Press a held tool on a scale: each time grasped anew, then hanging free (0 N) and pressed by each load.
+
+    Raises SensorError: the canonicalizer refuses every frame.
+    """
+    import torch
+
+    from uniforce_cli.paired_grasps import seen
+    from uniforce_vtla.contact.sampling import held_tools
+    from uniforce_vtla.contact.worn import WornView
+    from uniforce_vtla.contracts import ContactState
+
+    rng = np.random.default_rng([seed, 78])
+    load_N = np.tile(np.array([0.0, *loads_N], np.float32), PER_LOAD)
+    grasp = np.repeat(np.arange(PER_LOAD), 1 + len(loads_N))
+    gap_mm = held_tools(rng, PER_LOAD)[grasp]
+    grip_N = (TOOL_GRIP_N * rng.uniform(0.8, 1.2, PER_LOAD))[grasp]
+    shear_N = (TOOL_WEIGHT_N - load_N) / 2
+    force = np.column_stack([0 * load_N, shear_N, grip_N]).astype(np.float32)
+    found = seen(WornView(worn, seed), ContactState(gap_mm, force, 0 * load_N), "left", encode)
+    rows = sorted(found)
+    if not any(load_N[row] == 0 for row in rows):
+        do = "Is the tool's handle flat and as wide as the pad?"
+        raise SensorError(expected("presses", "frames the canonicalizer reads", f"{len(rows)} of {len(load_N)}", do))
+    return torch.stack([found[row] for row in rows]), load_N[rows]  # type: ignore[return-value]  # stack keeps the origin
+
+
 def finger_of(rig: str, finger: Finger) -> TactileFingerConfig:
     """Return a finger's settings from a rig's file, as ``uniforce record`` reads it; ContractError: it has none."""
     from uniforce_robots.recorder.build import read_devices
@@ -75,7 +106,11 @@ def finger_of(rig: str, finger: Finger) -> TactileFingerConfig:
 
 
 def presses_by_hand(
-    finger: TactileFinger, loads_N: Sequence[float], encode: Encode, ask: Callable[[str], object] = input
+    finger: TactileFinger,
+    loads_N: Sequence[float],
+    encode: Encode,
+    through_tool: bool = False,
+    ask: Callable[[str], object] = input,
 ) -> Presses:
     """Ask for each load on a scale, and read some frames of it when Enter says that it is held.
 
@@ -87,9 +122,11 @@ def presses_by_hand(
         do = "Run it where somebody can press Enter."
         raise ContractError(expected("presses by hand", "a terminal", "another input", do))
     reference, latents = finger.reference_image()[..., 0], []
-    print("Lay a tool's handle on a kitchen scale, set it to zero, and press the pad straight down on the handle.")
+    loads_N = [0.0, *loads_N] if through_tool else loads_N
+    print(WITH_TOOL if through_tool else ON_HANDLE)
     for load_N in loads_N:
-        ask(f"until the scale shows {1000 * load_N / STANDARD_m_s2:.0f} g ({load_N:g} N); hold it and press Enter ")
+        shown = f"until the scale shows {1000 * load_N / STANDARD_m_s2:.0f} g ({load_N:g} N); hold it"
+        ask(f"{shown if load_N else 'let the tool hang free of the scale'} and press Enter ")
         images, index = [], -1
         for _ in range(FRAMES):
             touch = finger.next_touch(index)

@@ -100,29 +100,47 @@ class Pressed:
 
     config = SimpleNamespace(finger="right")
 
-    def __init__(self) -> None:
+    def __init__(self, grip_N: float = 0.0) -> None:
         self.simulator, self.load_N, self.index = TactileSimulator("tactip", seed=1), 0.0, 0
+        self.grip_N = grip_N  # of the tool that it holds; 0: it is pressed bare
         self.canonicalizer = Canonicalizer("tactip", stream=True)
         self.canonicalizer.set_reference(self.simulator.raw_reference())
         self.marker_image = self.canonicalizer.marker_image
 
     def ask(self, said: str) -> None:
-        self.load_N = float(said.partition("(")[2].partition(" N")[0])
+        self.load_N = 0.0 if "hang free" in said else float(said.partition("(")[2].partition(" N")[0])
 
     def reference_image(self) -> np.ndarray:
         return np.repeat(self.marker_image(self.simulator.raw_reference())[..., None], 3, axis=2)
 
     def next_touch(self, index: int) -> SimpleNamespace:
         face = flat_face_gap(np.zeros((1, 2)), np.full((1, 2), 20.0), np.zeros(1), np.zeros((1, 2)))
-        contact = ContactState(face, np.float32([[0, 0, self.load_N]]), np.zeros(1, np.float32))
+        force = [0, -self.load_N / 2, self.grip_N] if self.grip_N else [0, 0, self.load_N]
+        contact = ContactState(face, np.float32([force]), np.zeros(1, np.float32))
         return SimpleNamespace(index=index + 1, raw=self.simulator.raw_frames(contact)[0])
 
 
 def test_a_person_presses_each_load_and_frames_of_it_are_read() -> None:
     finger, tokenizer = Pressed(), Tokenizer.from_pretrained()
-    z, load_N = presses_by_hand(finger, (3, 6, 9), pooled_latents(tokenizer), finger.ask)  # type: ignore[arg-type]
+    z, load_N = presses_by_hand(finger, (3, 6, 9), pooled_latents(tokenizer), ask=finger.ask)  # type: ignore[arg-type]
     assert load_N.tolist() == [3] * 10 + [6] * 10 + [9] * 10 and len(z) == 30
     found = Calibration.of_loads(z, load_N, ForceHead.from_pretrained(), "tactip")
     assert 0.8 < found.gain < 1.25
     with pytest.raises(ContractError, match="a terminal"):
         presses_by_hand(finger, (3, 6, 9), pooled_latents(tokenizer))  # type: ignore[arg-type]
+
+
+def test_a_person_lets_the_tool_hang_and_presses_it(capsys: pytest.CaptureFixture[str]) -> None:
+    finger, tokenizer = Pressed(grip_N=10.0), Tokenizer.from_pretrained()
+    asked = (finger, (3, 6, 9), pooled_latents(tokenizer), True)
+    z, load_N = presses_by_hand(*asked, ask=finger.ask)  # type: ignore[arg-type]
+    assert sorted(set(load_N.tolist())) == [0, 3, 6, 9] and "grasp the tool" in capsys.readouterr().out
+    assert 0.8 < Calibration.through_a_tool(z, load_N, ForceHead.from_pretrained(), "tactip").gain < 1.25
+
+
+@pytest.mark.parametrize("worn", ["tactip:2", "uskin:2", "gelsight:2"])
+def test_every_kind_is_weighed_through_the_tool(worn: str, tmp_path: Path) -> None:
+    """A covered flat gel can't be weighed bare; the shear of what it holds it shows."""
+    assert main([f"new={worn}", "loads_N=3,6,9", "through=tool", f"out={tmp_path / 'gain'}"]) in (None, 0)
+    found = Calibration.load(tmp_path / "gain", Tokenizer.from_pretrained().hash)
+    assert found.through_tool and 0.6 < found.gain < 1.4

@@ -146,3 +146,40 @@ def test_known_loads_give_a_gain_that_is_stored(tmp_path: Path) -> None:
 def test_loads_that_give_no_gain_are_refused(load_N: tuple[float, ...]) -> None:
     with pytest.raises(ContractError, match=r"loads|presses"):
         Calibration.of_loads(presses(3, 6, 9)[: len(load_N)], np.array(load_N), Scale(), "tactip:7")  # type: ignore[arg-type]
+
+
+class ShearScale:
+    """Stands for a head: it reads 1.25 of the shear along y that the first number of a latent holds, and a grip."""
+
+    tokenizer_hash, hash = "abc", "def"
+
+    def __call__(self, z: torch.Tensor) -> torch.Tensor:
+        shear = 1.25 * z[:, 0, :1]
+        return torch.cat([0 * shear, shear, 0 * shear + 9.0], dim=1)
+
+
+WEIGHT_N = 0.6
+
+
+def through_tool(*load_N: float) -> Latent:
+    """What a finger gives that holds a tool of some weight on a scale: half of what is left of it hangs on it."""
+    return presses(*[(WEIGHT_N - load) / 2 for load in load_N])
+
+
+def test_a_tool_on_a_scale_gives_a_gain_of_shear_alone(tmp_path: Path) -> None:
+    loads = (0.0, 3.0, 6.0, 9.0)
+    found = Calibration.through_a_tool(through_tool(*loads), np.array(loads), ShearScale(), "uskin:7")  # type: ignore[arg-type]
+    assert found.gain == pytest.approx(0.8) and found.through_tool
+    assert found.scaled(torch.tensor([[1.0, 2.0, 9.0]])).tolist() == [pytest.approx([0.8, 1.6, 9.0])]
+    assert not found.reads_grip and "weighed through a tool" in found.grip_in_words
+    again = Calibration.load(found.save(tmp_path / "map"), "abc")
+    assert (again.gain, again.through_tool, again.hash) == (found.gain, True, found.hash)
+    bare = Calibration.of_loads(presses(3, 6, 9), np.array([3, 6, 9]), Scale(), "uskin:7")  # type: ignore[arg-type]
+    assert bare.reads_grip and bare.scaled(torch.ones(1, 3)).tolist() == [pytest.approx([1.25] * 3)]
+
+
+@pytest.mark.parametrize("load_N", [(3, 6, 9, 9), (0, 3, 6, 6), (0, 3, 6, np.nan), (0, 9, 6, 3), (0, -3, 6, 9), (0, 3)])
+def test_tools_that_give_no_gain_are_refused(load_N: tuple[float, ...]) -> None:
+    pressed = through_tool(0, 3, 6, 9)
+    with pytest.raises(ContractError, match=r"loads|presses"):
+        Calibration.through_a_tool(pressed, np.array(load_N, float), ShearScale(), "uskin:7")  # type: ignore[arg-type]

@@ -9,6 +9,8 @@ from uniforce_vtla.contact.indenters import flat_face_gap, gap_maps
 
 FLAT = "flat"  # name given to flat faces among the indenters
 FLAT_SIDE_mm = (12.0, 40.0)  # shortest and longest side of a flat face: partly beyond the pad
+HELD_SIDES_mm = (60.0, 40.0)  # of an eraser's side, along and across
+HELD_TILT_rad = 0.005  # two parallel fingers square a tool up
 FLAT_TILT_rad = 0.03  # a tool pressed by hand; what two parallel fingers hold lies flatter
 
 
@@ -62,6 +64,14 @@ def _flat_faces(rng: np.random.Generator, n: int, side_mm: tuple[float, float], 
         rng.uniform(-0.3, 0.3, n),
         rng.uniform(-tilt_rad, tilt_rad, (n, 2)),
     )
+
+
+def held_tools(rng: np.random.Generator, n: int) -> np.ndarray:
+    """Return (n, G, G) gaps of a tool's flat side as parallel fingers hold it: larger than a pad, hardly tilted."""
+    center_mm = np.column_stack([rng.uniform(-3, 3, n), rng.uniform(-5, 5, n)])
+    angle_rad = rng.uniform(-0.05, 0.05, n)
+    tilt_rad = rng.uniform(-HELD_TILT_rad, HELD_TILT_rad, (n, 2))
+    return flat_face_gap(center_mm, np.full((n, 2), HELD_SIDES_mm), angle_rad, tilt_rad)
 
 
 def sample_loads(

@@ -5,7 +5,8 @@ forces are equal, so their latents should be. What differs depends on the place 
 pooled latent, ridge-regressed towards the identity in closed form, is fitted to the pairs. No force is ever measured.
 It corrects what a reference image can't show: stiffness, thickness and gain.
 
-Who has a scale needs no known sensor: a few presses of known load give one gain of the newtons (``of_loads``).
+Who has a scale needs no known sensor: a few presses of known load give one gain of the newtons (``of_loads``), or, of
+the tool that the fingers hold, one of shear (``through_a_tool``): a covered flat gel shows that and hardly grip.
 """
 
 from __future__ import annotations
@@ -79,6 +80,7 @@ class Calibration:
     turn_deg: float  # that brings the new sensor's shear, as read before, to the anchor's; x towards y
     agreement: dict[str, Agreement]  # by class of objects
     gain: float = 1.0  # of the newtons that the head reads after the map
+    through_tool: bool = False  # whether the gain is of shear alone, weighed through a held tool
 
     @classmethod
     def of_loads(cls, z: torch.Tensor, load_N: np.ndarray, head: ForceHead, new: str) -> Calibration:
@@ -88,19 +90,52 @@ class Calibration:
 
         Raises ContractError: fewer than three loads, or readings that don't follow them by a gain that a pad explains.
         """
-        known, read = np.asarray(load_N, float), head(z)[:, 2].double().numpy()  # type: ignore[arg-type]  # checks the origin
+        known = np.asarray(load_N, float)
+        read = head(z)[:, 2].double().numpy()  # type: ignore[arg-type]  # checks the origin
         if len(known) != len(read) or len(set(known)) < FEWEST_LOADS or not (np.isfinite(known) & (known > 0)).all():
             came, do = f"{known.tolist()} for {len(read)} frames", "Press with 3, 6 and 9 N."
             raise ContractError(expected("loads", f"{FEWEST_LOADS} or more different ones, one a frame", came, do))
-        gain = float((known * read).sum() / max(float((read**2).sum()), 1e-9))
-        rest_N = float(np.sqrt(((gain * read - known) ** 2).mean()))
-        if not GAINS[0] <= gain <= GAINS[1] or rest_N > REST_SHARE * known.mean():
-            do = "Are loads in newtons, and is the reference of free air? A flat gel that is covered can't be weighed."
-            came = f"{np.round(read, 1).tolist()} N read of {known.tolist()}"
-            wanted = f"readings that follow the loads, by a gain of {GAINS[0]} to {GAINS[1]}"
-            raise ContractError(expected("presses", wanted, came, do))
+        do = "Are loads in newtons, and is the reference of free air? A covered flat gel is weighed with through=tool."
+        gain = _gain(known, read, do)
         same = LatentMap(*z.shape[1:]).eval()
         return cls(same, head.tokenizer_hash, head.hash, new, new, 0.0, 0.0, {}, gain)
+
+    @classmethod
+    def through_a_tool(cls, z: torch.Tensor, load_N: np.ndarray, head: ForceHead, new: str) -> Calibration:
+        """Return the gain of shear of a finger that holds a tool, pressed down on a scale with known loads.
+
+        Half of a load comes up through each finger. The grip isn't weighed: a policy holds it (touch/grip.py).
+
+        Args:
+            z: (n, P, latent) of presses, and of the tool hanging free, load 0.
+            load_N: (n,) what the scale shows, N.
+            head: of the kind whose newtons the policy knows.
+            new: the sensor, in words.
+
+        Raises ContractError: fewer than three loads, none of a hanging tool, or readings that don't follow them.
+        """
+        known = np.asarray(load_N, float)
+        shear = head(z)[:, 1].double().numpy()  # type: ignore[arg-type]  # canonical y points down
+        is_free = known == 0
+        loads = set(known[~is_free])
+        fits = len(known) == len(shear) and bool(np.isfinite(known).all()) and bool((known >= 0).all())
+        if not fits or not is_free.any() or len(loads) < FEWEST_LOADS:
+            came, do = f"{known.tolist()} for {len(shear)} frames", "Let it hang free, then press with 3, 6 and 9 N."
+            raise ContractError(expected("loads", f"0 and {FEWEST_LOADS} or more different ones", came, do))
+        carried_N = known[~is_free] / 2
+        read_N = shear[is_free].mean() - shear[~is_free]  # a press pushes the tool up
+        do = (
+            "Does the tool stand upright on the scale, is the reference of free air, and is the sensor mounted upright?"
+        )
+        gain = _gain(carried_N, read_N, do)
+        same = LatentMap(*z.shape[1:]).eval()
+        return cls(same, head.tokenizer_hash, head.hash, new, new, 0.0, 0.0, {}, gain, through_tool=True)
+
+    def scaled(self, force_N: torch.Tensor) -> torch.Tensor:
+        """Return newtons (…, 3), read after the map, by the gain: of all axes, or of shear where a tool was weighed."""
+        if not self.through_tool:
+            return force_N * self.gain
+        return force_N * force_N.new_tensor([self.gain, self.gain, 1.0])
 
     @torch.no_grad()
     def __call__(self, z: Latent) -> Latent:
@@ -115,17 +150,22 @@ class Calibration:
     @property
     def hash(self) -> str:
         """Content hash of map, gain and what they belong to; a policy that wears it stores this."""
-        gain = {} if self.gain == 1 else {"gain": self.gain}
+        gain: dict[str, object] = {} if self.gain == 1 else {"gain": self.gain}
+        gain |= {"through_tool": True} if self.through_tool else {}
         return content_hash(self.map, {"tokenizer_hash": self.tokenizer_hash, **gain})
 
     @property
     def reads_grip(self) -> bool:
-        """Whether a sensor so calibrated reads grip under a tool; a gain alone was never judged, and counts as yes."""
+        """Whether a sensor so calibrated reads grip under a tool; a gain of bare presses was never judged: yes."""
+        if self.through_tool:
+            return False
         return "tool" not in self.agreement or self.agreement["tool"].r2[2] >= TRUSTED_R2
 
     @property
     def grip_in_words(self) -> str:
         """How well grip is read under a tool."""
+        if self.through_tool:
+            return f"{self.new} was weighed through a tool, which says nothing of grip"
         return f"the calibration of {self.new} reads grip under tools with R² {self.agreement['tool'].r2[2]:.2f}"
 
     def worst(self, classes: Sequence[str] = OBJECT_CLASSES) -> tuple[str, float]:
@@ -136,6 +176,7 @@ class Calibration:
         """Return which sensors it matches, and how well."""
         judged = {name: asdict(found) for name, found in self.agreement.items()}
         numbers = {"ridge": self.ridge, "turn_deg": self.turn_deg, "gain": self.gain}
+        numbers |= {"through_tool": True} if self.through_tool else {}
         return {"new": self.new, "anchor": self.anchor, **numbers, "agreement": judged}
 
     def save(self, path: str | Path) -> Path:
@@ -162,12 +203,13 @@ class Calibration:
             ridge, turn, gain = float(facts["ridge"]), float(facts["turn_deg"]), float(facts.get("gain", 1.0))
             if not GAINS[0] <= gain <= GAINS[1]:
                 raise ValueError(f"gain {gain}")
+            through_tool = facts.get("through_tool", False) is True
             agreement = {name: _agreement(found) for name, found in facts["agreement"].items()}
         except (KeyError, TypeError, ValueError, AttributeError, ContractError) as error:
             wanted, do = "the facts of a calibration", "Calibrate again."
             raise CheckpointError(expected(f"config of {folder}", wanted, error, do)) from error
         found = load_model(folder, lambda: LatentMap(patches, latent))
-        return cls(found.eval(), tokenizer_hash, *texts, ridge, turn, agreement, gain)
+        return cls(found.eval(), tokenizer_hash, *texts, ridge, turn, agreement, gain, through_tool)
 
 
 def calibrate(
@@ -259,6 +301,17 @@ def _best_ridge(x: torch.Tensor, y: torch.Tensor) -> float:
         return total
 
     return min(RIDGES, key=error)
+
+
+def _gain(known_N: np.ndarray, read_N: np.ndarray, do: str) -> float:
+    """Return the gain that brings readings (n,) to known loads (n,); ContractError: they don't follow them."""
+    gain = float((known_N * read_N).sum() / max(float((read_N**2).sum()), 1e-9))
+    rest_N = float(np.sqrt(((gain * read_N - known_N) ** 2).mean()))
+    if not GAINS[0] <= gain <= GAINS[1] or rest_N > REST_SHARE * known_N.mean():
+        came = f"{np.round(read_N, 1).tolist()} N read of {known_N.tolist()}"
+        wanted = f"readings that follow the loads, by a gain of {GAINS[0]} to {GAINS[1]}"
+        raise ContractError(expected("presses", wanted, came, do))
+    return gain
 
 
 def _r2(truth: np.ndarray, read: np.ndarray) -> tuple[float, float, float]:

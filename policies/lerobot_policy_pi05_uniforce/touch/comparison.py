@@ -54,5 +54,6 @@ class GripComparison:
             logger.warning(message, finger, times)
 
     def _grip_N(self, finger: Finger, latent: Tensor) -> float:  # noqa: N802  a unit
-        gain = self._worn[finger].gain if finger in self._worn else 1.0
-        return gain * float(self._encoder.head.step(latent, None)[0][:, 2].mean())
+        force_N = self._encoder.head.step(latent, None)[0]
+        read_N = self._worn[finger].scaled(force_N) if finger in self._worn else force_N
+        return float(read_N[:, 2].mean())

@@ -82,7 +82,7 @@ class NewtonInput(TouchInput):
         if LATENT_KEYS[slot] in batch:  # a demonstration's
             return force_N
         worn = self._latents.worn.get(self.config.finger_by_slot()[slot])
-        force_N = force_N if worn is None else force_N * worn.gain
+        force_N = force_N if worn is None else worn.scaled(force_N)
         return self._grip(slot, force_N, taken(batch, MEASURED_STATE)) if slot in self._grip.held_N else force_N
 
 
