@@ -101,10 +101,10 @@ class Keeping(TouchRegulator):
         layout: Layout,
         contact: Callable[[], Contact],
         settings: TouchSettings,
-        hand_holds: bool,
+        holds: Callable[[], bool | None],
         keeps_height: bool,
     ) -> None:
-        super().__init__(layout, contact, settings, hand_holds)
+        super().__init__(layout, contact, settings, holds)
         self._keeps_height, self._felt, self._height_m = keeps_height, 0, np.nan
 
     @property
@@ -139,4 +139,4 @@ class KeepingExpert(WipeExpert):
 
     def _regulator(self, layout: Layout, press_N: float, grip_N: float) -> Regulator:
         wanted = replace(self.settings, press_N=press_N, grip_N=grip_N)
-        return Keeping(layout, lambda: self._contact, wanted, self._hand_holds, self._keeps_height)
+        return Keeping(layout, lambda: self._contact, wanted, self._holds, self._keeps_height)

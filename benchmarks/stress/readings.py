@@ -13,6 +13,7 @@ from lerobot_env_uniforce_wiping.episodes import walk
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import SensorError
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
+from uniforce_vtla.tokenizer.calibration import Calibration
 from uniforce_vtla.tokenizer.latent import POOL, Latent, pool_latent
 
 EVERY = 4  # steps between two readings
@@ -83,11 +84,17 @@ def read_scenes(
 
 
 class ReadsWorn(WipeExpert):
-    """The expert's law on what the head reads of one worn finger; a refused frame repeats the reading before it."""
+    """The expert's law on what the head reads of one worn finger; a refused frame repeats the reading before it.
 
-    def __init__(self, finger: Finger, tokenizer: Tokenizer, head: ForceHead) -> None:
+    Where the finger wears a ``calibration``, of what the head reads after it.
+    """
+
+    def __init__(
+        self, finger: Finger, tokenizer: Tokenizer, head: ForceHead, calibration: Calibration | None = None
+    ) -> None:
         super().__init__(fingers=finger)
         self._finger, self._tokenizer, self._head = finger, tokenizer, head
+        self._calibration = calibration
         self._read = np.zeros(3)
 
     def reset(self, env: WipeEnv) -> None:
@@ -96,5 +103,8 @@ class ReadsWorn(WipeExpert):
 
     def _feel(self, env: WipeEnv) -> dict[Finger, np.ndarray]:
         with suppress(SensorError):  # a frame late; the score shows what it costs
-            self._read = self._head(encode_now(env, self._finger, self._tokenizer))[0].numpy()
+            latent = encode_now(env, self._finger, self._tokenizer)
+            worn = self._calibration
+            force_N = self._head(latent) if worn is None else worn.scaled(self._head(worn(latent)))
+            self._read = force_N[0].numpy()
         return {self._finger: self._read}

@@ -85,26 +85,30 @@ AGAINST_PULL = TouchSettings(press_N=6.0, grip_N=8.5, press_rate_m_s_N=0.008)
 class TouchRegulator:
     """Regulates grip and press by touch; keeps no memory beyond its own target.
 
-    Where the ``hand_holds`` by a force of its own, press alone: a width inside what is held keeps the grasp.
+    Where a hand ``holds`` by a force of its own and says so, press alone: a width inside what is held keeps the grasp.
     """
 
     def __init__(
-        self, layout: Layout, contact: Callable[[], Contact], settings: TouchSettings, hand_holds: bool = False
+        self,
+        layout: Layout,
+        contact: Callable[[], Contact],
+        settings: TouchSettings,
+        holds: Callable[[], bool | None] = lambda: None,
     ) -> None:
         self._layout, self._contact, self._settings = layout, contact, settings
-        self._hand_holds = hand_holds
+        self._holds = holds
 
     def close(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
         """Close fast until a pad touches something, then regulate; made at `lift_from` of the wanted grip."""
         s = self._settings
-        is_made = self._contact().grip_N > s.lift_from * s.grip_N
-        if self._hand_holds:
-            return target_m - CLOSING_m_s / CONTROL_HZ, is_made
-        return self.hold(target_m, measured), is_made
+        is_held = self._holds()
+        if is_held is not None:
+            return target_m - CLOSING_m_s / CONTROL_HZ, is_held
+        return self.hold(target_m, measured), self._contact().grip_N > s.lift_from * s.grip_N
 
     def hold(self, target_m: float, measured: np.ndarray) -> float:
         """Move the width against the grip error; to a width inside what is held where the hand holds."""
-        if self._hand_holds:
+        if self._holds() is not None:
             step_m = CLOSING_m_s / CONTROL_HZ
             return float(target_m + np.clip(measured[4] - INSIDE_m - target_m, -step_m, step_m))
         s = self._settings
@@ -176,7 +180,7 @@ class WipeExpert:
         self._felt.clear()
         level = self._own_heights(level)
         self._weight_N = level.layout.eraser_mass_kg * GRAVITY_m_s2
-        self._hand_holds = env.gripper == "hand"
+        self._holds = lambda: env.sim.gripper.holds
         regulator = self._regulator(level.layout, press, grip)
         start = env.state.astype(np.float64)
         self._sequence = WipeSequence(level, regulator, start, lambda: look_back(env), pace, self._stray)
@@ -198,7 +202,7 @@ class WipeExpert:
 
     def _regulator(self, layout: Layout, press_N: float, grip_N: float) -> Regulator:
         wanted = replace(self.settings, press_N=press_N, grip_N=grip_N)
-        return TouchRegulator(layout, lambda: self._contact, wanted, self._hand_holds)
+        return TouchRegulator(layout, lambda: self._contact, wanted, self._holds)
 
     @property
     def phase(self) -> str:

@@ -33,6 +33,10 @@ class Gripper(Protocol):
     def width_m(self) -> float:
         """The opening as the robot's state gives it."""
 
+    @property
+    def holds(self) -> bool | None:
+        """Whether it holds something, by its own word; None where it doesn't know."""
+
     def command(self, width_m: float) -> None:
         """Wish a width from now on; raises RobotError where the hand is at fault."""
 
@@ -53,6 +57,11 @@ class Servo:
     def width_m(self) -> float:
         """The opening now."""
         return finger_width(self._data, self._addresses)
+
+    @property
+    def holds(self) -> bool | None:
+        """None: a servo feels nothing."""
+        return None
 
     def command(self, width_m: float) -> None:
         """Go to a width at once."""
@@ -76,6 +85,11 @@ class FrankaHand:
     def width_m(self) -> float:
         """The opening by the hand's newest reading."""
         return self.hand.reading.width_m
+
+    @property
+    def holds(self) -> bool | None:
+        """Whether it holds something, by the hand's newest reading."""
+        return self.hand.reading.is_grasped
 
     def command(self, width_m: float) -> None:
         """Wish a width; raises RobotError, e.g. ``grasp_lost``."""
