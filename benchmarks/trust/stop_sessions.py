@@ -26,6 +26,7 @@ import numpy as np
 from hypothesis import HealthCheck, settings
 from hypothesis import Phase as Stage
 from hypothesis import strategies as st
+from hypothesis.errors import FlakyStrategyDefinition
 from hypothesis.stateful import (
     RuleBasedStateMachine,
     initialize,
@@ -292,6 +293,7 @@ class StopMachine(RuleBasedStateMachine):
 
     make_world: Callable[[], World] = SimWorld
     counts: ClassVar[Counter[str]] = Counter()
+    wrongs: ClassVar[list[str]] = []  # what moved, or died, in any session so far
 
     def __init__(self) -> None:
         super().__init__()
@@ -324,6 +326,7 @@ class StopMachine(RuleBasedStateMachine):
         kind = "sessions" if self.steps >= 20 else "shorter"
         moved, violations = self.watch.moves > 0, len(self.watch.violations)
         type(self).counts.update({kind: 1, "steps": self.steps, "moved": moved, "violations": violations})
+        type(self).wrongs.extend(self.watch.violations)
         assert not self.watch.violations, self.watch.violations[0]
 
     @invariant()
@@ -333,6 +336,7 @@ class StopMachine(RuleBasedStateMachine):
         self.steps += 1
         session = self.session
         if session is not None and session.crash is not None:
+            type(self).wrongs.append(f"the session died of {session.crash!r}")
             raise AssertionError("the session died") from session.crash
         violations = [*self.watch.violations]
         assert not violations, violations[0]
@@ -654,11 +658,14 @@ class StopMachine(RuleBasedStateMachine):
 def explore(times: int, make_world: Callable[[], World], steps: int = STEPS, at_random: bool = False) -> Counter[str]:
     """Run sessions until ``times`` of at least 20 steps were run; return the counts. Raises what goes wrong.
 
-    The same sessions each time, unless ``at_random``.
+    The same sessions each time, unless ``at_random``. In real time no session can be repeated: hypothesis, which finds
+    that out now and then, begins anew, and what went wrong is kept.
     """
     counts: Counter[str] = Counter()
+    wrongs: list[str] = []
     while counts["sessions"] < times:
-        machine = type("Stops", (StopMachine,), {"make_world": staticmethod(make_world), "counts": counts})
+        kept = {"make_world": staticmethod(make_world), "counts": counts, "wrongs": wrongs}
+        machine = type("Stops", (StopMachine,), kept)
         wanted = settings(
             max_examples=max(times - counts["sessions"], 5),
             stateful_step_count=steps,
@@ -668,7 +675,10 @@ def explore(times: int, make_world: Callable[[], World], steps: int = STEPS, at_
             phases=(Stage.generate,),
             suppress_health_check=list(HealthCheck),
         )
-        run_state_machine_as_test(machine, settings=wanted)  # type: ignore[arg-type]
+        with suppress(FlakyStrategyDefinition):
+            run_state_machine_as_test(machine, settings=wanted)  # type: ignore[arg-type]
+        if wrongs:
+            raise AssertionError(wrongs[0])
     return counts
 
 
