@@ -15,6 +15,7 @@ from uniforce_vtla.errors import RobotError, SensorError, expected
 log = logging.getLogger(__name__)
 GRACE_s = 0.5  # a command may take its travel at the set speed and this much more: the hand begins slowly
 LOST_s = 0.3  # three readings without hold, by the hand's own word: what was grasped counts as lost
+SLIPPED_m = 0.004  # by which fingers close further than a grasp: it slips out, whatever the hand says
 TRIES = 2  # of a command that did not succeed while its width is still wished
 WIDEST_m = 0.12  # no hand opens so far
 UNHOMED_m = 0.01  # a hand that was never homed gives no larger opening than this
@@ -84,14 +85,14 @@ class HandClient(Protocol):
         """Raise RobotError where the hand has closed the connection."""
 
 
-def next_command(wish_m: float, reading: HandReading, holds: bool, settings: HandRules) -> HandCommand | None:
-    """Return the command that brings the fingers to a wished width, None where they are there.
+def next_command(wish_m: float, width_m: float, holds: bool, settings: HandRules) -> HandCommand | None:
+    """Return the command that brings the fingers from a width to a wished one, None where they are there.
 
     Closing by position would press with all the motor has, so every closing is a grasp with a bounded force. Fingers
     that hold something are as close as they can be: only a wider wish asks for anything.
     """
-    opens = wish_m > reading.width_m
-    if abs(wish_m - reading.width_m) < settings.hysteresis_m or (holds and not opens):
+    opens = wish_m > width_m
+    if abs(wish_m - width_m) < settings.hysteresis_m or (holds and not opens):
         return None
     return HandCommand(wish_m, settings.speed_m_s, 0.0 if opens else settings.grip_force_N)
 
@@ -127,7 +128,8 @@ class Hand:
         self._stop_wanted = self._interrupted = False
         self._deadline_s = self._ended_s = 0.0  # of the command in flight; when the last one ended
         self._holds = False  # the last command was a grasp that succeeded
-        self._held: HandReading | None = None  # the last one that holds what was grasped; None: nothing to lose
+        self._held_m: float | None = None  # how wide what was grasped is; None: nothing to lose
+        self._held_s = 0.0  # when it was last there
         self._fault: RobotError | None = None
 
     def start(self) -> None:
@@ -208,7 +210,7 @@ class Hand:
         if self.is_busy and self._clock() > self._deadline_s:
             came, do = f"an answer to {self._last or 'a stop'}", "Is something in its way? Free it, then connect again."
             raise RobotError(expected("hand", came, "none in time", do), "hand_deadline")
-        held, reading = self._held, self._reading
+        held_m, reading = self._held_m, self._reading
         if reading is None:
             return
         age_s = self._clock() - max(reading.time_s, self._ended_s)
@@ -216,13 +218,13 @@ class Hand:
             wanted = f"a reading younger than {self.settings.reading_age_s} s"
             do = "Check the cable and the robot's controller."
             raise RobotError(expected("hand", wanted, f"{age_s:.2f} s", do), "hand_stale")
-        if held is not None and reading.time_s - held.time_s > LOST_s:
+        if held_m is not None and reading.time_s - self._held_s > LOST_s:
             do = "Put it back into the fingers, then call recover()."
             raise RobotError(expected("hand", "what was grasped", "nothing any more", do), "grasp_lost")
 
     def recover(self) -> None:
         """Forget a lost grasp on an operator's word, begin nothing; raises RobotError: anything else is wrong still."""
-        self._wish_m = self._held = None
+        self._wish_m = self._held_m = None
         if self._reading is None or not self._reading.is_grasped:
             self._last, self._holds = None, False
         self.tick()
@@ -236,7 +238,9 @@ class Hand:
             came, do = f"{widths[0]} of {widths[1]} m", "Home the hand, then connect again."
             raise RobotError(expected("hand", f"widths of 0 to {WIDEST_m} m", came, do), "hand_state")
         if self._holds and reading.is_grasped:
-            self._held = reading
+            self._held_m = reading.width_m if self._held_m is None else self._held_m
+            if reading.width_m > self._held_m - SLIPPED_m:  # the hand's own word comes late
+                self._held_s = reading.time_s
         self._reading = reading
 
     def _finish(self, succeeded: bool | None) -> None:
@@ -257,8 +261,9 @@ class Hand:
         is_same = self._last is not None and abs(wish_m - self._last.width_m) < self.settings.hysteresis_m
         if is_same and (self._succeeded or self._tries >= TRIES):
             return
-        # from where something was held: fingers that close on nothing lost it, and opening them would hide that
-        command = next_command(wish_m, self._held or reading, self._holds, self.settings)
+        # from the width of what is held: fingers that close on nothing lost it, and opening them would hide that
+        from_m = reading.width_m if self._held_m is None else self._held_m
+        command = next_command(wish_m, from_m, self._holds, self.settings)
         if command is None:
             return
         end_m = 0.0 if command.force_N > 0 else command.width_m  # a grasp of nothing closes fully
@@ -266,7 +271,7 @@ class Hand:
         self._client.begin(command)
         self._deadline_s = self._clock() + travel_s + GRACE_s
         self._tries = self._tries + 1 if is_same else 1
-        self._held, self._last, self.is_busy = None, command, True
+        self._held_m, self._last, self.is_busy = None, command, True
         self._holds = self._interrupted = False
 
     def _wished(self) -> float | None:

@@ -22,6 +22,7 @@ from lerobot_env_uniforce_wiping.episodes import Script, run_script
 from lerobot_env_uniforce_wiping.levels import get_level, level_hash
 from uniforce_cli.boundary import Level, command, one_thread
 from uniforce_vtla.arguments import choose
+from uniforce_vtla.errors import RobotError
 from uniforce_vtla.evaluation.statistics import wilson
 from uniforce_vtla.options import Count, OutFile, OutFolder, Seed, Text, Workers
 from uniforce_vtla.results_file import provenance, write_json
@@ -110,10 +111,13 @@ class GatesCommand:
 
 
 def _episode(level: str, gripper: str, name: str, seed: int, fitted: Fitted, folder: Path) -> dict[str, Any]:
-    result = run_script(WipeEnv(level=level, drawn=(), gripper=gripper), GATES[name].make(fitted, folder), seed)
-    return {"script": name, "seed": seed, "clean": result.clean, "outcome": result.outcome} | {
-        key: round(float(value), 4) for key, value in result.metrics.items()
-    }
+    env = WipeEnv(level=level, drawn=(), gripper=gripper)
+    try:
+        result = run_script(env, GATES[name].make(fitted, folder), seed)
+    except RobotError:  # the hand lost the tool
+        result = replace(env.result(), outcome="aborted")
+    metrics = {key: round(float(value), 4) for key, value in result.metrics.items()}
+    return {"script": name, "seed": seed, "clean": result.clean, "outcome": result.outcome} | metrics
 
 
 def run_all(config: GatesCommand, fitted: Fitted) -> list[dict[str, Any]]:
