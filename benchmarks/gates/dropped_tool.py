@@ -1,4 +1,4 @@
-"""Is a dropped tool noticed without touch, by the hand's own width and state? And is it ever said of one that is held?"""
+"""Is a dropped tool noticed without touch, by the hand alone? And is it ever said of one that is held?"""
 
 import sys
 from dataclasses import dataclass

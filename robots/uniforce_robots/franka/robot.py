@@ -18,12 +18,13 @@ from uniforce_robots.franka.arm import ArmState
 from uniforce_robots.franka.clients import make_backend
 from uniforce_robots.franka.config import UniforceFrankaConfig
 from uniforce_robots.franka.guards import GuardChain
+from uniforce_robots.franka.hand import Hand, require_open
 from uniforce_robots.franka.poses import ToolPose, by_axis
 from uniforce_robots.franka.stream import ArmStream
 from uniforce_robots.sensors.finger import SampledCamera
 from uniforce_robots.sensors.plain_camera import PlainCamera
 from uniforce_vtla.errors import RobotError, SensorError, UniForceError, expected
-from uniforce_vtla.hand import Hand, HandReading, require_open
+from uniforce_vtla.hand import HandReading
 from uniforce_vtla.keys import AXES
 
 log = logging.getLogger(__name__)

@@ -16,11 +16,11 @@ import numpy as np
 from uniforce_robots.franka.arm import UNBELIEVED, ArmState, refuse_stopped
 from uniforce_robots.franka.clients import Arm
 from uniforce_robots.franka.guards import GuardLimits, towards, turn_towards
+from uniforce_robots.franka.hand import Hand
 from uniforce_robots.franka.limits import StreamSettings
 from uniforce_robots.franka.poses import ToolPose, between
 from uniforce_robots.franka.state_check import SendCheck, StateCheck, require_upright
 from uniforce_vtla.errors import RobotError, expected
-from uniforce_vtla.hand import Hand
 
 log = logging.getLogger(__name__)
 JOIN_s = 10.0  # a backend's own deadlines are shorter
