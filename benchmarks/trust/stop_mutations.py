@@ -53,7 +53,7 @@ MUTATIONS: dict[str, tuple[str, str, str]] = {  # name: file, what stands there,
         "            pass",
     ),
     "robot: a hold does nothing": (ROBOT, "            self._stream.hold()\n", "            pass\n"),
-    "teleop: begins with a pushed cap": (BASE, "is_at_rest = not self.rates().any()", "is_at_rest = True"),
+    "teleop: begins with a pushed cap": (BASE, "is_at_rest = not self.is_deflected()", "is_at_rest = True"),
     "teleop: a plug that came back is none": (BASE, "self._refuse_lost()\n            with", "with"),
     "teleop: the last target goes on": (
         INTEGRATOR,

@@ -63,6 +63,7 @@ from uniforce_vtla.errors import RobotError, SensorError, UniForceError
 from uniforce_vtla.keys import AXES
 
 WORKERS = 2
+WORLDS = ("simulated", "over_the_standin")
 FPS = 30
 STEPS = 30  # of a session, at most
 FULL = 350.0  # counts of a cap at full deflection
@@ -689,7 +690,7 @@ class SessionsConfig:
     Example: python -m benchmarks.trust.stop_sessions times=2000 out=docs/results/trust.json
     """
 
-    times: int = 2000  # sessions of at least 20 steps on the set clock
+    times: int = 2000  # sessions of at least 20 steps on the set clock; 0: none, what the file says of them stays
     real: int = 100  # the same over the stand-in, in real time
     out: str = "outputs/trust.json"  # the result file; only its key ``sessions`` changes
 
@@ -706,31 +707,36 @@ def _explore_real(times: int) -> Counter[str]:
 
 
 def store(path: Path, found: dict[str, Any]) -> Path:
-    """Put what was found beside what stands under ``sessions`` already."""
+    """Put what was found beside what stands under ``sessions`` already; the totals are of both worlds."""
     before = json.loads(path.read_text()).get("sessions", {}) if path.is_file() else {}
-    return update(path, "sessions", before | found)
+    whole = before | found
+    for total in ("tried", "steps", "violations"):
+        whole[total] = sum(whole[world][total] for world in WORLDS if world in whole)
+    return update(path, "sessions", whole)
+
+
+def _line(counts: Counter[str]) -> dict[str, int]:
+    """Return a world's line of the result; sessions of fewer than 20 steps aren't counted as tried."""
+    tried = {"tried": counts["sessions"], "moved": counts["moved"]}
+    return tried | {name: counts[name] for name in ("steps", "violations")}
 
 
 @command(SessionsConfig)
 def main(config: SessionsConfig) -> int:
-    """Run both, write the counts; 1 where anything moved."""
+    """Run both, write the counts of each as soon as it is done; 1 where anything moved."""
+    out = Path(config.out)
     try:
-        real = _explore_real(config.real)
-        print(f"over the stand-in: {dict(real)}", flush=True)
-        shares = [config.times // WORKERS] * WORKERS
-        with ProcessPoolExecutor(WORKERS, mp_context=multiprocessing.get_context("spawn")) as pool:
-            simulated = sum(pool.map(_explore_simulated, shares), Counter[str]())
+        if config.real:
+            real = _line(_explore_real(config.real))
+            print(f"over the stand-in: {real}; written to {store(out, {'over_the_standin': real})}", flush=True)
+        if config.times:
+            shares = [config.times // WORKERS] * WORKERS
+            with ProcessPoolExecutor(WORKERS, mp_context=multiprocessing.get_context("spawn")) as pool:
+                simulated = _line(sum(pool.map(_explore_simulated, shares), Counter[str]()))
+            print(f"on the set clock: {simulated}; written to {store(out, {'simulated': simulated})}")
     except AssertionError:  # something moved: hypothesis says what was done before
         traceback.print_exc()
         return 1
-    row = {
-        "tried": simulated["sessions"] + real["sessions"],
-        "over_the_standin": real["sessions"],
-        "steps": simulated["steps"] + real["steps"],
-        "violations": simulated["violations"] + real["violations"],
-    }
-    path = store(Path(config.out), row)
-    print(f"{row}; written to {path}")
     return 0
 
 

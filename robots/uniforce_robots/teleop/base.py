@@ -106,7 +106,7 @@ class UniforceTeleoperator(Teleoperator):
         self._last_s = self._measured_s
         with _translated():
             self._begin(axes)
-            is_at_rest = not self.rates().any()
+            is_at_rest = not self.is_deflected()
         if not is_at_rest:
             do = "Let go of it, then start."
             raise TeleoperatorError(expected(self.name, "a device at rest", "a deflected one", do), "far")
@@ -160,10 +160,14 @@ class UniforceTeleoperator(Teleoperator):
         """(5,) wanted speed of each axis as a share of its limit, −1 … 1; zeros at rest."""
         return np.zeros(len(AXES))
 
+    def is_deflected(self) -> bool:
+        """Return whether anything of the device is pushed; two buttons that cancel each other are."""
+        return bool(self.rates().any())
+
     def _next(self, elapsed_s: float) -> np.ndarray:
         """Return the next target (5,)."""
         rates = self.rates()
-        self._must_rest = self._must_rest and bool(rates.any())
+        self._must_rest = self._must_rest and self.is_deflected()
         return self.integrator.advance(rates * (not self._must_rest), elapsed_s, self.measured)
 
     def _begin_again(self) -> None:

@@ -240,6 +240,10 @@ class UniforceSpaceMouse(UniforceTeleoperator):
         turn = self.config.signs[3] * state[TURN_ABOUT_Z]
         return np.array([x, y, up, turn, state[7] - state[6]])
 
+    def is_deflected(self) -> bool:
+        """Return whether an axis is beyond its dead band or a button is pressed."""
+        return bool(self._deflection().any())
+
     def _deflection(self) -> np.ndarray:
         """(8,) six axes in −1 … 1 outside the dead band, and two buttons."""
         sample = self.device.newest(FOREVER_MS)

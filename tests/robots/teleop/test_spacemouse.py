@@ -6,6 +6,7 @@ import socket
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,14 @@ import uniforce_robots.teleop as ours
 from uniforce_robots.sensors.faults import LostSensorError, WrongSensorError
 from uniforce_robots.standins.process import StandIn
 from uniforce_robots.teleop import spacemouse as spacemouse_module
-from uniforce_robots.teleop.spacemouse import LARGEST_COUNT, SILENT_S, SpaceMouseSource, find_spacemice
+from uniforce_robots.teleop.spacemouse import (
+    LARGEST_COUNT,
+    SILENT_S,
+    SpaceMouseSource,
+    UniforceSpaceMouse,
+    UniforceSpaceMouseConfig,
+    find_spacemice,
+)
 from uniforce_vtla.errors import TeleoperatorError
 
 counts = st.tuples(*[st.integers(-350, 350)] * 6)
@@ -90,6 +98,14 @@ def test_no_start_with_a_deflected_cap(
     mouse: Any, spacemouse: StandIn, measured: np.ndarray, fault_of: Callable[..., str]
 ) -> None:
     spacemouse.inject("push")
+    assert fault_of(lambda: mouse.start_from(measured)) == "far"
+
+
+def test_two_buttons_that_cancel_each_other_are_not_at_rest(measured: np.ndarray, fault_of: Callable[..., str]) -> None:
+    """Letting go of one of them would move the fingers, and that is no new wish."""
+    pressed = SimpleNamespace(raw=np.array([0.0] * 6 + [1.0, 1.0]), age_ms=0.0)
+    mouse = UniforceSpaceMouse(UniforceSpaceMouseConfig())
+    mouse.device = SimpleNamespace(newest=lambda age_ms: pressed, is_running=True, reconnects=0)
     assert fault_of(lambda: mouse.start_from(measured)) == "far"
 
 
