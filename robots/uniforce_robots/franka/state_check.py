@@ -21,7 +21,7 @@ ROTATION_ERROR = 1e-2  # of RᵀR from the identity
 LEAD_m = 0.015  # closer to its target the spring is not clipped, so a target that moves moves the arm
 # a target went so far and no joint changed by a single bit, by the robot's clock: a busy computer whose command is late
 # by some milliseconds is no frozen robot
-FROZEN_m, FROZEN_s = 0.005, 0.1
+FROZEN_m, FROZEN_s = 0.003, 0.1
 
 
 class StateCheck:
