@@ -58,7 +58,7 @@ from uniforce_robots.teleop import (
     UniforceSpaceMouseConfig,
     UniforceTeleoperator,
 )
-from uniforce_robots.teleop.keyboard import KEYS, TerminalKeys
+from uniforce_robots.teleop.keyboard import KEYS, PULSE_S, TerminalKeys
 from uniforce_vtla.errors import RobotError, SensorError, UniForceError
 from uniforce_vtla.keys import AXES
 
@@ -68,7 +68,6 @@ FPS = 30
 STEPS = 30  # of a session, at most
 FULL = 350.0  # counts of a cap at full deflection
 SAVING_s = 0.3  # an episode takes; its encoders may take much longer
-PULSE_TICKS = 4  # a key counts as held for so long after its last press
 TEXT = "abcdefghijklmnopqrstuvwxyz"
 COMMANDS = ("space", "esc", "enter", "y", "f", "g", "x", "r", "v", "t", "T", "V", "backspace")
 STOPS = ("esc", "t", "T")  # commands that hold, whatever the phase
@@ -183,6 +182,7 @@ class Person(KeyOperator):
         super().__init__(keys)
         self._world, self.phase = world, Phase.WAITING
         self.held: dict[str, int] = {}  # ticks for which each key stays down
+        self.pressed_s: dict[str, float] = {}  # when each was pressed last
         self.ticks = 0
         self.word, self.answer = threading.Semaphore(0), threading.Semaphore(0)
 
@@ -205,6 +205,7 @@ class Person(KeyOperator):
         """Press what is held down once more, as a terminal does."""
         for key in [key for key, left in self.held.items() if left > 0]:
             self._keys.press(key)
+            self.pressed_s[key] = self._world.clock()
             self.held[key] -= 1
 
     def wait(self, ticks: int) -> None:
@@ -299,7 +300,6 @@ class StopMachine(RuleBasedStateMachine):
     def __init__(self) -> None:
         super().__init__()
         self.session: Session | None = None
-        self.last_press_s: dict[str, float] = {}
         self.last_wish: np.ndarray | None = None  # of a policy's loop
         self.steps = 0
 
@@ -367,11 +367,10 @@ class StopMachine(RuleBasedStateMachine):
         session, now_s = self.session, self.world.clock()
         assert session is not None
         free = session.person.held.get(key, 0) <= 0
-        rested = now_s - self.last_press_s.get(key, 0.0) > PULSE_TICKS / FPS
+        rested = now_s >= session.person.pressed_s.get(key, 0.0) + PULSE_S
         if free and rested and session.is_live and self._is_well:
             self.watch.wished()
         session.person.held[key] = down
-        self.last_press_s[key] = now_s + down / FPS
         self._wait(ticks)
 
     @precondition(lambda self: self.session)
@@ -567,7 +566,6 @@ class StopMachine(RuleBasedStateMachine):
         """Begin another session with the robot as it is."""
         self.robot.hold()  # as whoever drove it before does at its end
         self._stop("a new session")
-        self.last_press_s.clear()
         self.session = Session(self.world, teleop)
 
     @precondition(lambda self: not self.session)
