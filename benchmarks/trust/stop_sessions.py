@@ -67,7 +67,7 @@ WORLDS = ("simulated", "over_the_standin")
 FPS = 30
 STEPS = 30  # of a session, at most
 FULL = 350.0  # counts of a cap at full deflection
-SAVING_s = 0.3  # an episode takes; its encoders may take much longer
+SAVING_ticks = 9  # for which an episode is saved; its encoders may take much longer
 TEXT = "abcdefghijklmnopqrstuvwxyz"
 COMMANDS = ("space", "esc", "enter", "y", "f", "g", "x", "r", "v", "t", "T", "V", "backspace")
 STOPS = ("esc", "t", "T")  # commands that hold, whatever the phase
@@ -159,8 +159,8 @@ class Store:
 
     num_frames = num_episodes = total_frames = 0
 
-    def __init__(self, world: World) -> None:
-        self._world = world
+    def __init__(self, world: World, meanwhile: Callable[[], None]) -> None:
+        self._world, self._meanwhile = world, meanwhile
 
     def add(self, row: Any, task: str, raw: Any = None) -> None:
         """Take a row."""
@@ -170,7 +170,9 @@ class Store:
         """Forget the rows, after a while in which nothing may move."""
         self.num_frames = 0
         self._world.watch.stopped("an episode's end", self._world.clock(), at_once=True)
-        self._world.sleep(SAVING_s)
+        for _ in range(SAVING_ticks):
+            self._meanwhile()
+            self._world.sleep(1 / FPS)
 
     discard = save
 
@@ -259,7 +261,9 @@ class Session:
                 stack.enter_context(patch)
             view = LiveView(None)
             steering = Steering(self.teleop)
-            parts = Parts(self.rig, steering, self.person, Store(self.world), disk, view, self.interrupts)  # type: ignore[arg-type]
+            parts = Parts(
+                self.rig, steering, self.person, Store(self.world, self.person.repeat_held), disk, view, self.interrupts
+            )  # type: ignore[arg-type]
             wanted = SessionSettings(episodes=1000, prompts=("wipe",), episode_s=4.0, late_share=1.0)
             try:
                 self.end = RecordingSession(parts, wanted, 0, 0).run()
