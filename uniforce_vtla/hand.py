@@ -55,7 +55,7 @@ class HandCommand:
 
 @dataclass(frozen=True)
 class HandReading:
-    """What the hand said: opening between the fingers, whether it holds something, host clock at receipt."""
+    """A word of the hand: opening between the fingers, whether it holds something, host clock at receipt."""
 
     time_s: float
     width_m: float

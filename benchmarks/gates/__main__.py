@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from joblib import Parallel, delayed
 from tqdm import tqdm
@@ -20,7 +20,7 @@ from benchmarks.scene_blocks import BLOCKS
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.episodes import Script, run_script
 from lerobot_env_uniforce_wiping.levels import get_level, level_hash
-from uniforce_cli.boundary import Level, command, one_thread
+from uniforce_cli.boundary import Gripper, Level, command, one_thread
 from uniforce_vtla.arguments import choose
 from uniforce_vtla.errors import RobotError
 from uniforce_vtla.evaluation.statistics import wilson
@@ -98,7 +98,7 @@ class GatesCommand:
     """
 
     level: Level = "touch"
-    gripper: Literal["servo", "hand"] = "servo"  # of the scene
+    gripper: Gripper = "servo"  # of the scene
     episodes: Count = 100  # scenes, the same for every script
     first_seed: Seed = BLOCKS["gates"].start  # of them
     learn_from: Count = 250  # scenes that lag laws and observers are fitted on

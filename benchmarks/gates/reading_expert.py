@@ -20,7 +20,7 @@ from benchmarks.scene_blocks import BLOCKS
 from benchmarks.stress.readings import ReadsWorn
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.episodes import Script, run_script
-from uniforce_cli.boundary import Level, command, one_thread, worker_process
+from uniforce_cli.boundary import Gripper, Level, command, one_thread, worker_process
 from uniforce_cli.calibrate import CalibrateCommand, calibrate_sensor, weigh_sensor
 from uniforce_vtla.arguments import choose
 from uniforce_vtla.errors import RobotError, SensorError
@@ -37,7 +37,7 @@ Fit = Literal["", "grasps", "tool"]
 
 @dataclass(frozen=True)
 class Reader:
-    """What the right finger wears, in turns from scene to scene, and how it was fitted."""
+    """Sensors that the right finger wears, in turns from scene to scene, and how they were fitted."""
 
     worn: tuple[str, ...]
     fit: Fit = ""
@@ -69,7 +69,7 @@ class ReadingExpertCommand:
     """
 
     level: Level = "touch"
-    gripper: Literal["servo", "hand"] = "hand"  # of the scene
+    gripper: Gripper = "hand"  # of the scene
     scenes: Count = 60  # the same for every reader
     first_seed: Seed = BLOCKS["reading expert"].start  # of them
     only: Text = ""  # readers, comma between them; all when empty

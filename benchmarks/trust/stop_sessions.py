@@ -248,7 +248,7 @@ class Session:
             sleep=self.world.sleep,
         )
         ticker = partial(Ticker, clock=self.world.clock, sleep=self.world.sleep)
-        disk = SimpleNamespace(before_episode=lambda *_: "room", check=lambda *_: 0.0)
+        disk: Any = SimpleNamespace(before_episode=lambda *_: "room", check=lambda *_: 0.0)
         patches: list[Any] = [
             mock.patch.object(episode_module, "Ticker", ticker),
             mock.patch.object(episode_module, "time", time),
@@ -261,9 +261,8 @@ class Session:
                 stack.enter_context(patch)
             view = LiveView(None)
             steering = Steering(self.teleop)
-            parts = Parts(
-                self.rig, steering, self.person, Store(self.world, self.person.repeat_held), disk, view, self.interrupts
-            )  # type: ignore[arg-type]
+            store: Any = Store(self.world, self.person.repeat_held)
+            parts = Parts(self.rig, steering, self.person, store, disk, view, self.interrupts)
             wanted = SessionSettings(episodes=1000, prompts=("wipe",), episode_s=4.0, late_share=1.0)
             try:
                 self.end = RecordingSession(parts, wanted, 0, 0).run()

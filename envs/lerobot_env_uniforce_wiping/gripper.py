@@ -5,7 +5,7 @@ grasp with a force, holds by itself, and tells its width ten times a second. ``u
 is asked for, here as on the robot.
 """
 
-from typing import Literal, Protocol, get_args
+from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -15,8 +15,7 @@ from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.hand import Hand, HandCommand, HandReading, HandRules, OUTER_m
 
-GripperName = Literal["servo", "hand"]
-GRIPPERS: tuple[str, ...] = get_args(GripperName)
+GRIPPERS = ("servo", "hand")
 ACTUATOR = 6  # of the width, after the arm's six
 MAX_WIDTH_m = 0.08
 STATE_PERIOD_s = 0.1  # of the hand's readings

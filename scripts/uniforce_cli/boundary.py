@@ -35,6 +35,7 @@ GROWN_bytes = 4_000_000_000  # a process of rollouts may grow by
 Verify = Literal["full", "quick", "off"]  # how files are checked: whole, sizes and samples, not at all
 # the environment's, which takes seconds to import; a test compares
 Level = Literal["easy", "touch"]
+Gripper = Literal["servo", "hand"]  # of the scene
 Sensor = Annotated[str, Names(list_sensors())]
 # words for what a simulated finger wears (uniforce_vtla/contact/worn.py)
 _WORN = r"\w+(:(any|drawing|\d{1,6}))?(\+\w+=[\d.]+)*"

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from uniforce_cli.boundary import Level, Worn, command, one_thread
+from uniforce_cli.boundary import Gripper, Level, Worn, command, one_thread
 from uniforce_vtla import options
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.json_file import read_object
@@ -50,7 +50,7 @@ class RecordConfig:
     left_sensor: Worn = "gelsight"
     right_sensor: Worn = "tactip"  # likewise
     # simulation: servo, the level's own, regulates grip finely | hand holds by force, as the robot's does
-    gripper: Literal["servo", "hand"] = "servo"
+    gripper: Gripper = "servo"
     root: options.OutFolder = "outputs/demos"  # the dataset's folder
     resume: options.Dataset = ""  # the same as root, but refuses a folder without a dataset
     repo_id: options.HubName = "local/uniforce_wiping"  # LeRobot's name for it; nothing is uploaded

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Literal
 
-from uniforce_cli.boundary import Level, Worn
+from uniforce_cli.boundary import Gripper, Level, Worn
 from uniforce_vtla import options
 from uniforce_vtla.contracts import Finger
 
@@ -69,7 +69,7 @@ class ScoreConfig:
     # can't read grip under a tool
     grip: Literal["", "read", "held"] = ""
     # servo: the level's own, which regulates grip finely | hand: one that holds by force, as the robot's does
-    gripper: Literal["servo", "hand"] = "servo"
+    gripper: Gripper = "servo"
     swap: options.Slots = ""  # e.g. touch0:left — which finger fills which slot
     # touch taken away | another scene's touch of the same phase | frozen half a second into the wipe
     control: Literal["", "masked", "shuffled", "frozen"] = ""

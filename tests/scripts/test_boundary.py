@@ -12,7 +12,8 @@ import httpx
 import pytest
 from huggingface_hub.errors import HfHubHTTPError, HFValidationError, LocalTokenNotFoundError, OfflineModeIsEnabled
 
-from uniforce_cli.boundary import Level, command, guarded
+from lerobot_env_uniforce_wiping.gripper import GRIPPERS
+from uniforce_cli.boundary import Gripper, Level, command, guarded
 from uniforce_vtla.arguments import help_text, options_of, parse
 from uniforce_vtla.errors import FULL, ContractError, DiskFullError
 from uniforce_vtla.options import (
@@ -211,7 +212,11 @@ def test_kill_and_a_closed_terminal_end_a_command_like_ctrl_c(come: str) -> None
         return 0
 
     own = [signal.getsignal(number) for number in STOPS]
-    before = [signal.default_int_handler, signal.SIG_DFL, signal.SIG_DFL]  # whoever started the tests may ignore some
+    before = [
+        signal.default_int_handler,
+        signal.SIG_DFL,
+        signal.SIG_DFL,
+    ]  # the tests may have been started with some ignored
     for number, handler in zip(STOPS, before, strict=True):
         signal.signal(number, handler)
     with open(writer, "w") as gone, redirect_stderr(gone):
@@ -246,3 +251,4 @@ def test_levels_are_the_environments() -> None:
     from lerobot_env_uniforce_wiping import LEVELS
 
     assert get_args(Level) == tuple(LEVELS)
+    assert get_args(Gripper) == GRIPPERS

@@ -162,7 +162,7 @@ WEIGHT_N = 0.6
 
 
 def through_tool(*load_N: float) -> Latent:
-    """What a finger gives that holds a tool of some weight on a scale: half of what is left of it hangs on it."""
+    """Latents of a finger that holds a tool on a scale: half of the weight that is left hangs on it."""
     return presses(*[(WEIGHT_N - load) / 2 for load in load_N])
 
 

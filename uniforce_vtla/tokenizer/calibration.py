@@ -96,9 +96,7 @@ class Calibration:
             came, do = f"{known.tolist()} for {len(read)} frames", "Press with 3, 6 and 9 N."
             raise ContractError(expected("loads", f"{FEWEST_LOADS} or more different ones, one a frame", came, do))
         do = "Are loads in newtons, and is the reference of free air? A covered flat gel is weighed with through=tool."
-        gain = _gain(known, read, do)
-        same = LatentMap(*z.shape[1:]).eval()
-        return cls(same, head.tokenizer_hash, head.hash, new, new, 0.0, 0.0, {}, gain)
+        return cls._weighed(z, head, new, _gain(known, read, do))
 
     @classmethod
     def through_a_tool(cls, z: torch.Tensor, load_N: np.ndarray, head: ForceHead, new: str) -> Calibration:
@@ -127,9 +125,15 @@ class Calibration:
         do = (
             "Does the tool stand upright on the scale, is the reference of free air, and is the sensor mounted upright?"
         )
-        gain = _gain(carried_N, read_N, do)
+        return cls._weighed(z, head, new, _gain(carried_N, read_N, do), through_tool=True)
+
+    @classmethod
+    def _weighed(
+        cls, z: torch.Tensor, head: ForceHead, new: str, gain: float, through_tool: bool = False
+    ) -> Calibration:
+        """Return a gain alone: its map is the identity."""
         same = LatentMap(*z.shape[1:]).eval()
-        return cls(same, head.tokenizer_hash, head.hash, new, new, 0.0, 0.0, {}, gain, through_tool=True)
+        return cls(same, head.tokenizer_hash, head.hash, new, new, 0.0, 0.0, {}, gain, through_tool)
 
     def scaled(self, force_N: torch.Tensor) -> torch.Tensor:
         """Return newtons (…, 3), read after the map, by the gain: of all axes, or of shear where a tool was weighed."""

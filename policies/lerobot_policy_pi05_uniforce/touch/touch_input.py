@@ -112,7 +112,7 @@ class TouchInput:
         self.encoder: Any = encoder  # TactileEncoder; None where the input is a control's
         self._grips = GripComparison(encoder, self.worn, config.n_action_steps)
         self._renewed: dict[Finger, Tensor] = {}  # references taken in this episode instead of those given
-        self.notes: list[str] = []  # what whoever scores or rolls out should know of how it feels
+        self.notes: list[str] = []  # for people who score or roll out: how it feels
         self.masked = False  # every slot masked: the control that takes touch away from a trained policy
         self._logged: set[str] = set()
 

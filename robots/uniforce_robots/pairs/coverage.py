@@ -1,4 +1,4 @@
-"""What a session has covered so far of the forces, and what is still missing.
+"""Forces that a session has covered so far, and those still missing.
 
 Forces are estimates of the same readers that score the pairs: they steer an operator, and label nothing.
 """

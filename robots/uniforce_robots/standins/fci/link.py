@@ -15,7 +15,7 @@ UNREAD_s = 1.0  # how long an answer may wait for its client to read
 
 
 class Journal:
-    """What the wire saw, a JSON object per line, readable at once; ``time_s`` is CLOCK_MONOTONIC, which all share."""
+    """A log of the wire, a JSON object per line, readable at once; ``time_s`` is CLOCK_MONOTONIC, which all share."""
 
     def __init__(self, path: Path | None) -> None:
         self._file: TextIO | None = path.open("w", buffering=1) if path else None

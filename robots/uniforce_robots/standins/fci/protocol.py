@@ -120,7 +120,7 @@ CONNECT = struct.Struct("<HH")  # version, UDP port for the states
 # controller, generator, two deviations m rad rad, asynchronous, speeds rad/s
 MOVE = struct.Struct("<II3d3d?7d")
 SETTERS = {  # layouts of their payloads
-    ArmCommand.SET_COLLISION_BEHAVIOR: "<52d",  # lower, upper: torque 7 7, nominal 7 7, force likewise
+    ArmCommand.SET_COLLISION_BEHAVIOR: "<52d",  # lower, upper: torque 7 7, nominal 7 7, force the same
     ArmCommand.SET_JOINT_IMPEDANCE: "<7d",
     ArmCommand.SET_CARTESIAN_IMPEDANCE: "<6d",
     ArmCommand.SET_GUIDING_MODE: "<7?",  # x, y, z, roll, pitch, yaw, elbow
