@@ -70,6 +70,7 @@ FULL = 350.0  # counts of a cap at full deflection
 SAVING_ticks = 9  # for which an episode is saved; its encoders may take much longer
 TEXT = "abcdefghijklmnopqrstuvwxyz"
 COMMANDS = ("space", "esc", "enter", "y", "f", "g", "x", "r", "v", "t", "T", "V", "backspace")
+ROBOT_STOPS = ("reflex", "user_stop")  # which end no loop
 STOPS = ("esc", "t", "T")  # commands that hold, whatever the phase
 TELEOPS: dict[str, Callable[[], UniforceTeleoperator]] = {
     "keyboard": lambda: UniforceKeyboard(UniforceKeyboardConfig()),
@@ -608,18 +609,22 @@ class StopMachine(RuleBasedStateMachine):
     @precondition(lambda self: not self.session)
     @rule(
         width_m=st.sampled_from([0.0, 0.02, 0.08]),
-        how=st.sampled_from(["hold", "nan", "no action", "silence"]),
+        how=st.sampled_from(["hold", "nan", "no action", "silence", *ROBOT_STOPS]),
         mends=st.booleans(),
     )
     def act_and_stop(self, width_m: float, how: str, mends: bool) -> None:
         """Move arm and fingers, stop on the way, perhaps recover, and wish to stay.
 
-        Where the stop was a fault, the loop first goes on with what it wished before.
+        Where the stop was a fault, or the robot's own, the loop first goes on with what it wished before.
         """
         self.act([0.02, 0.0, -0.02, 0.1], width_m, 8)
-        self.stop(how, 3)
-        if how in ("nan", "no action") and self.last_wish is not None:
-            self._send(self.last_wish, 10)
+        if how in ROBOT_STOPS:
+            self._stop(how)
+            self.world.order(how)
+        else:
+            self.stop(how, 3)
+        if how not in ("hold", "silence") and self.last_wish is not None:
+            self._send(self.last_wish, 20)
         if mends:
             self.recover(10)
         self.stay(10)
