@@ -11,6 +11,7 @@ BLOCKS: dict[str, range] = {
     "grip held": range(26_000, 26_200),  # development too, but nothing was chosen on it
     "reading expert": range(27_000, 28_000),  # development
     "dropped tool": range(28_000, 29_000),  # development
+    "shear scale": range(29_000, 30_000),  # development
     "what scripts of the gates learn from": range(30_000, 40_000),
     "spent": range(50_000, 90_000),  # donors, a former leak check, descriptor heads, trials
     "gates": range(1_000_000, 1_010_000),

@@ -113,7 +113,7 @@ def plan_view(
     for source in sources:
         _check_streams(source, sources[0].fps)
     truth = all(keys.truth_wrench_key(f) in s.features for s in sources for f in FINGERS)
-    chosen = [(s, e, f) for s in sources for e, f in _facts(s) if wanted(f)]
+    chosen = [(s, e, f) for s in sources for e, f in episode_facts(s) if wanted(f)]
     if not chosen:
         do = "Record successful demos, or keep failures."
         raise DatasetError(expected("view", "at least one chosen episode", "none", do))
@@ -129,7 +129,8 @@ def _check_streams(source: Source, fps: int) -> None:
         raise DatasetError(expected(str(source.root), f"{fps} Hz and {needed}", came, "Leave it out."))
 
 
-def _facts(source: Source) -> list[tuple[Episode, EpisodeFacts]]:
+def episode_facts(source: Source) -> list[tuple[Episode, EpisodeFacts]]:
+    """Return the episodes of a dataset with what is known of each; raises DatasetError: columns are missing."""
     left, right = (keys.sensor_key(f) for f in FINGERS)
     columns = source.columns((keys.SUCCESS, keys.OUTCOME, keys.SEED, left, right))
 

@@ -1,4 +1,4 @@
-"""Calibrate a new sensor: by grasping externally held objects with a known one, or by presses of known load."""
+"""Calibrate a new sensor: by grasps or wipes beside a known one, or by presses of known load."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 from uniforce_cli.boundary import command, one_thread
-from uniforce_cli.paired_grasps import pooled_latents, recorded_grasps, simulated_grasps
+from uniforce_cli.paired_grasps import pooled_latents, recorded_grasps, recorded_wipes, simulated_grasps
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import (
     Count,
@@ -45,6 +45,8 @@ class CalibrateCommand:
     With a kitchen scale, half a minute, the fingers holding the task's tool:
     uniforce calibrate new=uskin rig=rig.yaml finger=right loads_N=3,6,9 through=tool
     Its simulation: uniforce calibrate new=uskin:7 loads_N=3,6,9 through=tool. A gain is all it fits.
+    Without a scale, from a few recorded wipes with a known sensor on the other finger, one gain of shear:
+    uniforce calibrate new=uskin anchor=tactip wipes=outputs/wiping finger=right
     Use it: uniforce score … right_sensor=uskin right_calibration=outputs/calibration
     """
 
@@ -60,7 +62,8 @@ class CalibrateCommand:
     # the fingers that hold it: one gain of the shear that a task feels, for every kind
     through: Literal["pad", "tool"] = "pad"
     rig: FilePath = ""  # loads_N: YAML file with `robot: {cameras: …}`; empty = presses are simulated
-    finger: Literal["left", "right"] = "right"  # loads_N: of the rig, whose sensor is pressed
+    wipes: FolderPath = ""  # a dataset of `uniforce record` whose fingers wear new and anchor, instead of grasps
+    finger: Literal["left", "right"] = "right"  # that wears new: of the rig, or in recorded wipes
     out: OutFolder = "outputs/calibration"  # the map's folder
     tokenizer: TokenizerFolder = ""  # checkpoint folder; empty = shipped
     fit: CalibrationConfig = field(default_factory=CalibrationConfig)  # what judges, and what is refused
@@ -83,6 +86,18 @@ def calibrate_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibrat
     return calibrate(grasps.new, grasps.anchor, grasps.classes, head, config.new, config.anchor, config.fit)
 
 
+def scale_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
+    """Fit the gain of shear to recorded wipes; raises as ``Calibration.beside_an_anchor`` and ``recorded_wipes``."""
+    from uniforce_vtla.contact.worn_in_words import wear
+    from uniforce_vtla.tokenizer.calibration import Calibration
+    from uniforce_vtla.tokenizer.force_head import ForceHead
+
+    kinds = {words: wear(words)(config.seed).kind for words in (config.new, config.anchor)}
+    of_new, of_anchor = recorded_wipes(config.wipes, kinds[config.new], kinds[config.anchor], config.finger, tokenizer)
+    head = ForceHead.from_pretrained(kinds[config.anchor], config.tokenizer or None)
+    return Calibration.beside_an_anchor(of_new, of_anchor, head, config.new, config.anchor)
+
+
 def weigh_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
     """Have loads pressed and fit the gain; raises as ``Calibration.of_loads`` and the presses do."""
     from uniforce_cli.known_loads import finger_of, known_loads, presses_by_hand, simulated_presses, simulated_tool
@@ -90,8 +105,6 @@ def weigh_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
     from uniforce_vtla.tokenizer.calibration import Calibration
     from uniforce_vtla.tokenizer.force_head import ForceHead
 
-    if config.pairs:
-        raise ContractError(expected("calibration", "pairs= or loads_N=", "both", "Leave one out."))
     loads_N = known_loads(config.loads_N)
     worn, anchor = (wear(words)(config.seed) for words in (config.new, config.anchor))
     head, encode = ForceHead.from_pretrained(anchor.kind, config.tokenizer or None), pooled_latents(tokenizer)
@@ -112,6 +125,18 @@ def weigh_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
         return fit(*presses_by_hand(finger, loads_N, encode, by_tool), head, config.new)
 
 
+def _check_sources(config: CalibrateCommand) -> None:
+    """Refuse what contradicts itself before a tokenizer is loaded."""
+    named = {"pairs=": config.pairs, "wipes=": config.wipes, "loads_N=": config.loads_N}
+    given = [name for name, value in named.items() if value]
+    if len(given) > 1:
+        came = " and ".join(given)
+        raise ContractError(expected("calibration", "pairs=, wipes= or loads_N=", came, "Leave all but one out."))
+    if config.rig and not config.loads_N:
+        do = "Give loads_N=3,6,9, or leave rig out: recorded grasps are pairs=, recorded wipes wipes=."
+        raise ContractError(expected("rig", "known loads beside it", "none", do))
+
+
 def check_agreement(found: Calibration, config: CalibrateCommand) -> str:
     """Return which class the task needs agrees least, in words; ContractError: it agrees too little to be of use."""
     classes = OBJECT_CLASSES if config.task == "both" else (config.task,)
@@ -129,16 +154,15 @@ def main(config: CalibrateCommand) -> None:
     from uniforce_vtla.tokenizer.calibration import AXES
 
     one_thread()
-    if config.rig and not config.loads_N:
-        do = "Give loads_N=3,6,9, or leave rig out: recorded grasps are pairs=."
-        raise ContractError(expected("rig", "known loads beside it", "none", do))
+    _check_sources(config)
+    tokenizer = Tokenizer.from_pretrained(config.tokenizer or None)
     then = f"uniforce score policy=… right_sensor={config.new} right_calibration={config.out}"
-    if config.loads_N:
-        found = weigh_sensor(config, Tokenizer.from_pretrained(config.tokenizer or None))
+    if config.loads_N or config.wipes:
+        found = weigh_sensor(config, tokenizer) if config.loads_N else scale_sensor(config, tokenizer)
         what = "gain of shear" if found.through_tool else "gain"
         print(f"{config.new}: {what} {found.gain:.2f}; in {found.save(config.out)}. Next: {then}")
         return
-    found = calibrate_sensor(config, Tokenizer.from_pretrained(config.tokenizer or None))
+    found = calibrate_sensor(config, tokenizer)
     print(f"{config.new} against {config.anchor}, held-out grasps, R² (|r|) of the force read")
     for name, judged in found.agreement.items():
         axes = [f"F{a} {r2:.2f} ({r:.2f})" for a, r2, r in zip(AXES, judged.r2, judged.abs_r, strict=True)]

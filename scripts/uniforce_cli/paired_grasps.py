@@ -1,4 +1,4 @@
-"""Paired grasps for a calibration: both fingers' latents of the same contacts, simulated or recorded."""
+"""Pairs for a calibration: both fingers' latents of the same contacts, of simulated or recorded grasps, or of wipes."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     import numpy as np
 
+    from uniforce_datasets.source import Episode
     from uniforce_vtla.contact.worn import WornView
     from uniforce_vtla.contracts import ContactState, Finger
     from uniforce_vtla.tokenizer.api import Tokenizer
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 TOOL_TORSION_ARM_mm = 9.0  # a held tool twists flat pads so far
 BATCH = 32
+EVERY = 4  # frames of a recorded wipe, of which one is read: neighbours show the same
 logger = logging.getLogger(__name__)
 
 
@@ -107,3 +109,47 @@ def recorded_grasps(folder: str, new: str, anchor: str, tools: str, tokenizer: T
         kind = "tool" if recording.indenter in split(tools) else "small"
         classes += [kind] * len(recording.left_frames)
     return Grasps(torch.cat(of_new), torch.cat(of_anchor), tuple(classes))  # type: ignore[arg-type]  # cat keeps the origin
+
+
+def recorded_wipes(folder: str, new: str, anchor: str, finger: Finger, tokenizer: Tokenizer) -> tuple[Latent, Latent]:
+    """Read a dataset of wipes in which ``finger`` wears the kind ``new`` and the other one ``anchor``.
+
+    Returns the pooled latents (n, P, L) of the new sensor and of the anchor at the same moments.
+
+    Raises DatasetError: as ``check_dataset``, or fingers that wear others; SensorError: a reference that can't be read.
+    """
+    import torch
+
+    from uniforce_datasets.lossless import check_dataset
+    from uniforce_datasets.view_plan import episode_facts
+
+    source = check_dataset(folder)
+    other: Finger = "left" if finger == "right" else "right"
+    encode = pooled_latents(tokenizer)
+    latents: dict[Finger, list[Latent]] = {finger: [], other: []}
+    for episode, facts in episode_facts(source):
+        worn = {"left": facts.left_sensor, "right": facts.right_sensor}
+        wanted = {finger: new, other: anchor}
+        if worn != wanted:
+            do = "Name them new= and anchor=, and the new one's finger=."
+            raise DatasetError(expected(f"sensors of {folder}, episode {episode.index}", wanted, worn, do))
+        for one, found in latents.items():
+            found += _encoded(episode, source.fps, one, encode)
+    of_new, of_anchor = (torch.cat(latents[one]) for one in (finger, other))
+    return of_new, of_anchor  # type: ignore[return-value]  # cat keeps the origin
+
+
+def _encoded(episode: Episode, fps: int, finger: Finger, encode: Encode) -> list[Latent]:
+    """Return the latents of every fourth frame of a finger, in batches."""
+    from itertools import batched, islice
+
+    import numpy as np
+
+    from uniforce_datasets.source import episode_frames
+    from uniforce_vtla.keys import tactile_key
+
+    span = episode.videos[tactile_key(finger, reference=True)]
+    reference = next(episode_frames(span, episode.length, fps))[..., 0]
+    current = islice(episode_frames(episode.videos[tactile_key(finger)], episode.length, fps), 0, None, EVERY)
+    images = (frame[..., 0] for frame in current)
+    return [encode(reference, np.stack(some), finger) for some in batched(images, BATCH)]

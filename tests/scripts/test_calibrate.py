@@ -12,9 +12,14 @@ from uniforce_cli.known_loads import presses_by_hand
 from uniforce_cli.paired_grasps import pooled_latents, recorded_grasps
 from uniforce_datasets.readers.recording import PairRecording
 from uniforce_datasets.readers.uniforce_pairs import write_uniforce_pairs
+from uniforce_datasets.recorder import EpisodeRecorder
+from uniforce_datasets.synthetic import FPS, synthetic_frame
+from uniforce_vtla import keys
 from uniforce_vtla.contact import TactileSimulator
 from uniforce_vtla.contact.indenters import flat_face_gap
-from uniforce_vtla.contracts import ContactState
+from uniforce_vtla.contact.worn import WornView
+from uniforce_vtla.contact.worn_in_words import wear
+from uniforce_vtla.contracts import FINGERS, ContactState
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.markers.canonicalizer import Canonicalizer
 from uniforce_vtla.tokenizer import ForceHead, Latent, Tokenizer
@@ -79,7 +84,8 @@ def test_simulated_loads_undo_a_pad_that_answers_less(tmp_path: Path, capsys: py
         (["loads_N=3,3,3"], "3 or more different"),
         (["loads_N=3,6,-9"], "0.5 to 50.0 N each"),
         (["loads_N=300,600,900"], "100 g on a scale are 1 N"),
-        (["loads_N=3,6,9", "pairs={folder}"], "pairs= or loads_N="),
+        (["loads_N=3,6,9", "pairs={folder}"], "pairs= and loads_N="),
+        (["wipes={folder}", "pairs={folder}"], "pairs= and wipes="),
         (["loads_N=3,6,9", "rig={folder}/rig.yaml", "finger=left"], "left finger"),
         (["loads_N=3,6,9", "rig={folder}/rig.yaml"], "new, as"),
     ],
@@ -144,3 +150,34 @@ def test_every_kind_is_weighed_through_the_tool(worn: str, tmp_path: Path) -> No
     assert main([f"new={worn}", "loads_N=3,6,9", "through=tool", f"out={tmp_path / 'gain'}"]) in (None, 0)
     found = Calibration.load(tmp_path / "gain", Tokenizer.from_pretrained().hash)
     assert found.through_tool and 0.6 < found.gain < 1.4
+
+
+def record_wipe(root: Path, frames: int) -> Path:
+    """Record one wipe of a TacTip, left, and a uSkin, right, which both carry half of a press that comes and goes."""
+    shear_N = -1.5 + 1.5 * np.cos(np.arange(frames) / 5)
+    force = np.column_stack([0 * shear_N, shear_N, 0 * shear_N + 9.0]).astype(np.float32)
+    rng = np.random.default_rng(0)
+    face = flat_face_gap(np.zeros((frames, 2)), np.full((frames, 2), 40.0), np.zeros(frames), np.zeros((frames, 2)))
+    contact = ContactState(face, force, np.zeros(frames, np.float32))
+    views = {"left": WornView(wear("tactip")(0), 0), "right": WornView(wear("uskin:2")(0), 1)}
+    images = {finger: view.images(contact) for finger, view in views.items()}
+    with EpisodeRecorder(root, "local/wipe", "tactip", "uskin", FPS) as recorder:
+        for step in range(frames):
+            frame = synthetic_frame(step, rng)
+            for finger in FINGERS:
+                frame[keys.tactile_key(finger)] = images[finger][step]
+                frame[keys.tactile_key(finger, reference=True)] = views[finger].reference
+            recorder.add(frame, "wipe")
+        recorder.save(success=True, outcome="success", seed=0)
+    return root
+
+
+def test_recorded_wipes_scale_the_sensor_beside_a_known_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    wipes = record_wipe(tmp_path / "wipes", frames=132)
+    asked = ["new=uskin:2", "anchor=tactip", f"wipes={wipes}", f"out={tmp_path / 'gain'}"]
+    assert main(asked) in (None, 0)
+    assert "uskin:2: gain of shear" in capsys.readouterr().out
+    found = Calibration.load(tmp_path / "gain", Tokenizer.from_pretrained().hash)
+    assert found.through_tool and found.anchor == "tactip" and 0.5 < found.gain < 1.5
+    assert main([*asked, "finger=left"]) == 2
+    assert "finger=" in capsys.readouterr().err

@@ -171,7 +171,7 @@ def test_a_tool_on_a_scale_gives_a_gain_of_shear_alone(tmp_path: Path) -> None:
     found = Calibration.through_a_tool(through_tool(*loads), np.array(loads), ShearScale(), "uskin:7")  # type: ignore[arg-type]
     assert found.gain == pytest.approx(0.8) and found.through_tool
     assert found.scaled(torch.tensor([[1.0, 2.0, 9.0]])).tolist() == [pytest.approx([0.8, 1.6, 9.0])]
-    assert not found.reads_grip and "weighed through a tool" in found.grip_in_words
+    assert not found.reads_grip and "shear alone" in found.grip_in_words
     again = Calibration.load(found.save(tmp_path / "map"), "abc")
     assert (again.gain, again.through_tool, again.hash) == (found.gain, True, found.hash)
     bare = Calibration.of_loads(presses(3, 6, 9), np.array([3, 6, 9]), Scale(), "uskin:7")  # type: ignore[arg-type]
@@ -183,3 +183,35 @@ def test_tools_that_give_no_gain_are_refused(load_N: tuple[float, ...]) -> None:
     pressed = through_tool(0, 3, 6, 9)
     with pytest.raises(ContractError, match=r"loads|presses"):
         Calibration.through_a_tool(pressed, np.array(load_N, float), ShearScale(), "uskin:7")  # type: ignore[arg-type]
+
+
+def carried(shear_N: np.ndarray, noise_N: float = 0.0, seed: int = 0) -> Latent:
+    """Latents of a finger that carries ``shear_N`` (n,) and is read with noise."""
+    read = shear_N + noise_N * np.random.default_rng(seed).normal(size=len(shear_N))
+    return presses(*read)
+
+
+WIPES_N = np.tile([0.3, -1.5, -2.5, -3.5], 20)  # a tool carried and pressed, a finger's half of it
+
+
+def test_a_finger_takes_its_scale_from_the_one_that_holds_the_tool_with_it(tmp_path: Path) -> None:
+    new, anchor = carried(0.5 * WIPES_N, 0.1), carried(WIPES_N, 0.2, seed=1)
+    found = Calibration.beside_an_anchor(new, anchor, ShearScale(), "uskin:7", "tactip")  # type: ignore[arg-type]
+    assert found.gain == pytest.approx(2.0, rel=0.03)  # noise of both shrinks neither
+    assert (found.new, found.anchor, found.through_tool, found.reads_grip) == ("uskin:7", "tactip", True, False)
+    assert Calibration.load(found.save(tmp_path / "map"), "abc").hash == found.hash
+
+
+@pytest.mark.parametrize(
+    ("new_N", "anchor_N", "says"),
+    [
+        (WIPES_N[:20], WIPES_N[:20], "at least 30"),
+        (WIPES_N, 0.05 * WIPES_N, "spread"),
+        (-WIPES_N, WIPES_N, "upright"),
+        (0.01 * WIPES_N, WIPES_N, "by a gain of"),
+        (WIPES_N[:40], WIPES_N, "Pair them"),
+    ],
+)
+def test_wipes_that_give_no_scale_are_refused(new_N: np.ndarray, anchor_N: np.ndarray, says: str) -> None:
+    with pytest.raises(ContractError, match=says):
+        Calibration.beside_an_anchor(carried(new_N), carried(anchor_N), ShearScale(), "uskin:7", "tactip")  # type: ignore[arg-type]

@@ -6,7 +6,8 @@ pooled latent, ridge-regressed towards the identity in closed form, is fitted to
 It corrects what a reference image can't show: stiffness, thickness and gain.
 
 Who has a scale needs no known sensor: a few presses of known load give one gain of the newtons (``of_loads``), or, of
-the tool that the fingers hold, one of shear (``through_a_tool``): a covered flat gel shows that and hardly grip.
+the tool that the fingers hold, one of shear (``through_a_tool``): a covered flat gel shows that and hardly grip. Who
+has no scale lets both fingers hold the tool and wipes with it (``beside_an_anchor``): each carries half of the press.
 """
 
 from __future__ import annotations
@@ -36,6 +37,10 @@ REST_SHARE = 0.3  # of the mean load: what a gain may leave; simulated TacTips l
 # .81 to .86 for flat gels.
 TRUSTED_R2 = 0.9
 GAINS = (0.2, 5.0)  # beyond, something else is wrong than the pad's stiffness
+HELD_N = 1.0  # of grip that the anchor reads, from which on both fingers hold the tool
+FEWEST_HELD = 30  # moments
+LEAST_SPREAD_N = 0.25  # of the anchor's shear; a tool that is only carried shows hardly more than noise
+LEAST_R = 0.7  # between the fingers' shear
 
 
 class LatentMap(nn.Module):
@@ -80,7 +85,7 @@ class Calibration:
     turn_deg: float  # that brings the new sensor's shear, as read before, to the anchor's; x towards y
     agreement: dict[str, Agreement]  # by class of objects
     gain: float = 1.0  # of the newtons that the head reads after the map
-    through_tool: bool = False  # whether the gain is of shear alone, weighed through a held tool
+    through_tool: bool = False  # whether the gain is of shear alone, found through a held tool
 
     @classmethod
     def of_loads(cls, z: torch.Tensor, load_N: np.ndarray, head: ForceHead, new: str) -> Calibration:
@@ -128,12 +133,38 @@ class Calibration:
         return cls._weighed(z, head, new, _gain(carried_N, read_N, do), through_tool=True)
 
     @classmethod
+    def beside_an_anchor(
+        cls, z_new: torch.Tensor, z_anchor: torch.Tensor, head: ForceHead, new: str, anchor: str
+    ) -> Calibration:
+        """Return the gain of shear of a finger that wipes with a tool which a known finger holds on its other side.
+
+        Each finger carries half of the press, whatever it is: no force is measured. The grip isn't scaled.
+
+        Args:
+            z_new: (n, P, latent) of the sensor to scale, moments of wiping in any order.
+            z_anchor: (n, P, latent) of the known one at the same moments.
+            head: of the kind whose newtons the policy knows.
+            new: the sensor to scale, in words.
+            anchor: the known one, in words.
+
+        Raises ContractError: latents that aren't paired, too few moments in which the tool is held, or shear that
+        hardly changes or that the fingers disagree about.
+        """
+        if z_new.shape != z_anchor.shape:
+            came = f"{tuple(z_new.shape)} and {tuple(z_anchor.shape)}"
+            raise ContractError(expected("paired latents", "(n, P, latent) twice", came, "Pair them by frame."))
+        read, known = head(z_new).double().numpy(), head(z_anchor).double().numpy()  # type: ignore[arg-type]
+        is_held = known[:, 2] > HELD_N
+        gain = shear_gain(read[is_held, 1], known[is_held, 1])
+        return cls._weighed(z_new, head, new, gain, through_tool=True, anchor=anchor)
+
+    @classmethod
     def _weighed(
-        cls, z: torch.Tensor, head: ForceHead, new: str, gain: float, through_tool: bool = False
+        cls, z: torch.Tensor, head: ForceHead, new: str, gain: float, through_tool: bool = False, anchor: str = ""
     ) -> Calibration:
         """Return a gain alone: its map is the identity."""
         same = LatentMap(*z.shape[1:]).eval()
-        return cls(same, head.tokenizer_hash, head.hash, new, new, 0.0, 0.0, {}, gain, through_tool)
+        return cls(same, head.tokenizer_hash, head.hash, new, anchor or new, 0.0, 0.0, {}, gain, through_tool)
 
     def scaled(self, force_N: torch.Tensor) -> torch.Tensor:
         """Return newtons (…, 3), read after the map, by the gain: of all axes, or of shear where a tool was weighed."""
@@ -169,7 +200,7 @@ class Calibration:
     def grip_in_words(self) -> str:
         """How well grip is read under a tool."""
         if self.through_tool:
-            return f"{self.new} was weighed through a tool, which says nothing of grip"
+            return f"the gain of {self.new} is of shear alone, which says nothing of grip"
         return f"the calibration of {self.new} reads grip under tools with R² {self.agreement['tool'].r2[2]:.2f}"
 
     def worst(self, classes: Sequence[str] = OBJECT_CLASSES) -> tuple[str, float]:
@@ -305,6 +336,30 @@ def _best_ridge(x: torch.Tensor, y: torch.Tensor) -> float:
         return total
 
     return min(RIDGES, key=error)
+
+
+def shear_gain(read_N: np.ndarray, known_N: np.ndarray) -> float:
+    """Return the gain that gives the shear (n,) that one finger reads the spread of what the other one knows, (n,) N.
+
+    Both are noisy, so a regression of one on the other would take noise of the new finger for a smaller gain.
+
+    Raises ContractError: too few moments, a shear that hardly changes, or that the fingers disagree about.
+    """
+    do = "Grasp the tool with both fingers and wipe, pressing lightly and firmly."
+    if len(known_N) < FEWEST_HELD:
+        came = f"{len(known_N)} in which the anchor feels more than {HELD_N} N"
+        raise ContractError(expected("moments of wiping", f"at least {FEWEST_HELD}", came, do))
+    known_sd_N, read_sd_N = known_N.std(), max(float(read_N.std()), 1e-9)
+    if known_sd_N < LEAST_SPREAD_N:
+        wanted, came = f"{LEAST_SPREAD_N} N of spread or more", f"{known_sd_N:.2f} N"
+        raise ContractError(expected("shear of the anchor", wanted, came, do))
+    r = float(((known_N - known_N.mean()) * (read_N - read_N.mean())).mean() / (known_sd_N * read_sd_N))
+    gain = float(known_sd_N / read_sd_N)
+    if r < LEAST_R or not GAINS[0] <= gain <= GAINS[1]:
+        wanted = f"one that follows the anchor's, r ≥ {LEAST_R}, by a gain of {GAINS[0]} to {GAINS[1]}"
+        came = f"r {r:.2f}, gain {gain:.2f}"
+        raise ContractError(expected("shear of the new sensor", wanted, came, "Are both sensors mounted upright?"))
+    return gain
 
 
 def _gain(known_N: np.ndarray, read_N: np.ndarray, do: str) -> float:
