@@ -1,0 +1,103 @@
+"""Grasps of two GelSight Minis on a Franka hand, as amitparag/Incipient-Slip-Detection stores them (BSD-2).
+
+``docs/franka-servo/datasets`` holds ``[SET/]OBJECT/exp_num_N/{camera_0,camera_2}.avi``: one film a finger, 320×240 at
+25 Hz. The robot grasps, lifts and shakes; the hand closes by width, and no force is recorded. Many trials stand in
+several folders, so trials are told apart by the content of their films. There are two campaigns with different crops.
+Films of the wide one all have 450 frames, and none of the close one has.
+"""
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import av
+import numpy as np
+
+from uniforce_datasets.dataset_info import inside
+from uniforce_datasets.readers.files import existing_folder, find, read_bytes
+from uniforce_datasets.source import BROKEN_VIDEO
+from uniforce_vtla.contracts import FINGERS, Finger
+from uniforce_vtla.errors import DatasetError, expected
+
+FILMS: dict[Finger, str] = {"left": "camera_0.avi", "right": "camera_2.avi"}  # which is left isn't said: assumed
+SLIPPED = "slip.txt"  # an empty file beside the films of a trial whose object slipped
+WIDE_FRAMES = 450
+FIRST_CHOICE = "base_data_for"  # of several copies: its folders name every object in one way
+Campaign = Literal["wide", "close"]
+
+
+@dataclass(frozen=True)
+class GraspTrial:
+    """One grasp, filmed by both fingers."""
+
+    object_name: str
+    name: str  # its folder within the data set
+    campaign: Campaign
+    films: dict[Finger, Path]
+    slipped: bool
+
+    def __str__(self) -> str:
+        return self.name
+
+
+def read_grasps(folder: str | Path) -> list[GraspTrial]:
+    """Return every trial once, sorted by name.
+
+    Raises DatasetError: no trial in the folder, a trial of which a film is missing, or one that can't be opened.
+    """
+    root = existing_folder(folder)
+    kept: dict[str, Path] = {}
+    for path in sorted(_trials(root), key=lambda path: _rank(path.relative_to(root))):
+        kept.setdefault(_content(path, root), path)
+    if not kept:
+        wanted = f"OBJECT/exp_num_N/{FILMS['left']}"
+        raise DatasetError(expected(str(root), wanted, "none", "Give docs/franka-servo/datasets of the repository."))
+    return sorted((_trial(path, root) for path in kept.values()), key=str)
+
+
+def film_frames(path: Path) -> Iterator[np.ndarray]:
+    """Yield the (H, W, 3) uint8 RGB frames of a film; DatasetError: it can't be read."""
+    try:
+        with av.open(str(path)) as film:
+            for frame in film.decode(video=0):
+                yield frame.to_ndarray(format="rgb24")
+    except BROKEN_VIDEO as error:
+        raise DatasetError(expected(str(path), "a whole film", error, "Restore it from a copy.")) from error
+
+
+def _trials(root: Path) -> set[Path]:
+    return {path.parent for name in FILMS.values() for path in find(root, f"*/*/{name}")}
+
+
+def _rank(path: Path) -> tuple[bool, str]:
+    return not str(path).startswith(FIRST_CHOICE), str(path)
+
+
+def _content(trial: Path, root: Path) -> str:
+    digest = hashlib.sha256()
+    for finger in FINGERS:
+        film = trial / FILMS[finger]
+        if not film.is_file():
+            do = "Copy the trial again, or leave it out."
+            raise DatasetError(expected(str(trial), f"a film of each finger, {FILMS}", f"no {film.name}", do))
+        digest.update(read_bytes(inside(root, film)))
+    return digest.hexdigest()
+
+
+def _trial(path: Path, root: Path) -> GraspTrial:
+    films = {finger: path / name for finger, name in FILMS.items()}
+    campaign: Campaign = "wide" if _length(films["left"]) == WIDE_FRAMES else "close"
+    return GraspTrial(path.parent.name, str(path.relative_to(root)), campaign, films, (path / SLIPPED).is_file())
+
+
+def _length(film: Path) -> int:
+    length = 0
+    try:
+        with av.open(str(film)) as video:
+            for packet in video.demux(video=0):
+                length += packet.size > 0
+    except BROKEN_VIDEO as error:
+        raise DatasetError(expected(str(film), "a whole film", error, "Restore it from a copy.")) from error
+    return length

@@ -1,0 +1,85 @@
+"""Sessions made here: a pad that objects bend, clipped on anew between them; which frame of a film is free air."""
+
+import numpy as np
+import pytest
+
+from uniforce_vtla.errors import ContractError
+from uniforce_vtla.markers.free_frame import Film, SAME_px, borrowed, pads
+
+PITCH_px = 60.0
+WIDTH_px = 60.0  # of a dent
+
+
+def pattern(seed: int, rows: int = 7, columns: int = 9) -> np.ndarray:
+    """A printed grid (M, 2) px whose markers stand where the printer put them: a pad is known by that."""
+    x, y = np.meshgrid(np.arange(columns), np.arange(rows))
+    grid = np.column_stack([x.ravel(), y.ravel()]) * PITCH_px + 60
+    return grid + np.random.default_rng(seed).normal(0, 3, grid.shape)
+
+
+def pressed(centres_px: np.ndarray, place: tuple[float, float], by_px: float) -> np.ndarray:
+    """Markers spread outwards around a place."""
+    away = centres_px - np.array(place)
+    width = np.exp(-(away**2).sum(axis=1, keepdims=True) / (2 * WIDTH_px**2))
+    return centres_px + by_px * width * away / WIDTH_px
+
+
+def clipped_on(centres_px: np.ndarray, turn_rad: float, shift_px: tuple[float, float]) -> np.ndarray:
+    cos, sin = np.cos(turn_rad), np.sin(turn_rad)
+    return centres_px @ np.array([[cos, sin], [-sin, cos]]) + shift_px
+
+
+def film(pad: np.ndarray, held: str, number: int, free_at: int | None = 0, frames: int = 6) -> Film:
+    """A film of an object pressed at its own place; its pad sits a little differently, and markers jitter."""
+    rng = np.random.default_rng(number)
+    place = tuple(np.random.default_rng(len(held) * 7 + ord(held[0])).uniform(150, 400, 2))
+    turn_rad, shift_px = rng.uniform(-0.02, 0.02), tuple(rng.uniform(-6, 6, 2))
+    found = []
+    for frame in range(frames):
+        by_px = 0.0 if frame == free_at else 6.0 + 2 * frame
+        moved = clipped_on(pressed(pad, place, by_px), turn_rad, shift_px)
+        found.append((moved + rng.normal(0, 0.15, moved.shape)).astype(np.float32))
+    return Film(held, found)
+
+
+def test_the_free_frame_is_the_one_that_comes_back_with_other_objects() -> None:
+    one = pattern(1)
+    films = [film(one, "ball", 0, 0), film(one, "mug", 1, 3), film(one, "lemon", 2, 5), film(one, "walnut", 3, None)]
+    found, free = pads(films)
+    assert len(found) == 1 and found[0].films == (0, 1, 2, 3)
+    frames = [None if frame is None else frame.frame for frame in free]
+    assert frames == [0, 3, 5, None]
+    assert all(frame.off_px < SAME_px for frame in free if frame is not None)
+    lent = borrowed(found, free)[3]
+    assert lent is not None and lent.film in (0, 1, 2) and lent.film != 3
+
+
+def test_a_grasp_that_is_repeated_with_one_object_is_not_taken_for_free_air() -> None:
+    one = pattern(1)
+    ball = film(one, "ball", 0, None)
+    films = [Film("ball", ball.centres_px) for _ in range(5)]
+    assert pads(films) == ([], [None] * 5)
+
+
+def test_pads_of_one_layout_are_told_apart_by_their_print() -> None:
+    films = [
+        film(pattern(seed), held, number) for number, held in enumerate(("ball", "mug", "lemon")) for seed in (1, 2)
+    ]
+    found, free = pads(films)
+    assert sorted(pad.films for pad in found) == [(0, 2, 4), (1, 3, 5)]
+    assert [frame.frame for frame in free if frame is not None] == [0] * 6
+
+
+def test_markers_that_the_border_cuts_off_are_left_out() -> None:
+    one = pattern(1)
+    films = [film(one, held, number) for number, held in enumerate(("ball", "mug", "lemon"))]
+    films[1] = Film("mug", [centres_px[3:] for centres_px in films[1].centres_px])
+    _, free = pads(films)
+    assert all(frame is not None and frame.frame == 0 for frame in free)
+
+
+def test_no_films_are_refused() -> None:
+    with pytest.raises(ContractError, match="films"):
+        pads([])
+    with pytest.raises(ContractError, match="films"):
+        pads([Film("ball", [])])

@@ -1,0 +1,204 @@
+"""Which frame of a film is free air, by the pattern that its pad shows in the other films of a session.
+
+A film alone doesn't say: a steady grasp holds as still as free air, and the evenest pattern may be pressed evenly. But
+a pad in free air shows the same pattern in every film, and each object bends it in another way. So the pattern that
+comes back with most objects is the pad's own; a film's free frame is the one nearest to it, if one is near enough.
+
+Pads are clipped on anew between objects, so patterns are compared up to a shift, a turn and a zoom. Complex numbers
+x + iy stand for places: a similarity is then one factor and one offset, fitted in closed form to all frames at once.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.spatial import cKDTree
+
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.markers.marker_blobs import spacing
+
+SAME_px = 0.8  # rms over markers: two frames show one state; segmentation and lenses leave .2 to .6
+REACH = 0.45  # spacings: a marker's motion within which it is found again
+SHARED = 0.85  # of both patterns' markers, at least, that are the other's; the border cuts some off
+PRINT_SHARE = 0.5  # of a pad's markers that one frame shows in their places: the same print, pressed elsewhere
+FEWEST_OBJECTS = 3  # that leave the pad in one state: the same grasp twice looks alike too
+ROUNDS = 10  # of matching and fitting
+
+
+@dataclass(frozen=True)
+class Film:
+    """Frames of one finger's film that were looked at."""
+
+    held: str  # what was grasped; films of one object may show the same grasp
+    centres_px: Sequence[np.ndarray]  # of each frame (M, 2) markers
+
+
+@dataclass(frozen=True)
+class FreeFrame:
+    """Where a film's free frame is."""
+
+    film: int  # of the session; another one than asked about where it is borrowed
+    frame: int  # of those looked at
+    off_px: float  # rms over markers, from the pad's pattern
+    pad: int  # which pattern of the session it is
+
+
+@dataclass(frozen=True)
+class Pad:
+    """A pad's pattern in free air, and the films that show that pad."""
+
+    centres_px: np.ndarray  # (M, 2), as one of its films shows it
+    films: tuple[int, ...]
+
+
+class _Tracked:
+    """A film's markers by number: (frames, M) complex px, NaN where one isn't found."""
+
+    def __init__(self, film: Film) -> None:
+        counts = [len(centres_px) for centres_px in film.centres_px]
+        self.base = film.centres_px[int(np.argmax(counts))]  # (M, 2): the frame that shows most
+        self.spacing_px = spacing(self.base)
+        self.places = np.array([_places(self.base, other, self.spacing_px) for other in film.centres_px])
+
+
+def pads(films: Sequence[Film]) -> tuple[list[Pad], list[FreeFrame | None]]:
+    """Return the session's pads and each film's free frame, None where it has none.
+
+    A film has none where it shows its pad in contact alone, or where its pad is in no film of two other objects.
+
+    Raises ContractError: no film, or one without frames.
+    """
+    if not films or not all(len(film.centres_px) for film in films):
+        raise ContractError(expected("films", "one or more, of one frame or more", len(films), "Record a session."))
+    tracked = [_Tracked(film) for film in films]
+    apart_px = _compare(tracked)
+    found: list[Pad] = []
+    free: list[FreeFrame | None] = [None] * len(films)
+    left = set(range(len(films)))
+    while (common := _commonest(films, apart_px, left)) is not None:
+        film, frame = common
+        alike = (other for other in sorted(left) if (film, other) in apart_px)
+        members = tuple(other for other in alike if _shows_print(tracked[film], frame, tracked[other]))
+        for other in members:
+            off_px = apart_px[film, other][frame]
+            best = int(np.argmin(off_px))
+            if off_px[best] < SAME_px:
+                free[other] = FreeFrame(other, best, float(off_px[best]), len(found))
+        found.append(Pad(films[film].centres_px[frame], members))
+        left -= set(members)
+    return found, free
+
+
+def borrowed(pads: Sequence[Pad], free: Sequence[FreeFrame | None]) -> list[FreeFrame | None]:
+    """Return ``free``, where a film without a free frame takes the best one of its pad; None: its pad has none."""
+    whole = list(free)
+    for pad in pads:
+        own = [frame for film in pad.films if (frame := free[film]) is not None]
+        best = min(own, key=lambda frame: frame.off_px, default=None)
+        for film in pad.films:
+            whole[film] = whole[film] or best
+    return whole
+
+
+def _places(base: np.ndarray, centres_px: np.ndarray, spacing_px: float) -> np.ndarray:
+    """Return the (M,) complex places of ``base``'s (M, 2) markers in another frame, NaN where one isn't found."""
+    distance, nearest = cKDTree(centres_px).query(base)
+    back = cKDTree(base).query(centres_px)[1]
+    is_found = (distance < REACH * spacing_px) & (back[nearest] == np.arange(len(base)))
+    places = centres_px[nearest].astype(np.float64) @ np.array([1, 1j])
+    return np.where(is_found, places, np.nan)
+
+
+def _compare(tracked: Sequence[_Tracked]) -> dict[tuple[int, int], np.ndarray]:
+    """Return for two films of one pad how far (frames, frames) their frames are apart, rms px; both ways round."""
+    found = {}
+    for one, first in enumerate(tracked):
+        for other, second in enumerate(tracked[: one + 1]):
+            pairs = _same_markers(first, second)
+            if pairs is not None:
+                apart_px = _apart_px(first.places[:, pairs[0]], second.places[:, pairs[1]])
+                found[one, other] = apart_px
+                found[other, one] = apart_px.T
+    return found
+
+
+def _same_markers(first: _Tracked, second: _Tracked) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the numbers of markers that two films share, by a similarity between them; None: too few, another pad."""
+    points, others = first.base.astype(np.float64), second.base.astype(np.float64)
+    most = max(len(points), len(others))
+    if min(len(points), len(others)) < SHARED * most:
+        return None
+    moved, reach_px = points, REACH * second.spacing_px
+    for _ in range(ROUNDS):
+        distance, nearest = cKDTree(others).query(moved)
+        near = distance < reach_px
+        if near.sum() < SHARED * most:
+            return None
+        matrix, _ = cv2.estimateAffinePartial2D(points[near], others[nearest[near]])
+        if matrix is None:
+            return None
+        moved = points @ matrix[:, :2].T + matrix[:, 2]
+    is_alone = np.bincount(nearest, minlength=len(others))[nearest] == 1
+    numbers = np.flatnonzero(near & is_alone)
+    return (numbers, nearest[numbers]) if len(numbers) >= SHARED * most else None
+
+
+def _shows_print(first: _Tracked, frame: int, second: _Tracked) -> bool:
+    """Return whether the second film shows the pattern of the first film's frame where nothing bends it.
+
+    Pads of one layout differ by a few pixels in how they were printed.
+    """
+    pairs = _same_markers(first, second)
+    if pairs is None:
+        return False
+    pattern = first.places[frame, pairs[0]]
+    for places in second.places[:, pairs[1]]:
+        both = np.isfinite(pattern) & np.isfinite(places)
+        if both.sum() < PRINT_SHARE * len(pattern):
+            continue
+        here, there = (np.column_stack([one[both].real, one[both].imag]) for one in (pattern, places))
+        _, inliers = cv2.estimateAffinePartial2D(here, there, ransacReprojThreshold=SAME_px)
+        if inliers is not None and inliers.sum() >= PRINT_SHARE * len(pattern):
+            return True
+    return False
+
+
+def _apart_px(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the rms distance of frames (F, M) from frames (G, M), complex px, after the best similarity: (F, G)."""
+    seen, also = (np.isfinite(places) for places in (first, second))
+    a, b = np.where(seen, first, 0), np.where(also, second, 0)
+    w, v = seen.astype(np.float64), also.astype(np.float64)
+    count = np.maximum(w @ v.T, 1)
+    a_sum, b_sum = a @ v.T, w @ b.T
+    aa = (np.abs(a) ** 2) @ v.T - np.abs(a_sum) ** 2 / count
+    bb = w @ (np.abs(b) ** 2).T - np.abs(b_sum) ** 2 / count
+    ab = a.conj() @ b.T - a_sum.conj() * b_sum / count
+    left = np.maximum(bb - np.abs(ab) ** 2 / np.maximum(aa, 1e-9), 0)
+    is_enough = count >= SHARED * first.shape[1]
+    return np.where(is_enough, np.sqrt(left / count), np.inf)
+
+
+def _commonest(
+    films: Sequence[Film], apart_px: dict[tuple[int, int], np.ndarray], left: set[int]
+) -> tuple[int, int] | None:
+    """Return film and frame of the state that comes back with most objects; None: none does with enough of them."""
+    best = None
+    most = (FEWEST_OBJECTS - 1, 0.0)
+    for film in sorted(left):
+        nearest_px: dict[str, np.ndarray] = {}  # object → (frames,)
+        for other in left:
+            if (film, other) in apart_px:
+                held = films[other].held
+                again_px = apart_px[film, other].min(axis=1)
+                nearest_px[held] = np.minimum(nearest_px.get(held, np.inf), again_px)
+        if not nearest_px:
+            continue
+        stacked_px = np.array(list(nearest_px.values()))  # (objects, frames)
+        objects = (stacked_px < SAME_px).sum(axis=0)
+        nearness = -np.minimum(stacked_px, SAME_px).mean(axis=0)
+        frame = max(range(len(objects)), key=lambda one: (objects[one], nearness[one]))
+        if (objects[frame], nearness[frame]) > most and objects[frame] >= FEWEST_OBJECTS:
+            best = film, frame
+            most = (int(objects[frame]), float(nearness[frame]))
+    return best
