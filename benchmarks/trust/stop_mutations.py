@@ -27,7 +27,8 @@ INTEGRATOR = "uniforce_robots/teleop/integrator.py"
 SESSION = "uniforce_robots/recorder/session.py"
 EPISODE = "uniforce_robots/recorder/episode.py"
 # Left out, since another layer does the same and nothing moves either way: keys that are not forgotten at a start (a
-# deflected device is refused there), and letters of a note that steer (a note holds, and its end is a start).
+# deflected device is refused there), letters of a note that steer (a note holds, and its end is a start), and a hand
+# that is levelled at once (what is sent is checked for its speed).
 MUTATIONS: dict[str, tuple[str, str, str]] = {  # name: file, what stands there, what is put in its place
     "hand: goes on after a stop": (HAND, "self._stop_wanted = True", "pass"),
     "hand: keeps the wish over a stop": (
@@ -40,7 +41,7 @@ MUTATIONS: dict[str, tuple[str, str, str]] = {  # name: file, what stands there,
     "stream: no watchdog": (STREAM, "            self.hold()\n            log", "            log"),
     "stream: keeps the target over a hold": (STREAM, "        self._rest_wanted = True\n", ""),
     "stream: moves a stopped arm": (STREAM, "        refuse_stopped(state)\n", ""),
-    "tilt: levelled at once": (STREAM, "LEVEL_rad_m * way_m)", "1.0)"),
+    "tilt: levelled fast": (STREAM, "LEVEL_rad_m * way_m)", "0.01)"),
     "tilt: not measured": (POSES, "yaw_rad, _tilt(rotation))", "yaw_rad)"),
     "box: stay drives back": (
         GUARDS,

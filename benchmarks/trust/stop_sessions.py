@@ -37,7 +37,7 @@ from hypothesis.stateful import (
 )
 
 from benchmarks.ledger import update
-from benchmarks.trust.stop_world import SimWorld, StandInWorld, World
+from benchmarks.trust.stop_world import SimWorld, StandInWorld, WIDEST_m, World
 from uniforce_cli.boundary import command
 from uniforce_robots.recorder import episode as episode_module
 from uniforce_robots.recorder import session as session_module
@@ -307,15 +307,17 @@ class StopMachine(RuleBasedStateMachine):
         self.last_wish: np.ndarray | None = None  # of a policy's loop
         self.steps = 0
 
-    @initialize(teleop=st.sampled_from(sorted(TELEOPS)))
+    @initialize(teleop=st.sampled_from([*sorted(TELEOPS), "", ""]))
     def begin(self, teleop: str) -> None:
+        """Begin with a person's session, or with a policy's loop."""
         self.world = type(self).make_world()
         self.watch = self.world.watch
         self.robot = self.world.robot
         self._stop("connecting")
         self.robot.connect()
         self.wish_m = self.robot.measured()
-        self.session = Session(self.world, teleop)
+        if teleop:
+            self.session = Session(self.world, teleop)
 
     def teardown(self) -> None:
         if not hasattr(self, "world"):
@@ -356,6 +358,17 @@ class StopMachine(RuleBasedStateMachine):
             self.session.person.wait(ticks)
         else:
             self.world.sleep(ticks / FPS)
+
+    def _mend(self) -> None:
+        for mend in ("release", "honest", "unblock"):
+            if mend in self.world.orders:
+                self.world.order(mend)
+
+    def _get_well(self) -> None:
+        """Mend and recover where something was wrong."""
+        if not self._is_well:
+            self._mend()
+            self.recover(3)
 
     @property
     def _is_well(self) -> bool:
@@ -514,6 +527,19 @@ class StopMachine(RuleBasedStateMachine):
         if not session.is_over:
             self._wait(after)
 
+    @precondition(lambda self: self.session and self.session.person.phase is Phase.WAITING)
+    @rule(key=st.sampled_from(["w", "s", "c", "j"]), before=st.integers(4, 12))
+    def begin_on_the_way(self, key: str, before: int) -> None:
+        """Begin an episode while the arm is on its way to where that one starts."""
+        session = self.session
+        assert session is not None
+        if session.cap is None:
+            self.steer(key, before + 2, before)
+        else:
+            self.push(0, 1.0, before)
+        if not session.is_over:
+            self.order("space", 12)
+
     @precondition(lambda self: self.session)
     @rule(key=st.sampled_from(["p", "o", "w", "s", "c", "j"]), before=st.integers(3, 10), between=st.integers(1, 4))
     def pause_and_go_on(self, key: str, before: int, between: int) -> None:
@@ -536,9 +562,7 @@ class StopMachine(RuleBasedStateMachine):
         """Mend all that is broken and bring the session back to where it runs, without a new wish."""
         session = self.session
         assert session is not None
-        for mend in ("release", "honest", "unblock"):
-            if mend in self.world.orders:
-                self.world.order(mend)
+        self._mend()
         session.rig.fault = None
         if session.keys.is_text:
             session.keys.press("enter")
@@ -607,6 +631,18 @@ class StopMachine(RuleBasedStateMachine):
             self.world.sleep(1 / FPS)
 
     @precondition(lambda self: not self.session)
+    @rule(by_rad=st.sampled_from([-0.13, 0.13]), way_m=st.sampled_from([-0.01, 0.01, 0.05]))
+    def tilt_and_move(self, by_rad: float, way_m: float) -> None:
+        """Lead the hand until it is tilted, let go, and wish it somewhere near: it may turn upright slowly alone."""
+        self._stop("led by hand")
+        self.world.order("guide")
+        self.world.sleep(0.1)
+        self.world.tilt(by_rad)
+        self._mend()
+        self.recover(3)
+        self.act([way_m, 0.0, 0.0, 0.0], WIDEST_m, 20)
+
+    @precondition(lambda self: not self.session)
     @rule(
         width_m=st.sampled_from([0.0, 0.02, 0.08]),
         how=st.sampled_from(["hold", "nan", "no action", "silence", *ROBOT_STOPS]),
@@ -617,12 +653,13 @@ class StopMachine(RuleBasedStateMachine):
 
         Where the stop was a fault, or the robot's own, the loop first goes on with what it wished before.
         """
-        self.act([0.02, 0.0, -0.02, 0.1], width_m, 8)
+        self._get_well()
+        self.act([0.05, 0.0, -0.03, 0.1], width_m, 8)
         if how in ROBOT_STOPS:
             self._stop(how)
             self.world.order(how)
         else:
-            self.stop(how, 3)
+            self.stop(how, 15 if how == "silence" else 3)
         if how not in ("hold", "silence") and self.last_wish is not None:
             self._send(self.last_wish, 20)
         if mends:
