@@ -16,7 +16,8 @@ from benchmarks.real.readouts import RIDGES, head_reading, labels_mm, latent_fea
 from benchmarks.real.tactip_shear import TactipSet, read_tactip_shear
 from benchmarks.tokenizer_report import draw_sets
 from uniforce_cli.boundary import command, one_thread
-from uniforce_vtla.errors import require_one_of
+from uniforce_vtla.errors import ContractError, require_one_of
+from uniforce_vtla.json_file import read_object
 from uniforce_vtla.options import Count, FolderPath, FolderPaths, OutFile, OutFolder, Text, split
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
@@ -66,6 +67,11 @@ class PretrainingChoicesCommand:
     out: OutFile = "outputs/pretraining_choices.json"
 
 
+def frozen_facts(config: PretrainingChoicesCommand) -> dict[str, Any]:
+    """Return recipe and hash of the set that is scored; ContractError: no such file."""
+    return read_object(Path(config.facts) / REPORT_SETS[SET].facts_file, ContractError)
+
+
 def pretrained(config: PretrainingChoicesCommand, name: str, seed: int) -> Tokenizer:
     """Return the tokenizer of one run, trained where it isn't yet."""
     data, loss = CHOICES[name]
@@ -79,10 +85,11 @@ def pretrained(config: PretrainingChoicesCommand, name: str, seed: int) -> Token
     return Pretraining(settings, work / f"{slug}_{seed}", PairCache(work / pairs, settings.data)).run()
 
 
-def measure(config: PretrainingChoicesCommand, tokenizer: Tokenizer, seed: int, real: list[TactipSet]) -> dict:
-    report_set = REPORT_SETS[SET]
-    table = draw_sets(report_set, tokenizer.config.side, Path(config.cache))
-    check_frozen(json.loads((Path(config.facts) / report_set.facts_file).read_text()), table.frozen)
+def measure(
+    config: PretrainingChoicesCommand, tokenizer: Tokenizer, seed: int, real: list[TactipSet], facts: dict[str, Any]
+) -> dict:
+    table = draw_sets(REPORT_SETS[SET], tokenizer.config.side, Path(config.cache))
+    check_frozen(facts, table.frozen)
     row = learnt_row(table, lambda s: encode_set(tokenizer, s), 1, POOL)
     r2, r = across(row, "r2"), across(row, "abs_r")
     found: dict[str, Any] = {
@@ -112,12 +119,13 @@ def main(config: PretrainingChoicesCommand) -> None:
     path = Path(config.out)
     found = json.loads(path.read_text())["runs"] if path.is_file() else {}
     real = [read_tactip_shear(Path(folder), config.frames) for folder in split(config.real)]
+    frozen = frozen_facts(config)
     names = split(config.choices) or list(CHOICES)
     for name in names:
         require_one_of("choice", name, list(CHOICES))
     runs = [(name, seed) for seed in range(config.seeds) for name in names if f"{name}, seed {seed}" not in found]
     for name, seed in tqdm(runs, desc="runs"):
-        found[f"{name}, seed {seed}"] = measure(config, pretrained(config, name, seed), seed, real)
+        found[f"{name}, seed {seed}"] = measure(config, pretrained(config, name, seed), seed, real, frozen)
         facts = {"set": SET, "steps": config.steps, "units": config.units, "runs": found}
         write_json(path, facts | provenance())
     for name in names:

@@ -6,6 +6,7 @@ import difflib
 import inspect
 import io
 import math
+import re
 import sys
 import tokenize
 from collections.abc import Iterable, Mapping, Sequence
@@ -270,10 +271,17 @@ def decode_file[ConfigT](config_class: type[ConfigT], name: str, content: Any) -
     except (UniForceError, DraccusException, ValueError, TypeError) as error:
         path, reason = ".".join((name, *getattr(error, "key_path", ()))), reason_of(error)
         if isinstance(reason, UniForceError):
-            raise ContractError(f"{path}: {reason}") from error
+            raise ContractError(_placed(path, str(reason))) from error
         came = str(getattr(reason, "message", reason)).rstrip(".")
         raise ContractError(expected(path, "settings it has", came, "See docs/recording.md.")) from error
     return decoded
+
+
+def _placed(path: str, reason: str) -> str:
+    """Return a reason with the path of its setting: ``robot.guards`` and ``GuardLimits.low: …`` are one place."""
+    where, _, why = reason.partition(": ")
+    field = re.fullmatch(r"\w+\.(\w+(\[\d+\])?)", where)
+    return f"{path}.{field[1]}: {why}" if field else f"{path}: {reason}"
 
 
 def _without_empty(name: str, content: Any, options: Mapping[str, Option]) -> dict[str, Any]:
@@ -284,6 +292,9 @@ def _without_empty(name: str, content: Any, options: Mapping[str, Option]) -> di
         option = options.get(key)
         if inner and value is not None:
             kept[key] = _without_empty(f"{name}.{key}", value, inner)
+        elif option is not None and isinstance(value, dict) and get_origin(option.kind) is not dict:
+            wanted, do = f"{option.wanted} for {name}.{key}", "It has no settings of its own."
+            raise ContractError(expected(f"{name}.{key}.{next(iter(value), '')}", wanted, "settings", do))
         elif value is None and option is not None and not option.optional and get_origin(option.kind) is not dict:
             do = "Give a value, or leave it out."
             raise ContractError(expected(f"{name}.{key}", option.wanted, "nothing", do))

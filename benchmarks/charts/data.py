@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from benchmarks.charts.front import Point, publish
 from benchmarks.ledger import update
-from benchmarks.pretraining_choices import CHOICES, PretrainingChoicesCommand, measure, pretrained
+from benchmarks.pretraining_choices import CHOICES, PretrainingChoicesCommand, frozen_facts, measure, pretrained
 from uniforce_cli.boundary import command, one_thread
 from uniforce_cli.score import score_arms
 from uniforce_cli.score_settings import ScoreConfig
@@ -117,7 +117,7 @@ def pair_points(config: DataChartCommand) -> tuple[list[Point], dict[str, Any]]:
     for units in tqdm([int(count) for count in split(config.units)], desc="tokenizers"):
         work = Path(config.out) / f"units_{units}"
         run = PretrainingChoicesCommand(steps=config.tokenizer_steps, units=units, work=str(work))
-        row = measure(run, pretrained(run, SHIPPED_CHOICE, seed=0), 0, [])
+        row = measure(run, pretrained(run, SHIPPED_CHOICE, seed=0), 0, [], frozen_facts(run))
         data = replace(CHOICES[SHIPPED_CHOICE][0], units=units)
         pairs = len(rigs(data)) * units * data.pairs_per_unit
         points.append(Point(f"{units} units", pairs, row["fz_r2"], row["fz_r2_worst"], row["fz_r2"]))

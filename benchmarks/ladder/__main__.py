@@ -179,22 +179,24 @@ def judged(found: dict[str, Any]) -> dict[str, Any]:
 def main(config: LadderCommand) -> None:
     planned = [(entry, configured(config, entry)) for entry in wanted(config)]
     configs = [part for _, parts in planned for part in parts]
+    earlier, gates = (read_object(Path(file), ContractError) if file else None for file in (config.onto, config.blind))
+    if not configs:
+        do = "Train arms into it: uniforce train … output_dir=…, then link ARM/seed0 to pretrained_model."
+        came = f"none, or no calibrations for them in {config.calibrations!r}"
+        raise CheckpointError(expected(config.checkpoints, "checkpoints of the plan", came, do))
     for entry, parts in planned:
         if not parts:
             print(f"not scored: {entry.name} (no {entry.checkpoints} or no calibration of {entry.worn} there)")
-    if not configs:
-        do = "Train arms into it: uniforce train … output_dir=…, then link ARM/seed0 to pretrained_model."
-        raise CheckpointError(expected(config.checkpoints, "checkpoints of the plan", "none", do))
     for one in configs:
         check_policies(one)
     found = joined(configs, score_arms(configs, config.workers))
     reports = {name: report for name, (report, _) in found.items()}
     rows = {name: report.as_dict() | {"clean_by_training_seed": seeds} for name, (report, seeds) in found.items()}
     content = filed(config.part, config.level, rows)
-    if config.onto:
-        content = added(content, read_object(Path(config.onto), ContractError))
-    if config.blind:
-        add_best_blind(content, read_object(Path(config.blind), ContractError))
+    if earlier is not None:
+        content = added(content, earlier)
+    if gates is not None:
+        add_best_blind(content, gates)
     content = judged(content)
     print(table(list(reports.values())))
     for name, row in rows.items():

@@ -73,6 +73,7 @@ class StressCommand:
         return Path(self.out or Path(self.work) / f"{self.part}.json")
 
 
+USED_BY = {"rollouts": ("policy", "blind", "stock", "calibrations"), "page": ("facts",)}
 # what a new reference in free air can mend: also rolled out without the monitor that takes it
 MENDED = ("C2 shift", "C3 turn", "M2 flicker", "R1 stale reference")
 # whose dose a calibration with the fault can undo: how it was made → ending of its folder, and operator → doses
@@ -186,8 +187,21 @@ def roll_out(config: StressCommand) -> dict[str, Any]:
     }
 
 
+def check_used(config: StressCommand) -> None:
+    """Refuse what the part doesn't use, and a policy that is none; raises ContractError, CheckpointError."""
+    for part, names in USED_BY.items():
+        changed = [name for name in names if getattr(config, name) != getattr(StressCommand, name)]
+        if changed and config.part != part:
+            came = f"part={config.part}"
+            raise ContractError(expected(changed[0], f"part={part} with it", came, "Leave it out, or name that part."))
+    if config.part == "rollouts":
+        for policy in split(config.policy):
+            content_of(policy)
+
+
 @command(StressCommand)
 def main(config: StressCommand) -> None:
+    check_used(config)
     content: dict[str, Any] = {"level": config.level, "level_hash": level_hash(LEVELS[config.level])}
     if config.part == "screen":
         content["screened"] = rows = screen(config)

@@ -43,6 +43,8 @@ SOUND = {  # what a command needs besides sound folders, to begin its work
     "touch": ("source=standin",),
     "estimate": ("pad_friction=0.6,0.7",),
     "calibrate": ("grasps=60",),
+    "convert": ("view={room}/view",),
+    "real": ("data={room}/dataset",),
 }
 ROBOT = ("robot=franka", "teleop=keyboard", "prompts=[wipe]")
 CONTROL_S = 12.0  # the sound words alone: a command that refuses those refuses anything

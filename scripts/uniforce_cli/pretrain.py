@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import resource
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -55,7 +56,9 @@ def recorded_pairs(folder: str, side: int) -> RecordedPairs:
     from uniforce_vtla.tokenizer.pair_cache import NAMES, RecordedPairs, shrink
 
     found = []
-    for recording in tqdm(read_uniforce_pairs(folder), desc="reading pairs", unit="grasp"):
+    recordings = read_uniforce_pairs(folder)
+    first = next(recordings)  # a folder without pairs is refused before a bar is drawn
+    for recording in tqdm(chain([first], recordings), desc="reading pairs", unit="grasp"):
         references = (shrink(i[None], side)[0] for i in (recording.left_reference, recording.right_reference))
         currents = (shrink(images, side) for images in (recording.left_frames, recording.right_frames))
         found.append(dict(zip(NAMES, (*references, *currents), strict=True)))

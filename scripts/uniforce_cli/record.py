@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from uniforce_robots.recorder.rig import Rig
     from uniforce_robots.recorder.session import SessionEnd
 
+INFO_KEYS = ("codebase_version", "fps", "features")  # LeRobot opens no dataset without them
 PLACES = ("root", "resume", "rig")  # that mean something on this machine only
 INTERRUPTED = 130  # exit code of a program that Ctrl-C ended
 EpisodeSeconds = Annotated[float, options.Range(0, 3600, above=True)]
@@ -170,7 +171,10 @@ def _check(config: RecordConfig) -> None:
         do = 'Say what is done, e.g. prompts=["wipe the whiteboard with 6 N"].'
         raise ContractError(expected("prompts", "an instruction or more", "none", do))
     if config.resume:  # a damaged dataset is named before anything is logged
-        read_object(Path(config.resume) / "meta" / "info.json", DatasetError)
+        info = read_object(Path(config.resume) / "meta" / "info.json", DatasetError)
+        if missing := [key for key in INFO_KEYS if key not in info]:
+            do = "Restore it from a copy, or record into a new folder."
+            raise DatasetError(expected(f"{config.resume}/meta/info.json", list(INFO_KEYS), f"no {missing}", do))
     config.root = config.resume or config.root
 
 

@@ -14,7 +14,7 @@ from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.raw_video import raw_path
 from uniforce_datasets.source import Episode, Source, VideoSpan, episode_frames
 from uniforce_vtla.contracts import FINGERS, TAXEL_SHAPE, Finger
-from uniforce_vtla.errors import DatasetError, expected
+from uniforce_vtla.errors import CheckpointError, DatasetError, expected
 from uniforce_vtla.evaluation.episode_summary import EpisodeSummary, KeyFrame, find_key_frames
 from uniforce_vtla.evaluation.finger_estimates import FingerEstimate, estimate_events
 from uniforce_vtla.keys import AXES, STATE, TACTILE_KEYS, counts_key, sensor_key, tactile_key, truth_wrench_key
@@ -90,7 +90,12 @@ def descriptor_heads(folder: str = "") -> ForceReader:
     Undone, a GelSight drawn without its camera reads 7 N there.
 
     ``folder`` is of python -m benchmarks.descriptor_heads; empty for the shipped ones, of the wiping scene.
+
+    Raises CheckpointError: no heads in it.
     """
+    if folder and not any(Path(folder).glob("*/config.json")):
+        do = "Make them with python -m benchmarks.descriptor_heads."
+        raise CheckpointError(expected(folder, "descriptor heads, a folder per sensor", "none", do))
     load = cache(lambda sensor: DescriptorHead.from_pretrained(sensor, folder or None))
 
     def read(source: Source, episode: Episode, finger: Finger) -> np.ndarray:

@@ -112,8 +112,11 @@ def _load(source: Path) -> PI05UniforcePolicy:
     """Return the policy, LoRA merged into its weights."""
     from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
 
-    read_object(source / "config.json", CheckpointError)  # a damaged one is named before anything is logged
+    kind = read_object(source / "config.json", CheckpointError).get("type")  # before anything is logged
     adapter = _read(source / ADAPTER)
+    if adapter is None and kind != PI05UniforcePolicy.name:
+        do = "Choose another folder."
+        raise CheckpointError(expected(f"policy type of {source}", PI05UniforcePolicy.name, kind, do))
     if adapter is None:
         policy = PI05UniforcePolicy.from_pretrained(source, warm=False)
     else:

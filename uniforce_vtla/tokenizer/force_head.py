@@ -130,8 +130,11 @@ class ForceHead:
         folder = checkpoint_folder(path, part)
         facts = read_config(folder)
         if "head" not in facts:  # a tokenizer's: `uniforce pretrain` puts its heads beside it
-            folder = folder.parent / part
-            facts = read_config(folder)
+            beside = folder.parent / part
+            if not beside.is_dir():
+                do = "Name a force head's folder, or a tokenizer's."
+                raise CheckpointError(expected(str(folder), f"a force head, or {part} beside it", "neither", do))
+            folder, facts = beside, read_config(beside)
         try:
             config = HeadConfig(**facts["head"])
             found, tokenizer_hash = str(facts["source"]), str(facts["tokenizer_hash"])
