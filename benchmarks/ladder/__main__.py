@@ -134,6 +134,16 @@ def added(found: dict[str, Any], earlier: dict[str, Any]) -> dict[str, Any]:
     return earlier | rows | {"scored_by": earlier["scored_by"] + found["scored_by"]}
 
 
+def _report(file: str, keys: Sequence[str]) -> dict[str, Any] | None:
+    """Return an earlier result that holds ``keys``, None without a file; ContractError: another kind of file."""
+    if not file:
+        return None
+    found = read_object(Path(file), ContractError)
+    if missing := [key for key in keys if key not in found]:
+        raise ContractError(expected(file, f"a result with {list(keys)}", f"no {missing}", "Is it another file?"))
+    return found
+
+
 def add_best_blind(found: dict[str, Any], gates: dict[str, Any]) -> None:
     """Put the script without touch that wipes clean most often beside the arms.
 
@@ -179,7 +189,8 @@ def judged(found: dict[str, Any]) -> dict[str, Any]:
 def main(config: LadderCommand) -> None:
     planned = [(entry, configured(config, entry)) for entry in wanted(config)]
     configs = [part for _, parts in planned for part in parts]
-    earlier, gates = (read_object(Path(file), ContractError) if file else None for file in (config.onto, config.blind))
+    earlier = _report(config.onto, ("level", "level_hash", "scored_by", *ROWS))
+    gates = _report(config.blind, ("level_hash", "seeds", "must_fail"))
     if not configs:
         do = "Train arms into it: uniforce train … output_dir=…, then link ARM/seed0 to pretrained_model."
         came = f"none, or no calibrations for them in {config.calibrations!r}"

@@ -65,6 +65,9 @@ def convert(config: ConvertConfig) -> Path:
         raise ContractError(expected("revision", "a hub id as source", config.source, "Leave it out."))
     revision = config.revision or None
     source = read_object(weights.find(config.source, weights.CONFIG, revision), CheckpointError)
+    if source.get("type") not in KNOWN_TYPES:
+        policy, do = f"policy type of {config.source}", "Name a π0.5 checkpoint."
+        raise CheckpointError(expected(policy, " | ".join(KNOWN_TYPES), source.get("type"), do))
     weights.check_files(config.source, "full", revision, local_files_only=False)
     slots = dict(pair.strip().split(":") for pair in config.touch_slots.split(",") if pair)
     view = TrainingView(config.view, slots=slots, touch=config.touch_input)
@@ -84,13 +87,10 @@ def convert(config: ConvertConfig) -> Path:
 
 
 def _settings(source: dict[str, Any], config: ConvertConfig, slots: dict[str, str]) -> PI05UniforceConfig:
-    """Return the source's sizes and flow with this project's touch; CheckpointError: a checkpoint of another policy."""
+    """Return the source's sizes and flow with this project's touch."""
     from lerobot_policy_pi05_uniforce import PI05UniforceConfig
     from lerobot_policy_pi05_uniforce import configuration_pi05_uniforce as groups
 
-    if source.get("type") not in KNOWN_TYPES:
-        policy, do = f"policy type of {config.source}", "Name a π0.5 checkpoint."
-        raise CheckpointError(expected(policy, " | ".join(KNOWN_TYPES), source.get("type"), do))
     known = PI05UniforceConfig.__dataclass_fields__.keys() - set(NOT_TAKEN)
     taken = {name: value for name, value in source.items() if name in known}
     kinds = {"action": groups.ActionSettings, "tiny": groups.TinySettings, "sampler": groups.SamplerSettings}
