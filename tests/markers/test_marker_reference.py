@@ -255,3 +255,17 @@ def _centres(frames: list[np.ndarray], sensor: str = "gelsight") -> list[np.ndar
 def _renoised(frame: np.ndarray, seed: int) -> np.ndarray:
     noise = np.random.default_rng(seed).normal(0, 3, frame.shape)
     return np.clip(frame + noise, 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("specks", [60, 200, 300])
+@pytest.mark.parametrize("radius_px", [2, 4])
+def test_specks_of_a_fuzzy_object_do_not_outvote_the_markers(specks: int, radius_px: int) -> None:
+    """How large a marker is the reference says, and not what most blobs of a frame are."""
+    raw = TactileSimulator("gelsight", seed=0).raw_reference()
+    frame = raw.copy()
+    for column, row in np.random.default_rng(specks).uniform([150, 100], [500, 380], (specks, 2)).astype(int).tolist():
+        cv2.circle(frame, (column, row), radius_px, (raw[row, column] // 3).tolist(), cv2.FILLED)
+    canonicalizer = remembering("gelsight", raw)
+    canonicalizer.marker_image(frame)
+    assert canonicalizer.match is not None
+    assert canonicalizer.match.lost <= 2 and canonicalizer.match.dropped <= specks / 10

@@ -53,7 +53,13 @@ class Segmentation:
         return image
 
 
-def segment(working: np.ndarray, dome: bool, plan: MarkerPlan | None = None, rim: Rim | None = None) -> Segmentation:
+def segment(
+    working: np.ndarray,
+    dome: bool,
+    plan: MarkerPlan | None = None,
+    rim: Rim | None = None,
+    marker_area: float | None = None,
+) -> Segmentation:
     """Return the markers of an (h, w, 3) uint8 RGB frame from ``fit_canonical``.
 
     Args:
@@ -61,16 +67,18 @@ def segment(working: np.ndarray, dome: bool, plan: MarkerPlan | None = None, rim
         dome: leave out what lies on or outside a bright rim around the markers.
         plan: how to look; None finds it in this frame.
         rim: where the rim is; None looks for it in this frame.
+        marker_area: px² of a marker; None lets this frame's blobs decide.
 
     Raises SensorError: no markers.
     """
     plan = plan or choose_plan(working)
-    blobs = find_blobs(channel_image(working, plan.channel), plan)
+    blobs = find_blobs(channel_image(working, plan.channel), plan, marker_area=marker_area)
     if blobs is not None and dome:
         rim = rim or find_rim(blobs)
         if rim is not None:
             blobs = blobs.without(np.hypot(*(blobs.markers - rim[0]).T) >= rim[1])
-    if blobs is None or score_blobs(blobs) == 0:
+    judge = score_blobs if marker_area is None else has_pattern  # specks of no marker's size don't count against it
+    if blobs is None or not judge(blobs):
         came = f"{0 if blobs is None else blobs.keep.sum()} blobs without the spacing of a pattern"
         do = "Is the gel torn, unlit, or without markers?"
         raise SensorError(expected("camera frame", "markers on the gel", came, do))
@@ -154,15 +162,23 @@ MIN_SCORE = 40.0  # gels without markers score 0, faint patterns 100 and more
 CHANNELS = ("value", "gray", "blue", "yellow")
 
 
+def has_pattern(blobs: Blobs) -> bool:
+    """Return whether the kept blobs are as many and as evenly spaced as markers."""
+    return bool(blobs.keep.sum() >= MIN_MARKERS and _unevenness(blobs) <= MAX_SPACING_RATIO)
+
+
+def _unevenness(blobs: Blobs) -> float:
+    """Return by what factor a kept blob's second neighbour is farther away than its first, the median."""
+    distance = cKDTree(blobs.markers).query(blobs.markers, k=3)[0]  # (M, 3), the first is the point itself
+    return float(np.median(distance[:, 2] / distance[:, 1]))
+
+
 def score_blobs(blobs: Blobs) -> float:
     """Return how much the kept blobs look like a marker pattern; 0 where they can't be one."""
     inliers = blobs.keep.mean()
-    if blobs.keep.sum() < MIN_MARKERS or inliers < MIN_INLIERS:
+    if inliers < MIN_INLIERS or not has_pattern(blobs):
         return 0.0
-    distance = cKDTree(blobs.markers).query(blobs.markers, k=3)[0]  # (M, 3), the first is the point itself
-    ratio = np.median(distance[:, 2] / distance[:, 1])
-    if ratio > MAX_SPACING_RATIO:
-        return 0.0
+    ratio = _unevenness(blobs)
     spread = np.median(np.abs(blobs.boxes[blobs.keep, 4] - blobs.marker_area)) / blobs.marker_area
     contrast = min(blobs.typical / (blobs.leftover + 1), AMPLE_CONTRAST)
     evenness = inliers**2 / ratio**6 / (1 + 2 * spread)

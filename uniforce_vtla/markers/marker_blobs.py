@@ -80,11 +80,12 @@ def channel_image(frame: np.ndarray, channel: str) -> np.ndarray:
     return cv2.addWeighted(cv2.addWeighted(red, 0.5, green, 0.5, 0), 0.5, blue, -0.5, 128)  # yellow − blue
 
 
-def find_blobs(view: np.ndarray, plan: MarkerPlan, halve: int = 1) -> Blobs | None:
+def find_blobs(view: np.ndarray, plan: MarkerPlan, halve: int = 1, marker_area: float | None = None) -> Blobs | None:
     """Return the blobs of ``view`` under ``plan``; None where nothing stands out or no two agree.
 
-    ``halve`` is 2 when the view is at half the canonical resolution. The threshold is local: half of the strongest
-    response nearby, so that vignetting and blur don't change a marker's size.
+    ``halve`` is 2 when the view is at half the canonical resolution. ``marker_area`` is a marker's px² where a
+    reference says it; else most blobs decide, and specks of a fuzzy object may outvote the markers. The threshold is
+    local: half of the strongest response nearby, so that vignetting and blur don't change a marker's size.
     """
     width = plan.background_px // halve | 1
     side = max(3, int(SMOOTH_FRACTION * width) | 1)
@@ -105,29 +106,32 @@ def find_blobs(view: np.ndarray, plan: MarkerPlan, halve: int = 1) -> Blobs | No
     foot = cv2.compare(response, cv2.LUT(nearby, edge), cv2.CMP_GT)
     _, labels, boxes, centres = cv2.connectedComponentsWithStats(mask, connectivity=8, ltype=cv2.CV_16U)
     leftover = cv2.mean(response, cv2.bitwise_not(mask))[0]
-    keep = _alike(boxes[1:], mask.shape)
+    keep = _alike(boxes[1:], mask.shape, marker_area)
     keep = _has_neighbours(centres[1:], keep)
     return Blobs(labels, boxes[1:], centres[1:], typical, leftover, foot, keep) if keep.any() else None
 
 
-def _alike(boxes: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Return (N,) bool: blobs in an image of (h, w) that agree with the rest in size and shape."""
+def _alike(boxes: np.ndarray, shape: tuple[int, ...], marker_area: float | None = None) -> np.ndarray:
+    """Return (N,) bool: blobs in an image of (h, w) that agree in size and shape with the rest, or with a marker."""
     left, top, width, height, area = boxes.T
     solid = area >= 4
     if solid.sum() < MIN_MARKERS:
         return np.zeros(len(area), bool)
-    median, sides = np.median(area[solid]), boxes[:, 2:4].astype(float)
+    median, sides = marker_area or np.median(area[solid]), boxes[:, 2:4].astype(float)
     # a blob at one border may be a cut marker, one at two is a dark corner
     touched = [left == 0, top == 0, left + width == shape[1], top + height == shape[0]]
     borders = np.sum(touched, axis=0)
     lowest, highest = AREA_RANGE
     least = np.where(borders == 1, lowest * CUT_FRACTION, lowest) * median
-    keep = solid & (area >= least) & (area <= highest * median)
+    sized = solid & (area >= least) & (area <= highest * median)
+    if not sized.any():
+        return sized
+    voters = solid if marker_area is None else sized
     elongation = sides.max(axis=1) / sides.min(axis=1)
-    shapely = elongation <= ELONGATION_MAX * np.median(elongation[solid])
+    shapely = elongation <= ELONGATION_MAX * np.median(elongation[voters])
     cut = (borders == 1) & (sides.max(axis=1) <= CUT_SIDE_MAX * np.sqrt(median))
     extent = area / sides.prod(axis=1)
-    return keep & (shapely | cut) & (borders < 2) & (extent >= MIN_EXTENT * np.median(extent[solid]))
+    return sized & (shapely | cut) & (borders < 2) & (extent >= MIN_EXTENT * np.median(extent[voters]))
 
 
 def marker_mask(blobs: Blobs) -> np.ndarray:

@@ -90,11 +90,16 @@ class MarkerReference:
         return image, match
 
     def _best(self, working: np.ndarray, hold: MarkerHold | None) -> tuple[Segmentation, MarkerMatch]:
-        """Return the first channel's markers that suffice with those held, else those of the one that shows most."""
+        """Return the markers of the first way to look that suffice with those held, else of the one that shows most."""
         seen, failures = [], []
-        for channel in dict.fromkeys((self.plan.channel, *RETRIES)):
+        own = self.plan.channel
+        size = self._found.blobs.marker_area
+        # specks may outvote the markers, so the reference says next how large one is; then come other channels
+        ways = [(own, None), (own, size), *((channel, None) for channel in RETRIES if channel != own)]
+        for channel, marker_area in ways:
             try:
-                found = segment(working, self._dome, replace(self.plan, channel=channel), self._found.rim)
+                plan = replace(self.plan, channel=channel)
+                found = segment(working, self._dome, plan, self._found.rim, marker_area)
             except SensorError as error:
                 failures.append(error)
                 continue
