@@ -20,6 +20,7 @@ from uniforce_vtla.errors import ContractError, expected, without_credentials
 DISTRIBUTION = "lerobot_policy_pi05_uniforce"
 PROVENANCE = "provenance.json"  # in every checkpoint
 SOURCES = Path(__file__).parents[1]
+RESULTS = "docs/results"
 GIT_s = 10.0  # s, on a busy disk
 
 
@@ -44,12 +45,14 @@ def provenance() -> dict[str, Any]:
 def _checkout() -> tuple[str | None, bool | None]:
     """Return the commit of the checkout this package lies in, and whether its tracked files were changed.
 
-    Read once: a checkout that changes while a long run works is another one than it imported.
+    Results don't count: several programs fill one file in turn. Read once: a checkout that changes while a long run
+    works is another one than it imported.
     """
     if not (SOURCES / ".git").exists():  # a repository of somebody else's may lie further up
         return None, None
     try:
-        asked = [("rev-parse", "HEAD"), ("status", "--porcelain", "--untracked-files=no")]
+        changes = ("status", "--porcelain", "--untracked-files=no", "--", ".", f":!{RESULTS}")
+        asked = [("rev-parse", "HEAD"), changes]
         commit, changed = (_git(*words) for words in asked)
     except (OSError, subprocess.SubprocessError):  # no git, or a folder that git distrusts
         return None, None
