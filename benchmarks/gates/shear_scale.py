@@ -1,8 +1,8 @@
-"""Does a unit's gain of shear hold in the scene? Units of each kind in several scenes, a known TacTip beside them.
+"""Measure the shear scale of sensor units in several scenes, beside a known TacTip.
 
-The expert wipes by the true wrench, so that all units feel the same. Each unit is scored as it is, weighed through the
-tool on a scale, and scaled beside the anchor in one scene, which isn't scored. Slopes over units and scenes say
-whether a gain belongs to the unit or to the scene.
+The expert wipes by the true wrench, so every unit feels the same forces. Each unit is scored three ways: as it is,
+weighed through the tool, and scaled beside the anchor in a scene of its own. The spread of slopes over units and scenes
+shows whether a gain belongs to the unit or to the scene.
 """
 
 import sys
@@ -42,7 +42,7 @@ SCALED = ("as it is", "weighed through the tool", "beside the anchor")
 
 @dataclass
 class ShearScaleCommand:
-    """Read units of each kind while the expert wipes; fit what they read of a press to what there is.
+    """Read units of each kind while the expert wipes, and fit their readings to the true shear.
 
     Example: python -m benchmarks.gates.shear_scale units=10 scenes=4 out=docs/results/reading_expert.json
     """

@@ -1,11 +1,11 @@
-"""Which frame of a film is free air, by the pattern that its pad shows in the other films of a session.
+"""Find the free-air frame of each film in a session, by the marker pattern of its pad.
 
-A film alone doesn't say: a steady grasp holds as still as free air, and the evenest pattern may be pressed evenly. But
-a pad in free air shows the same pattern in every film, and each object bends it in another way. So the pattern that
-comes back with most objects is the pad's own; a film's free frame is the one nearest to it, if one is near enough.
+One film alone doesn't show it: a steady grasp holds as still as free air, and the most even pattern may be an even
+press. But a pad in free air shows the same pattern in every film, while each object deforms it differently. So the
+pattern that most objects share is the pad's own, and a film's free frame is the one nearest to it.
 
-Pads are clipped on anew between objects, so patterns are compared up to a shift, a turn and a zoom. Complex numbers
-x + iy stand for places: a similarity is then one factor and one offset, fitted in closed form to all frames at once.
+Pads are mounted anew between objects. Patterns are therefore compared up to shift, rotation and scale. Points are
+complex numbers x + iy: a similarity is one factor and one offset, fitted to all pairs of frames in closed form.
 """
 
 from collections.abc import Sequence
@@ -18,11 +18,11 @@ from scipy.spatial import cKDTree
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.marker_blobs import spacing
 
-SAME_px = 0.8  # rms over markers: two frames show one state; segmentation and lenses leave .2 to .6
+SAME_px = 0.8  # rms over markers below which two frames count as equal; segmentation and lens leave .2 to .6
 REACH = 0.45  # spacings: a marker's motion within which it is found again
-SHARED = 0.85  # of both patterns' markers, at least, that are the other's; the border cuts some off
-PRINT_SHARE = 0.5  # of a pad's markers that one frame shows in their places: the same print, pressed elsewhere
-FEWEST_OBJECTS = 3  # that leave the pad in one state: the same grasp twice looks alike too
+SHARED = 0.85  # least share of common markers; the image border cuts some off
+PRINT_SHARE = 0.5  # least share of markers in place in one frame for the film to show the same printed pad
+FEWEST_OBJECTS = 3  # that must share a pattern; repeated grasps of one object look equal too
 ROUNDS = 10  # of matching and fitting
 
 
@@ -63,11 +63,11 @@ class _Tracked:
 
 
 def pads(films: Sequence[Film]) -> tuple[list[Pad], list[FreeFrame | None]]:
-    """Return the session's pads and each film's free frame, None where it has none.
+    """Return the pads of a session, and each film's free frame, or None.
 
-    A film has none where it shows its pad in contact alone, or where its pad is in no film of two other objects.
+    A film has no free frame if it shows contact only, or if fewer than two other objects were filmed with its pad.
 
-    Raises ContractError: no film, or one without frames.
+    Raises ContractError: no film, or a film without frames.
     """
     if not films or not all(len(film.centres_px) for film in films):
         raise ContractError(expected("films", "one or more, of one frame or more", len(films), "Record a session."))
@@ -91,7 +91,7 @@ def pads(films: Sequence[Film]) -> tuple[list[Pad], list[FreeFrame | None]]:
 
 
 def borrowed(pads: Sequence[Pad], free: Sequence[FreeFrame | None]) -> list[FreeFrame | None]:
-    """Return ``free``, where a film without a free frame takes the best one of its pad; None: its pad has none."""
+    """Return ``free`` with gaps filled by the best free frame of the same pad; None if that pad has none."""
     whole = list(free)
     for pad in pads:
         own = [frame for film in pad.films if (frame := free[film]) is not None]
@@ -111,7 +111,7 @@ def _places(base: np.ndarray, centres_px: np.ndarray, spacing_px: float) -> np.n
 
 
 def _compare(tracked: Sequence[_Tracked]) -> dict[tuple[int, int], np.ndarray]:
-    """Return for two films of one pad how far (frames, frames) their frames are apart, rms px; both ways round."""
+    """Return (film, film) → (frames, frames) rms distances in px, for films of one marker layout, in both orders."""
     found = {}
     for one, first in enumerate(tracked):
         for other, second in enumerate(tracked[: one + 1]):
@@ -124,7 +124,7 @@ def _compare(tracked: Sequence[_Tracked]) -> dict[tuple[int, int], np.ndarray]:
 
 
 def _same_markers(first: _Tracked, second: _Tracked) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the numbers of markers that two films share, by a similarity between them; None: too few, another pad."""
+    """Return matching marker indices of two films, up to a similarity; None if too few match."""
     points, others = first.base.astype(np.float64), second.base.astype(np.float64)
     most = max(len(points), len(others))
     if min(len(points), len(others)) < SHARED * most:
@@ -145,9 +145,9 @@ def _same_markers(first: _Tracked, second: _Tracked) -> tuple[np.ndarray, np.nda
 
 
 def _shows_print(first: _Tracked, frame: int, second: _Tracked) -> bool:
-    """Return whether the second film shows the pattern of the first film's frame where nothing bends it.
+    """Return whether the second film shows the same printed pad, outside its contact area.
 
-    Pads of one layout differ by a few pixels in how they were printed.
+    Pads of one layout differ by a few pixels in print.
     """
     pairs = _same_markers(first, second)
     if pairs is None:
@@ -182,7 +182,7 @@ def _apart_px(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 def _commonest(
     films: Sequence[Film], apart_px: dict[tuple[int, int], np.ndarray], left: set[int]
 ) -> tuple[int, int] | None:
-    """Return film and frame of the state that comes back with most objects; None: none does with enough of them."""
+    """Return film and frame of the pattern that most objects share; None if too few share one."""
     best = None
     most = (FEWEST_OBJECTS - 1, 0.0)
     for film in sorted(left):

@@ -6,8 +6,8 @@ pooled latent, ridge-regressed towards the identity in closed form, is fitted to
 It corrects what a reference image can't show: stiffness, thickness and gain.
 
 Who has a scale needs no known sensor: a few presses of known load give one gain of the newtons (``of_loads``), or, of
-the tool that the fingers hold, one of shear (``through_a_tool``): a covered flat gel shows that and hardly grip. Who
-has no scale lets both fingers hold the tool and wipes with it (``beside_an_anchor``): each carries half of the press.
+the tool that the fingers hold, one of shear (``through_a_tool``): a covered flat gel shows that and hardly grip. Without
+a scale, wipe with the tool between a known finger and the new one (``beside_an_anchor``): each carries half the press.
 """
 
 from __future__ import annotations
@@ -136,9 +136,9 @@ class Calibration:
     def beside_an_anchor(
         cls, z_new: torch.Tensor, z_anchor: torch.Tensor, head: ForceHead, new: str, anchor: str
     ) -> Calibration:
-        """Return the gain of shear of a finger that wipes with a tool which a known finger holds on its other side.
+        """Fit one shear gain to wipes in which a known finger holds the tool on the other side.
 
-        Each finger carries half of the press, whatever it is: no force is measured. The grip isn't scaled.
+        Each finger carries half of the press, so no force label is needed. The grip isn't scaled.
 
         Args:
             z_new: (n, P, latent) of the sensor to scale, moments of wiping in any order.
@@ -339,11 +339,11 @@ def _best_ridge(x: torch.Tensor, y: torch.Tensor) -> float:
 
 
 def shear_gain(read_N: np.ndarray, known_N: np.ndarray) -> float:
-    """Return the gain that gives the shear (n,) that one finger reads the spread of what the other one knows, (n,) N.
+    """Return the ratio of spreads: of the anchor's shear (n,) in N over the new finger's, (n,) as read.
 
-    Both are noisy, so a regression of one on the other would take noise of the new finger for a smaller gain.
+    Both readings are noisy. A regression would shrink the gain by the noise of the new finger (regression dilution).
 
-    Raises ContractError: too few moments, a shear that hardly changes, or that the fingers disagree about.
+    Raises ContractError: too few frames, shear that hardly changes, or fingers that disagree.
     """
     do = "Grasp the tool with both fingers and wipe, pressing lightly and firmly."
     if len(known_N) < FEWEST_HELD:

@@ -1,9 +1,9 @@
 """Grasps of two GelSight Minis on a Franka hand, as amitparag/Incipient-Slip-Detection stores them (BSD-2).
 
 ``docs/franka-servo/datasets`` holds ``[SET/]OBJECT/exp_num_N/{camera_0,camera_2}.avi``: one film a finger, 320×240 at
-25 Hz. The robot grasps, lifts and shakes; the hand closes by width, and no force is recorded. Many trials stand in
-several folders, so trials are told apart by the content of their films. There are two campaigns with different crops.
-Films of the wide one all have 450 frames, and none of the close one has.
+25 Hz. The robot grasps, lifts and shakes an object. The hand closes by width; force isn't recorded. Many trials are
+stored in several folders, so duplicates are found by the hash of their films. Two campaigns used different crops: all
+films of the wide one have 450 frames, and no film of the close one has.
 """
 
 import hashlib
@@ -21,7 +21,7 @@ from uniforce_datasets.source import BROKEN_VIDEO
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import DatasetError, expected
 
-FILMS: dict[Finger, str] = {"left": "camera_0.avi", "right": "camera_2.avi"}  # which is left isn't said: assumed
+FILMS: dict[Finger, str] = {"left": "camera_0.avi", "right": "camera_2.avi"}  # assumed; the authors don't say
 SLIPPED = "slip.txt"  # an empty file beside the films of a trial whose object slipped
 WIDE_FRAMES = 450
 FIRST_CHOICE = "base_data_for"  # of several copies: its folders name every object in one way
