@@ -6,8 +6,9 @@ pooled latent, ridge-regressed towards the identity in closed form, is fitted to
 It corrects what a reference image can't show: stiffness, thickness and gain.
 
 Who has a scale needs no known sensor: a few presses of known load give one gain of the newtons (``of_loads``), or, of
-the tool that the fingers hold, one of shear (``through_a_tool``): a covered flat gel shows that and hardly grip. Without
-a scale, wipe with the tool between a known finger and the new one (``beside_an_anchor``): each carries half the press.
+the tool that the fingers hold, one of shear (``through_a_tool``): a covered flat gel shows that and hardly grip.
+Without a scale, wipe with the tool between a known finger and the new one (``beside_an_anchor``): each carries half
+the press.
 """
 
 from __future__ import annotations
