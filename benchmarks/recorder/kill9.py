@@ -46,7 +46,7 @@ def kill_once(rig: Rig, root: Path, number: int) -> dict[str, Any]:
     moment, victim = MOMENTS[number % 3], VICTIMS[number // 3 % 3]
     before = _episodes(root)
     rig.new_arm()
-    settings = {"episodes": EPISODES, "episode_s": EPISODE_s} | ({"resume": root} if before else {})
+    settings = {"episodes": EPISODES, "episode_s": EPISODE_s} | (resumed(root) if before else {})
     with rig.session(root, **settings) as session:
         at, _ = session.wait_for(STORED, START_s + WAIT_s)
         if moment != "between":
@@ -71,6 +71,11 @@ def kill_once(rig: Rig, root: Path, number: int) -> dict[str, Any]:
     }
 
 
+def resumed(root: Path) -> dict[str, Any]:
+    """Return the settings that go on with a dataset; a new rig's stand-ins have new addresses."""
+    return {"resume": root, "settings_changed": "accept"}
+
+
 def _episodes(root: Path) -> int:
     return len(check_dataset(root).episodes) if (root / "meta" / "info.json").is_file() else 0
 
@@ -87,7 +92,7 @@ def finish(rig: Rig, root: Path) -> dict[str, Any]:
     rig.new_arm()
     before = _episodes(root)
     wanted = judged_episodes(root, before) + 1  # aborted ones don't count
-    with rig.session(root, resume=root, episodes=wanted, episode_s=EPISODE_s) as session:
+    with rig.session(root, episodes=wanted, episode_s=EPISODE_s, **resumed(root)) as session:
         code = session.wait_end(START_s + WAIT_s)
     return {"exit_code": code, "episodes_before": before, "episodes_after": _load(root)}
 

@@ -1,0 +1,152 @@
+"""Agreement of two real GelSight Minis on the same grasps: both fingers of a grasp feel the same normal force.
+
+The formula was fixed before any reading was scored: the relative error of a trial is mean |fz_a − fz_b| over mean
+(fz_a + fz_b) / 2, in contact; a set's error is the median over trials. Contact is defined without the tokenizer, by the
+shading of the gel. Intervals come from a bootstrap over objects, since trials of one object resemble each other.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from uniforce_datasets.readers.gelsight_grasps import GraspTrial, film_frames
+from uniforce_vtla.contracts import FINGERS, Finger
+from uniforce_vtla.markers import Canonicalizer
+from uniforce_vtla.markers.free_frame import Film, FreeFrame, pads
+
+SENSOR = "gelsight"
+# Objects of base_data_for_validation. A trial of 2026-11-28 looked at them once.
+SEEN = (
+    "artificial_apple",
+    "plastic_pyramid",
+    "plier",
+    "rubic_cube",
+    "tin_box",
+    "usb_hub",
+    "walnut",
+    "wooden_giraffe",
+)
+# The first six of the other objects by SHA-256 of their names. Scored once, when the tokenizer is frozen. Their
+# markers helped to find the pads' free frames; no force was read.
+SEALED = (
+    "rubber_hand",
+    "bag_straws",
+    "rubber_salmon_fillet",
+    "nylon_thread",
+    "screw_driver_red",
+    "cellotape",
+)
+SETTLE = 10  # frames until the camera's exposure holds: up to a quarter darker before
+STEP = 5  # frames between two that are read, .2 s
+BLUR_px = 10.0  # hides the markers, at 320×240
+SHADED = 2.5  # grey levels: free frames differ by up to 1, contacts by 3 and more
+SHADED_PERCENTILE = 95
+FEWEST_FRAMES = 8  # in contact, or a trial isn't scored
+DRAWS = 2000  # of the bootstrap
+
+# reference (480, 640), current (T, 480, 640) marker images, finger → (T,) normal force
+Reader = Callable[[np.ndarray, np.ndarray, Finger], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Grasp:
+    """Frames of one trial in which both fingers are in contact."""
+
+    trial: GraspTrial
+    reference: dict[Finger, np.ndarray]  # (480, 640) uint8 marker image
+    current: dict[Finger, np.ndarray]  # (T, 480, 640)
+
+
+@dataclass(frozen=True)
+class Score:
+    """Agreement of the fingers in one trial."""
+
+    held: str
+    campaign: str
+    frames: int
+    relative_error: float
+    r: float  # within the trial
+
+
+def shading(frame: np.ndarray, reference: np.ndarray) -> float:
+    """Return how much the gel's shading differs from the reference, in grey levels, of (H, W, 3) uint8 frames.
+
+    The median is taken away: exposure changes the whole picture.
+    """
+    change = _light(frame) - _light(reference)
+    return float(np.percentile(np.abs(change - np.median(change)), SHADED_PERCENTILE))
+
+
+def _light(frame: np.ndarray) -> np.ndarray:
+    grey = cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    return cv2.GaussianBlur(grey, (0, 0), BLUR_px)
+
+
+def read_films(trials: Sequence[GraspTrial], finger: Finger) -> tuple[list[list[np.ndarray]], list[FreeFrame | None]]:
+    """Return each trial's frames of a finger, every fifth once exposure holds, and which of them is free air."""
+    frames = [list(film_frames(trial.films[finger]))[SETTLE::STEP] for trial in trials]
+    films = [Film(trial.object_name, markers(of_trial)) for trial, of_trial in zip(trials, frames, strict=True)]
+    _, free = pads(films)
+    return frames, free
+
+
+def markers(frames: Iterable[np.ndarray]) -> list[np.ndarray]:
+    """Return the (M, 2) marker centres of each frame in px."""
+    canonicalizer = Canonicalizer(SENSOR, register=False)
+    found: list[np.ndarray] = []
+    for frame in frames:
+        if not found:
+            canonicalizer.set_reference(frame)  # how markers look; not where they are
+        found.append(canonicalizer.markers(frame))
+    return found
+
+
+def in_contact(trial: GraspTrial, frames: dict[Finger, list[np.ndarray]], free: dict[Finger, int]) -> Grasp | None:
+    """Return the frames in which both gels are shaded, None if there are too few."""
+    references = {finger: frames[finger][free[finger]] for finger in FINGERS}
+    count = min(len(frames[finger]) for finger in FINGERS)
+    chosen = [
+        number
+        for number in range(count)
+        if all(shading(frames[finger][number], references[finger]) > SHADED for finger in FINGERS)
+    ]
+    if len(chosen) < FEWEST_FRAMES:
+        return None
+    reference: dict[Finger, np.ndarray] = {}
+    current: dict[Finger, np.ndarray] = {}
+    for finger in FINGERS:
+        canonicalizer = Canonicalizer(SENSOR)
+        canonicalizer.set_reference(references[finger])
+        reference[finger] = canonicalizer.marker_image(references[finger])
+        current[finger] = np.stack([canonicalizer.marker_image(frames[finger][number]) for number in chosen])
+    return Grasp(trial, reference, current)
+
+
+def agreement(grasp: Grasp, read: Reader) -> Score:
+    """Return how well a reader's normal forces of the two fingers agree."""
+    left, right = (read(grasp.reference[finger], grasp.current[finger], finger) for finger in FINGERS)
+    error = float(np.abs(left - right).mean() / np.abs((left + right) / 2).mean())
+    r = float(np.corrcoef(left, right)[0, 1])
+    return Score(grasp.trial.object_name, grasp.trial.campaign, len(left), error, r)
+
+
+def summary(scores: Sequence[Score], seed: int = 0) -> dict[str, object]:
+    """Return the median error and r over trials, with 95 % intervals by bootstrap over objects."""
+    objects = sorted({score.held for score in scores})
+    by_object = {held: [score for score in scores if score.held == held] for held in objects}
+    rng = np.random.default_rng(seed)
+    drawn = []
+    for _ in range(DRAWS):
+        again = [score for held in rng.choice(objects, len(objects)) for score in by_object[held]]
+        drawn.append([np.median([score.relative_error for score in again]), np.median([score.r for score in again])])
+    low, high = np.percentile(drawn, [2.5, 97.5], axis=0)
+    return {
+        "objects": len(objects),
+        "trials": len(scores),
+        "relative_error": float(np.median([score.relative_error for score in scores])),
+        "relative_error_95": [float(low[0]), float(high[0])],
+        "r": float(np.median([score.r for score in scores])),
+        "r_95": [float(low[1]), float(high[1])],
+    }
