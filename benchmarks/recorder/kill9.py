@@ -19,6 +19,7 @@ from uniforce_robots.recorder.assemble import judged_episodes
 MOMENTS = ("tick", "save", "between")
 VICTIMS = ("all", "loop", "store")  # every process of it, the loop alone, the storing process alone
 EPISODE_s = 1.5
+SHORT = {"episode_s": EPISODE_s, "late_share": 1.0}  # late or not is judged in end_to_end; here episodes must be stored
 STORED = r"^stored success"
 WAIT_s = 60.0
 RANDOM_s = {  # after the line that says: episode begun, or stored
@@ -46,7 +47,7 @@ def kill_once(rig: Rig, root: Path, number: int) -> dict[str, Any]:
     moment, victim = MOMENTS[number % 3], VICTIMS[number // 3 % 3]
     before = _episodes(root)
     rig.new_arm()
-    settings = {"episodes": EPISODES, "episode_s": EPISODE_s} | (resumed(root) if before else {})
+    settings = {"episodes": EPISODES} | SHORT | (resumed(root) if before else {})
     with rig.session(root, **settings) as session:
         at, _ = session.wait_for(STORED, START_s + WAIT_s)
         if moment != "between":
@@ -92,7 +93,7 @@ def finish(rig: Rig, root: Path) -> dict[str, Any]:
     rig.new_arm()
     before = _episodes(root)
     wanted = judged_episodes(root, before) + 1  # aborted ones don't count
-    with rig.session(root, episodes=wanted, episode_s=EPISODE_s, **resumed(root)) as session:
+    with rig.session(root, episodes=wanted, **SHORT, **resumed(root)) as session:
         code = session.wait_end(START_s + WAIT_s)
     return {"exit_code": code, "episodes_before": before, "episodes_after": _load(root)}
 
