@@ -1,12 +1,15 @@
 """Real recordings, read by the tokenizer, by an untrained one of its size and by hand descriptors."""
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
+from benchmarks.real.grasp_readers import grasp_readers
+from benchmarks.real.grasps import SEALED, SEEN, score_grasps, summary
 from benchmarks.real.readouts import (
     RIDGES,
     Features,
@@ -18,24 +21,31 @@ from benchmarks.real.readouts import (
 )
 from benchmarks.real.tactip_shear import TactipSet, read_tactip_shear
 from uniforce_cli.boundary import command
-from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.options import Count, FolderPaths, OutFile, TokenizerFolder, split
+from uniforce_datasets.readers.gelsight_grasps import read_grasps
+from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.options import Count, FolderPath, FolderPaths, OutFile, OutFolder, TokenizerFolder, split
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 
 
 @dataclass
 class RealCommand:
-    """Read real TacTips with depth and shear labels as their authors store them; the recordings stay where they are.
+    """Read real recordings as their authors store them; the recordings stay where they are.
 
-    The first folder fits a linear readout, every other one is read with it.
+    TacTips with depth and shear labels: the first folder fits a linear readout, every other one is read with it.
     Example: python -m benchmarks.real data=cr_tactip/…/train_data,cr_tactip/…/val_data
+    Grasps of two GelSight Minis: how well the normal forces of both fingers agree.
+    Example: python -m benchmarks.real grasps=Incipient-Slip-Detection/docs/franka-servo/datasets
     """
 
-    data: FolderPaths = ""  # folders, comma between them
+    data: FolderPaths = ""  # of TacTips, comma between them
+    grasps: FolderPath = ""  # of two GelSight Minis
+    # of the grasps: seen, by a trial once | development, all others but the sealed six | sealed: score them once
+    objects: Literal["seen", "development", "sealed"] = "development"
     tokenizer: TokenizerFolder = ""  # empty = the shipped one
     seeds: Count = 3  # untrained tokenizers
     frames: Count = 1000  # of each recording, at most
+    cache: OutFolder = "outputs/labelled"  # simulated presses that the grasps' heads learn from
     out: OutFile = "outputs/real.json"
 
 
@@ -73,15 +83,52 @@ def lines_of(found: dict[str, Any]) -> list[str]:
     return lines
 
 
+def grasp_rows(config: RealCommand, tokenizer: Tokenizer) -> dict[str, Any]:
+    """Return reader → campaign → agreement of the fingers on the chosen objects."""
+    trials = read_grasps(config.grasps)
+    named = {trial.object_name for trial in trials}
+    chosen = {"seen": {*SEEN}, "sealed": {*SEALED}, "development": named - {*SEEN, *SEALED}}[config.objects]
+    if not chosen & named:
+        do = "Give docs/franka-servo/datasets of the whole repository."
+        raise DatasetError(expected(f"objects of {config.grasps}", sorted(chosen), sorted(named), do))
+    scores = score_grasps(trials, chosen, grasp_readers(tokenizer, 0, Path(config.cache)))
+    return {
+        name: {campaign: summary(found) for campaign, found in by_campaign.items()}
+        for name, by_campaign in scores.items()
+    }
+
+
+def grasp_lines(found: dict[str, Any]) -> list[str]:
+    """Return a line per reader and campaign."""
+    lines = []
+    for name, by_campaign in found.items():
+        for campaign, row in by_campaign.items():
+            count = f"{row['trials']} trials of {row['objects']} objects"
+            error = _with_bounds(row["relative_error"], row["relative_error_95"])
+            r = _with_bounds(row["r"], row["r_95"])
+            lines.append(f"{name:24} {campaign:6} {count}: relative error {error}, r {r}")
+    return lines
+
+
+def _with_bounds(value: float, bounds: Sequence[float]) -> str:
+    low, high = bounds
+    return f"{value:.2f} [{low:.2f}, {high:.2f}]"
+
+
 @command(RealCommand)
 def main(config: RealCommand) -> None:
     folders = [Path(name) for name in split(config.data)]
-    if not folders:
+    if not folders and not config.grasps:
         raise ContractError(expected("data", "folders of recordings", "none", "Name those that fit and are read."))
     tokenizer = Tokenizer.from_pretrained(config.tokenizer or None)
-    found = tactip_rows(config, tokenizer, [read_tactip_shear(folder, config.frames) for folder in folders])
-    print("\n".join(lines_of(found)))
-    content = {"what": "real recordings, read where they lie", "tokenizer_hash": tokenizer.hash, "tactip": found}
+    content: dict[str, Any] = {"what": "real recordings, read where they lie", "tokenizer_hash": tokenizer.hash}
+    if folders:
+        sets = [read_tactip_shear(folder, config.frames) for folder in folders]
+        content["tactip"] = tactip_rows(config, tokenizer, sets)
+        print("\n".join(lines_of(content["tactip"])))
+    if config.grasps:
+        content["grasps"] = {config.objects: grasp_rows(config, tokenizer)}
+        print("\n".join(grasp_lines(content["grasps"][config.objects])))
     print(f"written to {write_json(Path(config.out), content | provenance())}")
 
 

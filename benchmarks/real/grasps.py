@@ -5,11 +5,12 @@ The formula was fixed before any reading was scored: the relative error of a tri
 shading of the gel. Intervals come from a bootstrap over objects, since trials of one object resemble each other.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from tqdm import tqdm
 
 from uniforce_datasets.readers.gelsight_grasps import GraspTrial, film_frames
 from uniforce_vtla.contracts import FINGERS, Finger
@@ -150,3 +151,34 @@ def summary(scores: Sequence[Score], seed: int = 0) -> dict[str, object]:
         "r": float(np.median([score.r for score in scores])),
         "r_95": [float(low[1]), float(high[1])],
     }
+
+
+def find_grasps(trials: Sequence[GraspTrial]) -> Iterator[Grasp]:
+    """Yield the trials of which both fingers have a free frame and enough contact, a campaign at a time."""
+    for campaign in ("close", "wide"):
+        own = [trial for trial in trials if trial.campaign == campaign]
+        if not own:
+            continue
+        read = {finger: read_films(own, finger) for finger in FINGERS}
+        for number, trial in enumerate(own):
+            free = {finger: read[finger][1][number] for finger in FINGERS}
+            known = {finger: frame.frame for finger, frame in free.items() if frame is not None}
+            if len(known) < len(FINGERS):
+                continue
+            frames = {finger: read[finger][0][number] for finger in FINGERS}
+            grasp = in_contact(trial, frames, known)
+            if grasp is not None:
+                yield grasp
+
+
+def score_grasps(
+    trials: Sequence[GraspTrial], scored: Collection[str], readers: Mapping[str, Reader]
+) -> dict[str, dict[str, list[Score]]]:
+    """Return reader → campaign → scores of the trials of some objects; all trials serve to find free frames."""
+    found: dict[str, dict[str, list[Score]]] = {name: {} for name in readers}
+    for grasp in tqdm(find_grasps(trials), desc="grasps", unit="grasp"):
+        if grasp.trial.object_name not in scored:
+            continue
+        for name, read in readers.items():
+            found[name].setdefault(grasp.trial.campaign, []).append(agreement(grasp, read))
+    return found

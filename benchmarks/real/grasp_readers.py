@@ -1,0 +1,72 @@
+"""Readers of normal force for real grasps: one head each, trained on the same simulated GelSight presses.
+
+The tokenizer stands beside an untrained encoder of its size and six hand-made numbers. A head reads each frame alone.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from benchmarks.probes.report_sets import REPORT_SETS
+from benchmarks.probes.zero_shot import descriptor_features, encode_set, sized_head
+from benchmarks.real.grasps import SENSOR, Reader
+from uniforce_vtla.contracts import Finger
+from uniforce_vtla.tokenizer import ForceHead, Tokenizer
+from uniforce_vtla.tokenizer.descriptor import NATURAL_UNITS
+from uniforce_vtla.tokenizer.force_head import HeadTrainingConfig, train_head
+from uniforce_vtla.tokenizer.latent import POOL, pool_latent
+from uniforce_vtla.tokenizer.plain_touch import descriptors
+
+SET = REPORT_SETS["zero_shot_v2"]  # whose training presses, of seen indenters, the heads learn from
+BATCH = 16
+
+# reference (480, 640), current (T, 480, 640), finger → (T, P, L)
+Encode = Callable[[np.ndarray, np.ndarray, Finger], torch.Tensor]
+
+
+def grasp_readers(tokenizer: Tokenizer, seed: int, cache: Path) -> dict[str, Reader]:
+    """Return name → reader; the simulated presses are drawn into ``cache`` once."""
+    sensors = {SENSOR: SET.sources()[SENSOR]}
+    labelled = SET.draw(SET.training, sensors, tokenizer.config.side, cache)[SENSOR]
+    untrained = Tokenizer.random(tokenizer.config, seed)
+    shipped = ForceHead.from_pretrained(SENSOR)
+    config = HeadTrainingConfig()
+    plain = replace(config, smallest_spread=1.0)  # no spread below one natural unit is signal
+    found: dict[str, Reader] = {}
+    if shipped.tokenizer_hash == tokenizer.hash:
+        found["tokenizer, shipped head"] = _reader(_latents(tokenizer), shipped.model)
+    for name, encoder in {"tokenizer": tokenizer, "untrained encoder": untrained}.items():
+        z = encode_set(encoder, labelled)  # (n, T, P, L)
+        model = train_head(z, labelled.force_N, sized_head(config, z, POOL), seed)
+        found[name] = _reader(_latents(encoder), model)
+    z = descriptor_features(labelled)  # (n, T, 1, 6)
+    found["hand descriptor"] = _reader(_described, train_head(z, labelled.force_N, sized_head(plain, z, 1), seed))
+    return found
+
+
+def _latents(tokenizer: Tokenizer) -> Encode:
+    def encode(reference: np.ndarray, current: np.ndarray, finger: Finger) -> torch.Tensor:
+        parts = [current[first : first + BATCH] for first in range(0, len(current), BATCH)]
+        encoded = [pool_latent(tokenizer.encode(reference[None], part, finger), POOL) for part in parts]
+        return torch.cat(encoded).as_subclass(torch.Tensor)  # (T, P, L)
+
+    return encode
+
+
+def _described(reference: np.ndarray, current: np.ndarray, finger: Finger) -> torch.Tensor:
+    numbers = np.concatenate([descriptors(reference, image[None], finger) for image in current])  # (T, 6)
+    natural = numbers / np.asarray(NATURAL_UNITS, np.float32)
+    return torch.from_numpy(natural)[:, None].float()  # (T, 1, 6)
+
+
+def _reader(encode: Encode, model: torch.nn.Module) -> Reader:
+    @torch.no_grad()
+    def read(reference: np.ndarray, current: np.ndarray, finger: Finger) -> np.ndarray:
+        z = encode(reference, current, finger)
+        force_N: torch.Tensor = model(z[:, None])[:, 0]  # (T, 3): each frame is a sequence of one
+        return force_N[:, 2].double().numpy()
+
+    return read

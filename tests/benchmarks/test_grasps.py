@@ -1,0 +1,83 @@
+"""Agreement of two fingers: the sealed objects are drawn by hash, contact is shading, the formula is as fixed."""
+
+import hashlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from benchmarks.real.grasps import SEALED, SEEN, SHADED, Grasp, Score, agreement, shading, summary
+from uniforce_datasets.readers.gelsight_grasps import GraspTrial
+
+OTHERS = [
+    "artificial_strawberry",
+    "avocado_real",
+    "bag_of_peanuts",
+    "bag_straws",
+    "ball_white_thread",
+    "baseball",
+    "blue_box",
+    "blue_mug",
+    "cellotape",
+    "cheese_tube",
+    "glass_box",
+    "green_rope",
+    "jute_basket",
+    "lemon",
+    "marker_pen",
+    "nylon_thread",
+    "pattern_cotton_cloth",
+    "plastic_cup",
+    "plug_3D",
+    "red_sticker_tape",
+    "rubber_hand",
+    "rubber_pear",
+    "rubber_salmon_fillet",
+    "screw_driver_blue_gray",
+    "screw_driver_red",
+    "silicone_salmon_fillet",
+    "tennis_ball",
+    "wallet",
+    "wire3D",
+    "wooden_mat",
+    "wooden_statue",
+]
+
+
+def test_the_sealed_objects_are_the_first_six_by_hash() -> None:
+    by_hash = sorted(OTHERS, key=lambda name: hashlib.sha256(name.encode()).hexdigest())
+    assert list(SEALED) == by_hash[:6]
+    assert not {*SEALED} & {*SEEN} and not {*OTHERS} & {*SEEN}
+
+
+def test_contact_is_seen_by_shading_and_exposure_is_none() -> None:
+    free = np.full((240, 320, 3), 120, np.uint8)
+    for column in range(20, 320, 40):
+        cv2.circle(free, (column, 120), 6, (20, 20, 20), cv2.FILLED)
+    darker = (free * 0.8).astype(np.uint8)
+    dented = free.copy()
+    cv2.circle(dented, (160, 120), 60, (150, 130, 140), cv2.FILLED)
+    assert shading(free, free) == 0.0
+    assert shading(darker, free) < SHADED < shading(dented, free)
+
+
+def grasp() -> Grasp:
+    trial = GraspTrial("ball", "ball/1", "close", {"left": Path("l"), "right": Path("r")}, slipped=False)
+    images = {"left": np.zeros((4, 2, 2)), "right": np.zeros((4, 2, 2))}
+    return Grasp(trial, {"left": np.zeros((2, 2)), "right": np.zeros((2, 2))}, images)  # type: ignore[dict-item]
+
+
+def test_the_error_is_the_mean_difference_over_the_mean_of_both() -> None:
+    force_N = {"left": np.array([1.0, 2.0, 3.0, 4.0]), "right": np.array([2.0, 2.0, 4.0, 4.0])}
+    found = agreement(grasp(), lambda reference, current, finger: force_N[finger])
+    assert found.relative_error == pytest.approx((0.5) / 2.75) and found.frames == 4
+    assert found.r == pytest.approx(np.corrcoef(force_N["left"], force_N["right"])[0, 1])
+
+
+def test_objects_are_drawn_anew_and_not_trials() -> None:
+    """Twenty trials of one object and one of another: the interval reaches from one object's error to the other's."""
+    scores = [Score("mug", "close", 9, 0.1, 0.9)] * 20 + [Score("ball", "close", 9, 0.7, 0.2)]
+    found = summary(scores)
+    assert (found["objects"], found["trials"], found["relative_error"]) == (2, 21, 0.1)
+    assert found["relative_error_95"] == [pytest.approx(0.1), pytest.approx(0.7)]
