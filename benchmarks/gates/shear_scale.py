@@ -1,8 +1,8 @@
 """Measure the shear scale of sensor units in several scenes, beside a known TacTip.
 
 The expert wipes by the true wrench, so every unit feels the same forces. Each unit is scored three ways: as it is,
-weighed through the tool, and scaled beside the anchor in a scene of its own. The spread of slopes over units and scenes
-shows whether a gain belongs to the unit or to the scene.
+weighed through the tool, and scaled beside the anchor in the first half of the scenes, which isn't scored. The spread
+of slopes over units and scenes shows whether a gain belongs to the unit or to the scene.
 """
 
 import sys
@@ -36,7 +36,7 @@ FIRST_UNIT = 2  # unit 1 is the demonstrations'
 EVERY = 4  # steps between two readings
 GRIPPED_N = 1.0
 WIPES_N = 0.5  # of press on the board
-FEWEST_SCENES = 3
+FEWEST_SCENES = 4
 SCALED = ("as it is", "weighed through the tool", "beside the anchor")
 
 
@@ -50,7 +50,7 @@ class ShearScaleCommand:
     level: Level = "touch"
     gripper: Gripper = "hand"  # of the scene
     units: Count = 10  # of each kind
-    scenes: Count = 4  # of each unit, the same for all; the first one scales beside the anchor
+    scenes: Count = 4  # of each unit, the same for all; the first half scales beside the anchor
     first_seed: Seed = BLOCKS["shear scale"].start
     only: Text = ""  # kinds, comma between them; all when empty
     workers: Workers = 2
@@ -120,24 +120,26 @@ def shares(slopes: np.ndarray) -> dict[str, float]:
     return {"unit_sd": unit_var**0.5, "scene_sd": scene_var**0.5, "rest_sd": rest_var**0.5}
 
 
-def gain_beside(row: dict[str, Any]) -> float | None:
-    """Return a unit's gain from its first scene by the anchor's readings, None where they don't give one."""
-    wipes = np.array(row["press_N"]) > WIPES_N
+def gain_beside(rows: list[dict[str, Any]]) -> float | None:
+    """Return a unit's gain from wipes beside the anchor, None where they don't give one."""
+    parts = {name: np.concatenate([row[name] for row in rows]) for name in ("press_N", "read_N", "anchor_N")}
+    wipes = parts["press_N"] > WIPES_N
     try:
-        return shear_gain(np.array(row["read_N"])[wipes], np.array(row["anchor_N"])[wipes])
+        return shear_gain(parts["read_N"][wipes], parts["anchor_N"][wipes])
     except ContractError:
         return None
 
 
 def scored(rows: list[dict[str, Any]], weighed: float | None) -> dict[str, Any]:
-    """Return what a unit reads in its scenes but the first, by each way to scale it; offsets are of a press, in N."""
-    first, *others = sorted(rows, key=lambda row: row["seed"])
-    gains = dict(zip(SCALED, (1.0, weighed, gain_beside(first)), strict=True))
-    lines = np.array([line(np.array(row["read_N"]), np.array(row["truth_N"])) for row in others])  # (scenes, 2)
+    """Return what a unit reads in the second half of its scenes, by each way to scale it; offsets of a press in N."""
+    in_order = sorted(rows, key=lambda row: row["seed"])
+    half = len(in_order) // 2
+    gains = dict(zip(SCALED, (1.0, weighed, gain_beside(in_order[:half])), strict=True))
+    lines = np.array([line(np.array(row["read_N"]), np.array(row["truth_N"])) for row in in_order])  # (scenes, 2)
     found: dict[str, Any] = {"slopes": lines[:, 0].tolist(), "refused": sum(row["refused"] for row in rows)}
     for name, gain in gains.items():
         if gain is not None:
-            slope, offset_N = gain * lines.mean(axis=0)
+            slope, offset_N = gain * lines[half:].mean(axis=0)
             found[name] = {"gain": gain, "press_share": slope, "press_offset_N": 2 * offset_N}
     return found
 
@@ -182,7 +184,9 @@ def main(config: ShearScaleCommand) -> None:
     if config.units < 2 or config.scenes < FEWEST_SCENES:
         came = f"{config.units} and {config.scenes}"
         wanted = f"two or more and {FEWEST_SCENES} or more"
-        raise ContractError(expected("units and scenes", wanted, came, "One scene scales, the others are scored."))
+        raise ContractError(
+            expected("units and scenes", wanted, came, "Half of the scenes scale, the others are scored.")
+        )
     kinds = choose(dict.fromkeys(KINDS), config.only)
     units = {kind: [f"{kind}:{FIRST_UNIT + number}" for number in range(config.units)] for kind in kinds}
     seeds = range(config.first_seed, config.first_seed + config.scenes)
