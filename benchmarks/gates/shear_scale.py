@@ -35,7 +35,6 @@ KINDS = ("tactip", "uskin", "gelsight")
 FIRST_UNIT = 2  # unit 1 is the demonstrations'
 EVERY = 4  # steps between two readings
 GRIPPED_N = 1.0
-WIPES_N = 0.5  # of press on the board
 FEWEST_SCENES = 4
 SCALED = ("as it is", "weighed through the tool", "beside the anchor")
 
@@ -122,10 +121,9 @@ def shares(slopes: np.ndarray) -> dict[str, float]:
 
 def gain_beside(rows: list[dict[str, Any]]) -> float | None:
     """Return a unit's gain from wipes beside the anchor, None where they don't give one."""
-    parts = {name: np.concatenate([row[name] for row in rows]) for name in ("press_N", "read_N", "anchor_N")}
-    wipes = parts["press_N"] > WIPES_N
+    read_N, anchor_N = (np.concatenate([row[name] for row in rows]) for name in ("read_N", "anchor_N"))
     try:
-        return shear_gain(parts["read_N"][wipes], parts["anchor_N"][wipes])
+        return shear_gain(read_N, anchor_N)
     except ContractError:
         return None
 
@@ -149,21 +147,27 @@ def table(units: list[dict[str, Any]]) -> dict[str, Any]:
     found: dict[str, Any] = {"units": len(units), "of_slopes": shares(np.array([unit["slopes"] for unit in units]))}
     for name in SCALED:
         scaled = [unit[name] for unit in units if name in unit]
-        share = np.array([one["press_share"] for one in scaled])
-        offset_N = np.array([one["press_offset_N"] for one in scaled])
-        found[name] = {
-            "units": len(scaled),
-            "press_share": float(share.mean()),
-            "press_share_sd": float(share.std(ddof=1)),
-            "press_share_range": [float(share.min()), float(share.max())],
-            "press_offset_N": float(offset_N.mean()),
-            "press_offset_range_N": [float(offset_N.min()), float(offset_N.max())],
-        }
+        found[name] = {"units": len(scaled)} | (_figures(scaled) if scaled else {})
     return found
+
+
+def _figures(scaled: list[dict[str, float]]) -> dict[str, Any]:
+    """Return mean, spread and range over units."""
+    share = np.array([one["press_share"] for one in scaled])
+    offset_N = np.array([one["press_offset_N"] for one in scaled])
+    return {
+        "press_share": float(share.mean()),
+        "press_share_sd": float(share.std(ddof=1)) if len(share) > 1 else None,
+        "press_share_range": [float(share.min()), float(share.max())],
+        "press_offset_N": float(offset_N.mean()),
+        "press_offset_range_N": [float(offset_N.min()), float(offset_N.max())],
+    }
 
 
 def in_words(one: dict[str, Any]) -> str:
     """Return a line of the table in words."""
+    if not one["units"]:
+        return "no unit could be scaled so"
     low, high = one["press_share_range"]
     share = f"press × {one['press_share']:.2f} [{low:.2f}, {high:.2f}]"
     return f"{one['units']:3} units: {share}, offset {one['press_offset_N']:+.2f} N"
