@@ -31,8 +31,8 @@ HOLD_s = 0.1
 # The stand-in's arm swings out on its spring, and its clock is slow on a busy computer.
 STANDIN_BRAKE_s = 1.0
 STILL_m, STILL_rad = 0.001, np.radians(1.0)
-# A tilted hand may turn upright by this much along each metre, and by what its target is ahead of it.
-LEVELS_rad_m, AHEAD_rad = 1.0, np.radians(4.0)
+LEVELS_rad_m = 1.0  # a tilted hand may be sent upright by this much along each metre that it is sent
+ROUNDING_rad = 1e-4
 READING_s = 0.1  # between two readings of the hand
 GUIDED_m_s = np.array([-0.1, 0.05, -0.02])  # how a person leads the arm by hand, out of its box soon
 WIDEST_m = 0.08
@@ -53,8 +53,6 @@ class Watch:
         self._why = "before the first wish"
         self._since_s: float | None = None  # of the last stop; None: a wish came since
         self._rest: tuple[np.ndarray, float] | None = None
-        self._tilted_rad = 0.0  # when it last was in a person's hands
-        self._way_m = 0.0  # since
 
     def stopped(self, why: str, now_s: float, at_once: bool = False) -> None:
         """Note a stop; ``at_once``: a hold that somebody ordered, not one that has to be noticed first."""
@@ -65,24 +63,23 @@ class Watch:
         """Note a new wish: the robot may move until the next stop."""
         self._since_s = None
 
+    def sent(self, before: np.ndarray, target: np.ndarray) -> None:
+        """Compare two targets in a row, (4, 4): a hand is turned upright slowly, and only on its way."""
+        levelled_rad = _tilt_rad(before) - _tilt_rad(target)
+        way_m = float(np.linalg.norm(target[:3, 3] - before[:3, 3]))
+        if levelled_rad > LEVELS_rad_m * way_m + ROUNDING_rad:
+            how = f"{np.degrees(levelled_rad):.2f}° along {1000 * way_m:.2f} mm"
+            self.violations.append(f"the hand was sent upright by {how}")
+
     def look(self, pose: np.ndarray, width_m: float, now_s: float, by_hand: bool) -> None:
         """Take where the hand is, (4, 4), and how far the fingers are apart; ``by_hand``: a person moves it."""
         if self._seen is not None:
             seen, seen_m = self._seen
             self.moves += bool(np.abs(seen - pose).max() > STILL_m / 10 or abs(seen_m - width_m) > STILL_m / 10)
-            self._way_m += float(np.linalg.norm(pose[:3, 3] - seen[:3, 3]))
         self._seen = pose.copy(), width_m
-        tilt_rad = float(np.arccos(np.clip(-pose[2, 2], -1.0, 1.0)))
-        if by_hand or self._way_m == 0.0:
-            self._tilted_rad, self._way_m = tilt_rad, 0.0
         if by_hand:
             self._rest = None
             return
-        levelled_rad = self._tilted_rad - tilt_rad
-        if levelled_rad > LEVELS_rad_m * self._way_m + AHEAD_rad:
-            turned_deg, way_mm = np.degrees(levelled_rad), 1000 * self._way_m
-            self.violations.append(f"the hand turned upright by {turned_deg:.1f}° along {way_mm:.0f} mm")
-            self._tilted_rad, self._way_m = tilt_rad, 0.0
         if self._since_s is None or now_s - self._since_s < self._rests_in_s:
             return
         if self._rest is None:
@@ -98,6 +95,10 @@ class Watch:
             after_s = now_s - self._since_s
             self.violations.append(f"{how}, {after_s:.2f} s after: {self._why}")
             self._rest = pose.copy(), width_m
+
+
+def _tilt_rad(pose: np.ndarray) -> float:
+    return float(np.arccos(np.clip(-pose[2, 2], -1.0, 1.0)))
 
 
 class SimArm:
@@ -129,6 +130,7 @@ class SimArm:
 
     def set_target(self, ee_to_base: np.ndarray) -> None:
         """Pull towards a pose from now on."""
+        self._world.watch.sent(self.pose if self.target is None else self.target, ee_to_base)
         self.target = ee_to_base.copy()
 
     def stop(self, at_once: bool = False) -> None:

@@ -86,7 +86,7 @@ def test_a_part_of_the_demonstrations_takes_as_many_of_each_source() -> None:
 def test_the_data_chart_at_toy_size_holds_what_ran_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(data, "pretrained", lambda run, name, seed: run.units)
     row = {"fz_r2_worst": -0.1}
-    monkeypatch.setattr(data, "measure", lambda run, units, seed, real: row | {"fz_r2": units / 1000})
+    monkeypatch.setattr(data, "measure", lambda run, units, seed, real, facts: row | {"fz_r2": units / 1000})
     for units in ("64,128", "256"):
         assert data.main(["part=pairs", f"units={units}", f"out={tmp_path}"]) == 0
     found = json.loads((tmp_path / "chart_data.json").read_text())["pairs"]
