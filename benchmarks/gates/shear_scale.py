@@ -80,7 +80,7 @@ def play(worn: str, level: str, gripper: str, seed: int) -> Row:
     worker_process()
     tokenizer, head = _models()
     env = WipeEnv(level, left_sensor=ANCHOR, right_sensor=worn, gripper=gripper)
-    found = Row(worn, seed, [], [], [], [], 0)
+    read_N, truth_N, anchor_N, press_N = [], [], [], []
     refused = 0
     now_N: np.ndarray = np.zeros(3)
     for step, _ in enumerate(walk(env, WipeExpert(), seed)):
@@ -92,11 +92,11 @@ def play(worn: str, level: str, gripper: str, seed: int) -> Row:
         except SensorError:
             refused += 1
             continue
-        found.read_N.append(round(shear["right"], 4))
-        found.anchor_N.append(round(shear["left"], 4))
-        found.truth_N.append(round(float(before_N[1]), 4))
-        found.press_N.append(round(env.sim.press_N, 4))
-    return Row(worn, seed, found.read_N, found.truth_N, found.anchor_N, found.press_N, refused)
+        read_N.append(round(shear["right"], 4))
+        anchor_N.append(round(shear["left"], 4))
+        truth_N.append(round(float(before_N[1]), 4))
+        press_N.append(round(env.sim.press_N, 4))
+    return Row(worn, seed, read_N, truth_N, anchor_N, press_N, refused)
 
 
 def line(read_N: np.ndarray, truth_N: np.ndarray) -> tuple[float, float]:

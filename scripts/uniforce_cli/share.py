@@ -111,13 +111,12 @@ def _check_scores(scores: dict[str, Any] | None, source: Path) -> None:
 def _load(source: Path) -> PI05UniforcePolicy:
     """Return the policy, LoRA merged into its weights."""
     from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
+    from lerobot_policy_pi05_uniforce.checkpoint import check_settings
 
-    kind = read_object(source / "config.json", CheckpointError).get("type")  # before anything is logged
+    saved = read_object(source / "config.json", CheckpointError)
     adapter = _read(source / ADAPTER)
-    if adapter is None and kind != PI05UniforcePolicy.name:
-        do = "Choose another folder."
-        raise CheckpointError(expected(f"policy type of {source}", PI05UniforcePolicy.name, kind, do))
     if adapter is None:
+        check_settings(saved, str(source))  # before anything is logged
         policy = PI05UniforcePolicy.from_pretrained(source, warm=False)
     else:
         policy = _merged(source, adapter["base_model_name_or_path"])

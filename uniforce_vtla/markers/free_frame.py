@@ -8,7 +8,7 @@ Pads are mounted anew between objects. Patterns are therefore compared up to shi
 complex numbers x + iy: a similarity is one factor and one offset, fitted to all pairs of frames in closed form.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -72,14 +72,17 @@ def pads(films: Sequence[Film]) -> tuple[list[Pad], list[FreeFrame | None]]:
     if not films or not all(len(film.centres_px) for film in films):
         raise ContractError(expected("films", "one or more, of one frame or more", len(films), "Record a session."))
     tracked = [_Tracked(film) for film in films]
-    apart_px = _compare(tracked)
+    shared = _shared_markers(tracked)
+    apart_px = _compare(tracked, shared)
     found: list[Pad] = []
     free: list[FreeFrame | None] = [None] * len(films)
     left = set(range(len(films)))
     while (common := _commonest(films, apart_px, left)) is not None:
         film, frame = common
         alike = (other for other in sorted(left) if (film, other) in apart_px)
-        members = tuple(other for other in alike if _shows_print(tracked[film], frame, tracked[other]))
+        members = tuple(
+            other for other in alike if _shows_print(tracked[film].places[frame], tracked[other], shared[film, other])
+        )
         for other in members:
             off_px = apart_px[film, other][frame]
             best = int(np.argmin(off_px))
@@ -110,16 +113,28 @@ def _places(base: np.ndarray, centres_px: np.ndarray, spacing_px: float) -> np.n
     return np.where(is_found, places, np.nan)
 
 
-def _compare(tracked: Sequence[_Tracked]) -> dict[tuple[int, int], np.ndarray]:
-    """Return (film, film) → (frames, frames) rms distances in px, for films of one marker layout, in both orders."""
+def _shared_markers(tracked: Sequence[_Tracked]) -> dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]:
+    """Return (film, film) → matching marker indices, for films of one marker layout, in both orders."""
     found = {}
     for one, first in enumerate(tracked):
         for other, second in enumerate(tracked[: one + 1]):
             pairs = _same_markers(first, second)
             if pairs is not None:
-                apart_px = _apart_px(first.places[:, pairs[0]], second.places[:, pairs[1]])
-                found[one, other] = apart_px
-                found[other, one] = apart_px.T
+                found[one, other] = pairs
+                found[other, one] = pairs[::-1]
+    return found
+
+
+def _compare(
+    tracked: Sequence[_Tracked], shared: Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]
+) -> dict[tuple[int, int], np.ndarray]:
+    """Return (film, film) → (frames, frames) rms distances in px, in both orders."""
+    found = {}
+    for (one, other), (markers, others) in shared.items():
+        if other <= one:
+            apart_px = _apart_px(tracked[one].places[:, markers], tracked[other].places[:, others])
+            found[one, other] = apart_px
+            found[other, one] = apart_px.T
     return found
 
 
@@ -144,16 +159,13 @@ def _same_markers(first: _Tracked, second: _Tracked) -> tuple[np.ndarray, np.nda
     return (numbers, nearest[numbers]) if len(numbers) >= SHARED * most else None
 
 
-def _shows_print(first: _Tracked, frame: int, second: _Tracked) -> bool:
-    """Return whether the second film shows the same printed pad, outside its contact area.
+def _shows_print(frame: np.ndarray, film: _Tracked, pairs: tuple[np.ndarray, np.ndarray]) -> bool:
+    """Return whether a film shows the printed pad of another film's frame, (M,) complex px, outside its contact area.
 
     Pads of one layout differ by a few pixels in print.
     """
-    pairs = _same_markers(first, second)
-    if pairs is None:
-        return False
-    pattern = first.places[frame, pairs[0]]
-    for places in second.places[:, pairs[1]]:
+    pattern = frame[pairs[0]]
+    for places in film.places[:, pairs[1]]:
         both = np.isfinite(pattern) & np.isfinite(places)
         if both.sum() < PRINT_SHARE * len(pattern):
             continue

@@ -8,6 +8,7 @@ films of the wide one have 450 frames, and no film of the close one has.
 
 import hashlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -59,10 +60,16 @@ def read_grasps(folder: str | Path) -> list[GraspTrial]:
 
 def film_frames(path: Path) -> Iterator[np.ndarray]:
     """Yield the (H, W, 3) uint8 RGB frames of a film; DatasetError: it can't be read."""
+    with _opened(path) as film:
+        for frame in film.decode(video=0):
+            yield frame.to_ndarray(format="rgb24")
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[av.container.InputContainer]:
     try:
         with av.open(str(path)) as film:
-            for frame in film.decode(video=0):
-                yield frame.to_ndarray(format="rgb24")
+            yield film
     except BROKEN_VIDEO as error:
         raise DatasetError(expected(str(path), "a whole film", error, "Restore it from a copy.")) from error
 
@@ -92,12 +99,6 @@ def _trial(path: Path, root: Path) -> GraspTrial:
     return GraspTrial(path.parent.name, str(path.relative_to(root)), campaign, films, (path / SLIPPED).is_file())
 
 
-def _length(film: Path) -> int:
-    length = 0
-    try:
-        with av.open(str(film)) as video:
-            for packet in video.demux(video=0):
-                length += packet.size > 0
-    except BROKEN_VIDEO as error:
-        raise DatasetError(expected(str(film), "a whole film", error, "Restore it from a copy.")) from error
-    return length
+def _length(path: Path) -> int:
+    with _opened(path) as film:
+        return sum(packet.size > 0 for packet in film.demux(video=0))
