@@ -22,7 +22,6 @@ from lerobot_env_uniforce_wiping.episodes import Script, run_script
 from lerobot_env_uniforce_wiping.levels import get_level, level_hash
 from uniforce_cli.boundary import Gripper, Level, command, one_thread
 from uniforce_vtla.arguments import choose
-from uniforce_vtla.errors import RobotError
 from uniforce_vtla.evaluation.statistics import wilson
 from uniforce_vtla.options import Count, OutFile, OutFolder, Seed, Text, Workers
 from uniforce_vtla.results_file import provenance, write_json
@@ -112,10 +111,7 @@ class GatesCommand:
 
 def _episode(level: str, gripper: str, name: str, seed: int, fitted: Fitted, folder: Path) -> dict[str, Any]:
     env = WipeEnv(level=level, drawn=(), gripper=gripper)
-    try:
-        result = run_script(env, GATES[name].make(fitted, folder), seed)
-    except RobotError:  # the hand lost the tool
-        result = replace(env.result(), outcome="aborted")
+    result = run_script(env, GATES[name].make(fitted, folder), seed)
     metrics = {key: round(float(value), 4) for key, value in result.metrics.items()}
     return {"script": name, "seed": seed, "clean": result.clean, "outcome": result.outcome} | metrics
 

@@ -23,7 +23,7 @@ from lerobot_env_uniforce_wiping.episodes import Script, run_script
 from uniforce_cli.boundary import Gripper, Level, command, one_thread, worker_process
 from uniforce_cli.calibrate import CalibrateCommand, calibrate_sensor, weigh_sensor
 from uniforce_vtla.arguments import choose
-from uniforce_vtla.errors import RobotError, SensorError
+from uniforce_vtla.errors import SensorError
 from uniforce_vtla.evaluation.statistics import wilson
 from uniforce_vtla.options import Count, OutFile, OutFolder, Seed, Text, Workers
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
@@ -124,7 +124,7 @@ def play(name: str, level: str, gripper: str, seed: int, turn: int, work: Path) 
 def _played(name: str, env: WipeEnv, script: Script, seed: int, worn: str) -> Row:
     try:
         result = run_script(env, script, seed)
-    except (RobotError, SensorError) as error:
+    except SensorError as error:
         return Row(name, seed, worn, False, f"aborted: {error}", 0.0, 0.0)
     press_N = float(result.metrics.get("press_mean_N", np.nan))
     return Row(name, seed, worn, result.clean, result.outcome, float(result.metrics["in_band_share"]), press_N)
