@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.report_sets import REPORT_SETS
 from benchmarks.probes.zero_shot import descriptor_features, encode_set, sized_head
 from benchmarks.real.grasps import SENSOR, Reader
@@ -27,23 +28,36 @@ BATCH = 16
 Encode = Callable[[np.ndarray, np.ndarray, Finger], torch.Tensor]
 
 
-def grasp_readers(tokenizer: Tokenizer, seed: int, cache: Path) -> dict[str, Reader]:
-    """Return name → reader; the simulated presses are drawn into ``cache`` once."""
+def simulated_presses(side: int, cache: Path) -> LabelledSet:
+    """Return the presses that heads learn from; they are drawn into ``cache`` once."""
     sensors = {SENSOR: SET.sources()[SENSOR]}
-    labelled = SET.draw(SET.training, sensors, tokenizer.config.side, cache)[SENSOR]
-    untrained = Tokenizer.random(tokenizer.config, seed)
+    return SET.draw(SET.training, sensors, side, cache)[SENSOR]
+
+
+def latent_reader(tokenizer: Tokenizer, presses: LabelledSet, seed: int) -> Reader:
+    """Return a reader of normal force: the tokenizer and a head trained on simulated presses."""
+    z = encode_set(tokenizer, presses)  # (n, T, P, L)
+    config = sized_head(HeadTrainingConfig(), z, POOL)
+    return _reader(_latents(tokenizer), train_head(z, presses.force_N, config, seed))
+
+
+def described_reader(presses: LabelledSet, seed: int) -> Reader:
+    """Return a reader of normal force from six hand-made numbers, trained on the same presses."""
+    z = descriptor_features(presses)  # (n, T, 1, 6)
+    plain = replace(HeadTrainingConfig(), smallest_spread=1.0)  # no spread below one natural unit is signal
+    return _reader(_described, train_head(z, presses.force_N, sized_head(plain, z, 1), seed))
+
+
+def grasp_readers(tokenizer: Tokenizer, seed: int, cache: Path) -> dict[str, Reader]:
+    """Return name → reader."""
+    presses = simulated_presses(tokenizer.config.side, cache)
     shipped = ForceHead.from_pretrained(SENSOR)
-    config = HeadTrainingConfig()
-    plain = replace(config, smallest_spread=1.0)  # no spread below one natural unit is signal
     found: dict[str, Reader] = {}
     if shipped.tokenizer_hash == tokenizer.hash:
         found["tokenizer, shipped head"] = _reader(_latents(tokenizer), shipped.model)
-    for name, encoder in {"tokenizer": tokenizer, "untrained encoder": untrained}.items():
-        z = encode_set(encoder, labelled)  # (n, T, P, L)
-        model = train_head(z, labelled.force_N, sized_head(config, z, POOL), seed)
-        found[name] = _reader(_latents(encoder), model)
-    z = descriptor_features(labelled)  # (n, T, 1, 6)
-    found["hand descriptor"] = _reader(_described, train_head(z, labelled.force_N, sized_head(plain, z, 1), seed))
+    found["tokenizer"] = latent_reader(tokenizer, presses, seed)
+    found["untrained encoder"] = latent_reader(Tokenizer.random(tokenizer.config, seed), presses, seed)
+    found["hand descriptor"] = described_reader(presses, seed)
     return found
 
 

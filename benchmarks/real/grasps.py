@@ -71,6 +71,7 @@ class Score:
     frames: int
     relative_error: float
     r: float  # within the trial
+    mean_N: float  # of both fingers' readings
 
 
 def shading(frame: np.ndarray, reference: np.ndarray) -> float:
@@ -132,7 +133,8 @@ def agreement(grasp: Grasp, read: Reader) -> Score:
     left, right = (read(grasp.reference[finger], grasp.current[finger], finger) for finger in FINGERS)
     error = float(np.abs(left - right).mean() / np.abs((left + right) / 2).mean())
     r = float(np.corrcoef(left, right)[0, 1])
-    return Score(grasp.trial.object_name, grasp.trial.campaign, len(left), error, r)
+    mean_N = float((left + right).mean() / 2)
+    return Score(grasp.trial.object_name, grasp.trial.campaign, len(left), error, r, mean_N)
 
 
 def summary(scores: Sequence[Score], seed: int = 0) -> dict[str, object]:

@@ -77,7 +77,7 @@ def test_the_error_is_the_mean_difference_over_the_mean_of_both() -> None:
 
 def test_objects_are_drawn_anew_and_not_trials() -> None:
     """Twenty trials of one object and one of another: the interval reaches from one object's error to the other's."""
-    scores = [Score("mug", "close", 9, 0.1, 0.9)] * 20 + [Score("ball", "close", 9, 0.7, 0.2)]
+    scores = [Score("mug", "close", 9, 0.1, 0.9, 0.2)] * 20 + [Score("ball", "close", 9, 0.7, 0.2, 0.2)]
     found = summary(scores)
     assert (found["objects"], found["trials"], found["relative_error"]) == (2, 21, 0.1)
     assert found["relative_error_95"] == [pytest.approx(0.1), pytest.approx(0.7)]
