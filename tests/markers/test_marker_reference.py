@@ -269,3 +269,16 @@ def test_specks_of_a_fuzzy_object_do_not_outvote_the_markers(specks: int, radius
     canonicalizer.marker_image(frame)
     assert canonicalizer.match is not None
     assert canonicalizer.match.lost <= 2 and canonicalizer.match.dropped <= specks / 10
+
+
+@pytest.mark.parametrize("size", [(320, 240), (480, 640), (640, 360)])
+def test_a_frame_of_another_size_than_the_reference_is_refused_until_the_reference_is_taken_again(gel, size) -> None:
+    """A camera set to another size may crop: its markers would lie elsewhere, which passes for shear."""
+    canonicalizer = remembering("gelsight", gel().frame)
+    other = gel(size=size).frame
+    with pytest.raises(ContractError, match=r"current frame: expected \(480, 640, 3\), got .* reference again"):
+        canonicalizer.marker_image(other)
+    with pytest.raises(ContractError, match="current frame"):
+        canonicalizer.pair(gel().frame, other, "left")
+    canonicalizer.set_reference(other)
+    assert canonicalizer.marker_image(other).any()

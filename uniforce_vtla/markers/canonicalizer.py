@@ -94,8 +94,8 @@ class Canonicalizer:
     def marker_image(self, raw: np.ndarray) -> np.ndarray:
         """Return the (480, 640) uint8 image in {0, 255} of a raw signal, in a form that ``pair`` takes.
 
-        Raises ContractError: wrong shape or dtype, or taxels without a reference; SensorError: no markers, too few of
-        the reference's, dark or dead.
+        Raises ContractError: wrong shape or dtype, a frame of another size than the reference, or taxels without a
+        reference; SensorError: no markers, too few of the reference's, dark or dead.
         """
         if not self._is_drawn:
             return self._camera_image(raw, self._reference, self._view, self._hold)
@@ -143,9 +143,6 @@ class Canonicalizer:
 
     def _camera_pair(self, free: np.ndarray, current: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         reference, view = self._references.get("", free, lambda: self._remember(free))
-        shapes = np.shape(free), np.shape(current)
-        if shapes[0] != shapes[1]:
-            raise ContractError(expected("current frame", shapes[0], shapes[1], "Use one camera setting for both."))
         return self._placed(reference.image, view), self._camera_image(current, reference, view)
 
     def _drawn_pair(self, free: np.ndarray, current: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from uniforce_vtla.errors import SensorError, expected
+from uniforce_vtla.errors import ContractError, SensorError, expected
 from uniforce_vtla.markers.camera_markers import Segmentation, fit_canonical, segment
 from uniforce_vtla.markers.marker_blobs import spacing
 from uniforce_vtla.markers.marker_hold import MarkerHold
@@ -60,6 +60,7 @@ class MarkerReference:
             do = "Is it this sensor's own picture, and in focus?"
             raise SensorError(expected("reference frame", wanted, len(points), do))
         self._dome, self._warn_share, self._warned = dome, warn_share, False
+        self._shape = frame.shape
         self._tree, self.spacing_px = cKDTree(points), spacing(points)
         self.plan = self._found.plan
         self.centres_px = self._found.centres_px  # (M, 2), of ``image``
@@ -71,10 +72,14 @@ class MarkerReference:
         Other channels are tried where 20 % of the markers are lost. What ``hold`` then fills in is not lost. Warns once
         at ``warn_share``.
 
-        Raises ContractError: wrong shape or dtype; SensorError: a dark frame, no markers, 25 % of the reference's lost,
-        or more extras than those.
+        Raises ContractError: wrong dtype, or another shape than the reference's: its lens or crop may differ;
+        SensorError: a dark frame, no markers, 25 % of the reference's lost, or more extras than those.
         """
-        found, match = self._best(fit_canonical(frame), hold)
+        working = fit_canonical(frame)
+        if frame.shape != self._shape:
+            do = "Use one camera setting for both, or take the reference again."
+            raise ContractError(expected("current frame", self._shape, frame.shape, do))
+        found, match = self._best(working, hold)
         image = found.image()
         held = hold.fill(image, found.centres_px) if hold else 0
         match = replace(match, matched=match.matched + held, lost=match.lost - held)
