@@ -12,9 +12,11 @@ import cv2
 import numpy as np
 from tqdm import tqdm
 
-from uniforce_datasets.readers.gelsight_grasps import GraspTrial, film_frames
+from uniforce_datasets.readers.films import film_frames
+from uniforce_datasets.readers.gelsight_grasps import GraspTrial
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.markers import Canonicalizer
+from uniforce_vtla.markers.film_markers import SETTLE, STEP
 from uniforce_vtla.markers.free_frame import Film, FreeFrame, pads
 
 SENSOR = "gelsight"
@@ -39,8 +41,6 @@ SEALED = (
     "screw_driver_red",
     "cellotape",
 )
-SETTLE = 10  # frames until the camera's exposure holds: up to a quarter darker before
-STEP = 5  # frames between two that are read, .2 s
 BLUR_px = 10.0  # hides the markers, at 320×240
 # Grey levels: free frames differ by up to 1, contacts by 3 and more. Chosen on eight films of the close campaign, three
 # of them of seen objects, none of a sealed one.

@@ -50,8 +50,18 @@ def test_the_free_frame_is_the_one_that_comes_back_with_other_objects() -> None:
     frames = [None if frame is None else frame.frame for frame in free]
     assert frames == [0, 3, 5, None]
     assert all(frame.off_px < SAME_px for frame in free if frame is not None)
-    lent = borrowed(found, free)[3]
+    lent = borrowed(films, found, free)[3]
     assert lent is not None and lent.film in (0, 1, 2) and lent.film != 3
+
+
+def test_a_frame_is_borrowed_of_the_same_object_first_and_of_no_other_pad() -> None:
+    one = pattern(1)
+    films = [film(one, held, number) for number, held in enumerate(("ball", "mug", "lemon"))]
+    films += [film(one, held, 3 + number, None) for number, held in enumerate(("mug", "lemon", "walnut"))]
+    films.append(film(pattern(2), "ball", 6, None))
+    found, free = pads(films)
+    lent = [None if frame is None else frame.film for frame in borrowed(films, found, free)]
+    assert lent[:5] == [0, 1, 2, 1, 2] and lent[5] in (0, 1, 2) and lent[6] is None
 
 
 def test_a_grasp_that_is_repeated_with_one_object_is_not_taken_for_free_air() -> None:

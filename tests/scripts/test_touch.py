@@ -1,19 +1,22 @@
 """``uniforce touch``: the live view, its outputs, and its checks, against stand-ins."""
 
+import json
 import re
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
 from uniforce_cli.touch import TouchConfig, main
-from uniforce_cli.touch_checks import advice, check_angle, quarter_response
+from uniforce_cli.touch_checks import advice, check_angle, check_references, quarter_response
 from uniforce_cli.touch_view import OUTPUTS, TouchView, as_text, panel, save_panel
+from uniforce_datasets.film_references import FilmReference
 from uniforce_robots.sensors import UniforceUskin, UniforceUskinConfig
 from uniforce_robots.sensors.config_uniforce import TURNS, Orientation
 from uniforce_robots.standins.process import StandIn
@@ -220,3 +223,32 @@ def test_a_finger_without_a_stand_in_name_is_made_from_its_source():
         assert finger.config.link == link
     camera = make_finger(TouchConfig(sensor="tactip", lock_camera=False), "http://127.0.0.1:1/")
     assert camera.config.capture_width is None and camera.config.exposure_100us is None
+
+
+def reference(film: str, **where: Any) -> FilmReference:
+    return FilmReference(film, film.partition("/")[0], 4, {}, **where)
+
+
+def test_references_of_films_are_listed_and_a_film_without_one_fails(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = reference("mug/1.avi", of="mug/1.avi", frame=10, off_px=0.21, pad=0)
+    lent = reference("ball/1.avi", of="mug/1.avi", frame=10, off_px=0.21, pad=0)
+    assert check_references([own, lent], str(tmp_path / "found.json")) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "mug/1.avi: frame 10, pad 0, 0.21 px off"
+    assert lines[1] == "ball/1.avi: BORROWED from mug/1.avi, frame 10, pad 0, 0.21 px off"
+    stored = json.loads((tmp_path / "found.json").read_text())["films"]
+    assert [one["borrowed"] for one in stored] == [False, True] and stored[1]["of"] == "mug/1.avi"
+    assert check_references([own, reference("lemon/1.avi", why="lemon/1.avi: expected a free frame, got none.")]) == 1
+    assert "1 with a free frame, 0 borrow one, 1 have none" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("words", [["films={0}"], ["check=reference"], ["check=reference", "films={0}", "source=x"]])
+def test_films_are_looked_at_without_a_device(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["sensor=gelsight", *(word.format(tmp_path) for word in words)]) == 2
+    assert "check=reference films=FOLDER alone" in capsys.readouterr().err
+    assert main(["sensor=gelsight", "check=reference", f"films={tmp_path}"]) == 2
+    assert "folder of one session" in capsys.readouterr().err

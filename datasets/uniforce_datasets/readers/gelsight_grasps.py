@@ -7,18 +7,13 @@ films of the wide one have 450 frames, and no film of the close one has.
 """
 
 import hashlib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-import av
-import numpy as np
-
 from uniforce_datasets.dataset_info import inside
 from uniforce_datasets.readers.files import existing_folder, find, read_bytes
-from uniforce_datasets.source import BROKEN_VIDEO
+from uniforce_datasets.readers.films import opened_film
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import DatasetError, expected
 
@@ -58,22 +53,6 @@ def read_grasps(folder: str | Path) -> list[GraspTrial]:
     return sorted((_trial(path, root) for path in kept.values()), key=str)
 
 
-def film_frames(path: Path) -> Iterator[np.ndarray]:
-    """Yield the (H, W, 3) uint8 RGB frames of a film; DatasetError: it can't be read."""
-    with _opened(path) as film:
-        for frame in film.decode(video=0):
-            yield frame.to_ndarray(format="rgb24")
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[av.container.InputContainer]:
-    try:
-        with av.open(str(path)) as film:
-            yield film
-    except BROKEN_VIDEO as error:
-        raise DatasetError(expected(str(path), "a whole film", error, "Restore it from a copy.")) from error
-
-
 def _trials(root: Path) -> set[Path]:
     return {path.parent for name in FILMS.values() for path in find(root, f"*/*/{name}")}
 
@@ -100,5 +79,5 @@ def _trial(path: Path, root: Path) -> GraspTrial:
 
 
 def _length(path: Path) -> int:
-    with _opened(path) as film:
+    with opened_film(path) as film:
         return sum(packet.size > 0 for packet in film.demux(video=0))

@@ -1,0 +1,107 @@
+"""Free-air references of a session of recorded films: a film's own frame, a borrowed one, or why there is none."""
+
+from collections import Counter
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from tqdm import tqdm
+
+from uniforce_datasets.readers.films import film_frames, find_films
+from uniforce_vtla.errors import ContractError, UniForceError, expected
+from uniforce_vtla.markers.film_markers import SETTLE, FilmMarkers, read_markers
+from uniforce_vtla.markers.free_frame import FEWEST_OBJECTS, Film, borrowed, pads
+from uniforce_vtla.sensors import get_sensor
+
+
+@dataclass(frozen=True)
+class FilmReference:
+    """Where the reference of a film is."""
+
+    film: str  # within the session's folder
+    held: str  # the object
+    read: int  # frames
+    refused: dict[int, str]  # frame → why it couldn't be read
+    why: str = ""  # why there is no reference; empty where there is one
+    of: str = ""  # film that the reference is a frame of: another one than ``film`` where it is borrowed
+    frame: int = -1  # in that film, from 0
+    off_px: float = 0.0  # rms over markers, from the frame that most objects of the pad share; 0 for that frame itself
+    pad: int = -1  # which of the session's
+
+    @property
+    def is_borrowed(self) -> bool:
+        """Whether the reference comes from another film."""
+        return bool(self.of) and self.of != self.film
+
+
+def film_references(folder: str | Path, sensor: str, borrow: bool = False) -> list[FilmReference]:
+    """Return the reference of every film of one session, sorted by film.
+
+    Args:
+        folder: films below a folder for each object; see ``find_films``. The films may show several pads.
+        sensor: the camera sensor that was filmed.
+        borrow: give a film without a free frame the one of another film of its pad. Pads are mounted anew between
+            films, so it may lie a few pixels off.
+
+    Raises ContractError: no camera sensor; DatasetError: no film in the folder. A film that can't be read, or has
+    frames of another size than most, says so in ``why``.
+    """
+    if get_sensor(sensor).signal != "camera":
+        raise ContractError(expected("sensor", "a camera sensor", sensor, "Counts of taxels are not filmed."))
+    held = find_films(folder)
+    found: dict[Path, FilmReference] = {}
+    markers: dict[Path, FilmMarkers] = {}
+    for path in tqdm(held, desc="films", unit="film"):
+        name = path.relative_to(Path(folder).absolute()).as_posix()
+        found[path] = FilmReference(name, held[path], 0, {})
+        try:
+            markers[path] = read_markers(film_frames(path), sensor)
+        except UniForceError as error:
+            found[path] = replace(found[path], why=str(error))
+            continue
+        seen = markers[path]
+        found[path] = replace(found[path], read=len(seen.numbers), refused=seen.refused, why=_unread(name, seen))
+    usual, _ = Counter(seen.shape for seen in markers.values()).most_common(1)[0] if markers else ((), 0)
+    for path, seen in markers.items():
+        if not found[path].why and seen.shape != usual:
+            do = "Films of another camera setting are another session: put them in a folder of their own."
+            found[path] = replace(found[path], why=expected(found[path].film, usual, seen.shape, do))
+    session = [path for path in held if not found[path].why]
+    return _placed(found, session, markers, borrow)
+
+
+def _unread(name: str, seen: FilmMarkers) -> str:
+    """Return why none of a film's frames can be used; "" where some can."""
+    if seen.numbers:
+        return ""
+    if not seen.refused:
+        return expected(name, f"more than {SETTLE} frames", "fewer", "Record a little longer.")
+    number, why = next(iter(seen.refused.items()))
+    return f"{name}: none of {len(seen.refused)} frames can be read; frame {number}: {why}"
+
+
+def _placed(
+    found: dict[Path, FilmReference], session: list[Path], markers: dict[Path, FilmMarkers], borrow: bool
+) -> list[FilmReference]:
+    """Return all films with the references of the session's readable ones put in."""
+    films = [Film(found[path].held, markers[path].centres_px) for path in session]
+    known, free = pads(films) if films else ([], [])
+    taken = borrowed(films, known, free) if borrow else free
+    of_pad = {film: number for number, pad in enumerate(known) for film in pad.films}
+    for number, path in enumerate(session):
+        own = found[path]
+        reference = taken[number]
+        if reference is None:
+            found[path] = replace(own, why=_missing(own.film, of_pad.get(number)), pad=of_pad.get(number, -1))
+            continue
+        source = session[reference.film]
+        frame = markers[source].numbers[reference.frame]
+        found[path] = replace(own, of=found[source].film, frame=frame, off_px=reference.off_px, pad=reference.pad)
+    return list(found.values())
+
+
+def _missing(name: str, pad: int | None) -> str:
+    if pad is None:
+        wanted = f"a free frame, in which {FEWEST_OBJECTS} objects show the same markers"
+        return expected(name, wanted, "none", "Begin each film in free air, and film more objects with this pad.")
+    do = "It shows contact only: begin in free air, or borrow=true takes another film's."
+    return expected(name, f"a free frame of pad {pad}", "none", do)

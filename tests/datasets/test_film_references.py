@@ -1,0 +1,116 @@
+"""Sessions of films made here: whose free frame is found, who has none, who may borrow, and what can't be read."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from uniforce_datasets.film_references import FilmReference, film_references
+from uniforce_vtla.errors import ContractError, DatasetError
+from uniforce_vtla.markers.film_markers import SETTLE, STEP
+
+SIZE_px = (320, 240)
+PITCH_px = 30
+LOOKED_AT = 4  # frames of a film
+PLACES = {"ball": (90, 80), "mug": (220, 100), "lemon": (100, 170), "walnut": (230, 180)}
+
+
+def printed() -> np.ndarray:
+    """Markers (M, 2) px of a pad, each a little off its grid, as printers put them."""
+    x, y = np.meshgrid(np.arange(25, 310, PITCH_px), np.arange(25, 230, PITCH_px))
+    grid = np.column_stack([x.ravel(), y.ravel()]).astype(float)
+    return grid + np.random.default_rng(0).normal(0, 1.5, grid.shape)
+
+
+def frame(centres_px: np.ndarray, scale: float = 1.0) -> np.ndarray:
+    width, height = (round(side * scale) for side in SIZE_px)
+    picture = np.full((height, width, 3), (120, 150, 140), np.uint8)
+    for x, y in centres_px * scale:
+        cv2.circle(picture, (round(16 * x), round(16 * y)), round(16 * 5 * scale), (20, 20, 20), -1, cv2.LINE_AA, 4)
+    return cv2.GaussianBlur(picture, (0, 0), 1.0)
+
+
+def frames_of(held: str, free_at: int | None, scale: float = 1.0) -> np.ndarray:
+    """A film (T, H, W, 3) of an object that presses from frame to frame, but for one of those looked at."""
+    shown = []
+    for number in range(LOOKED_AT):
+        away = printed() - PLACES[held]
+        width = np.exp(-(away**2).sum(axis=1, keepdims=True) / (2 * 40.0**2))
+        by_px = 0.0 if number == free_at else 4.0 + 1.5 * number
+        shown += [frame(printed() + by_px * width * away / 40.0, scale)] * STEP
+    return np.stack([*[shown[0]] * SETTLE, *shown])
+
+
+def write(path: Path, frames: np.ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix == ".npy":
+        np.save(path, frames)
+        return
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 25, frames.shape[2:0:-1])
+    for one in frames:
+        writer.write(one[..., ::-1])
+    writer.release()
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("session")
+    write(root / "ball" / "take_1" / "left.avi", frames_of("ball", 0))
+    write(root / "mug" / "film.npy", frames_of("mug", 2))
+    write(root / "lemon.npy", frames_of("lemon", 3))
+    write(root / "walnut" / "film.npy", frames_of("walnut", None))
+    return root
+
+
+def by_film(found: list[FilmReference]) -> dict[str, FilmReference]:
+    return {one.film: one for one in found}
+
+
+def test_each_film_has_its_own_free_frame_or_says_that_it_has_none(session: Path) -> None:
+    found = by_film(film_references(session, "gelsight"))
+    own = {name: one.frame for name, one in found.items() if not one.why}
+    assert own == {"ball/take_1/left.avi": SETTLE, "lemon.npy": SETTLE + 3 * STEP, "mug/film.npy": SETTLE + 2 * STEP}
+    assert all(found[name].of == name and found[name].off_px < 0.3 for name in own)
+    assert {one.held for one in found.values()} == set(PLACES)
+    none = found["walnut/film.npy"]
+    assert none.why.startswith("walnut/film.npy: expected a free frame of pad 0") and "borrow=true" in none.why
+    assert not none.of and none.read == LOOKED_AT and not none.refused
+
+
+def test_a_frame_is_borrowed_when_asked_for_alone_and_says_whose_it_is(session: Path) -> None:
+    found = by_film(film_references(session, "gelsight", borrow=True))
+    lent = found["walnut/film.npy"]
+    assert lent.is_borrowed and not lent.why and lent.of in found and lent.frame == found[lent.of].frame
+    assert not any(one.is_borrowed for name, one in found.items() if name != "walnut/film.npy")
+
+
+def test_films_that_can_not_be_used_are_named_and_the_others_go_on(session: Path, tmp_path: Path) -> None:
+    for path in session.rglob("*.*"):
+        write_to = tmp_path / path.relative_to(session)
+        write_to.parent.mkdir(parents=True, exist_ok=True)
+        write_to.write_bytes(path.read_bytes())
+    write(tmp_path / "big" / "film.npy", frames_of("ball", 0, scale=2.0))
+    write(tmp_path / "dark" / "film.npy", np.zeros((SETTLE + 2, 240, 320, 3), np.uint8))
+    write(tmp_path / "short" / "film.npy", frames_of("ball", 0)[:SETTLE])
+    write(tmp_path / "floats" / "film.npy", np.zeros((3, 240, 320, 3), np.float32))
+    (tmp_path / "torn.mp4").write_bytes(b"no film")
+    found = by_film(film_references(tmp_path, "gelsight"))
+    reasons = {
+        "big/film.npy": r"expected (240, 320, 3), got (480, 640, 3)",
+        "dark/film.npy": "none of 1 frames can be read; frame 10: camera frame: expected a lit gel",
+        "short/film.npy": "more than 10 frames",
+        "floats/film.npy": "(T, H, W, 3) uint8",
+        "torn.mp4": "whole film",
+        "walnut/film.npy": "free frame of pad 0",
+    }
+    assert {name for name, one in found.items() if one.why} == set(reasons)
+    for name, reason in reasons.items():
+        assert reason in found[name].why and name in found[name].why and "\n" not in found[name].why
+
+
+def test_a_folder_without_films_and_a_sensor_that_is_no_camera_are_refused(session: Path, tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="folder of one session"):
+        film_references(tmp_path, "gelsight")
+    with pytest.raises(ContractError, match="camera sensor"):
+        film_references(session, "uskin")
