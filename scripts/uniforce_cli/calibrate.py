@@ -54,6 +54,8 @@ class CalibrateCommand:
     new: Unit = "gelsight_stiff"
     anchor: Unit = "tactip"  # the sensor that is known; likewise. Its force head reads both
     pairs: FolderPath = ""  # recorded pairs, as `uniforce pairs` writes them; empty = grasps are simulated
+    # how new sat on its finger while pairs were recorded; the rig's rotation_deg and flip bring it upright from then on
+    mounted: Literal["upright", "turned", "mirrored_x", "mirrored_y"] = "upright"
     tools: Text = "tool,flat"  # recorded objects that count as tools; all others are small
     task: Literal["both", "small", "tool"] = "both"  # which objects must agree, or the calibration is refused
     grasps: Count = 600  # simulated pairs
@@ -79,7 +81,7 @@ def calibrate_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibrat
     _, anchor_kind = (wear(words)(config.seed).kind for words in (config.new, config.anchor))
     sensors = config.new, config.anchor
     if config.pairs:
-        grasps = recorded_grasps(config.pairs, *sensors, config.tools, tokenizer)
+        grasps = recorded_grasps(config.pairs, *sensors, config.tools, tokenizer, config.mounted)
     else:
         grasps = simulated_grasps(*sensors, config.grasps, config.seed, pooled_latents(tokenizer))
     head = ForceHead.from_pretrained(anchor_kind, config.tokenizer or None)
@@ -132,6 +134,9 @@ def _check_sources(config: CalibrateCommand) -> None:
     if len(given) > 1:
         came = " and ".join(given)
         raise ContractError(expected("calibration", "pairs=, wipes= or loads_N=", came, "Leave all but one out."))
+    if config.mounted != "upright" and not config.pairs:
+        do = "Give pairs=, or set rotation_deg and flip in the rig."
+        raise ContractError(expected("mounted", "recorded pairs beside it", "none", do))
     if config.rig and not config.loads_N:
         do = "Give loads_N=3,6,9, or leave rig out: recorded grasps are pairs=, recorded wipes wipes=."
         raise ContractError(expected("rig", "known loads beside it", "none", do))

@@ -19,7 +19,10 @@ if TYPE_CHECKING:
     from uniforce_vtla.contracts import ContactState, Finger
     from uniforce_vtla.tokenizer.api import Tokenizer
     from uniforce_vtla.tokenizer.latent import Latent
+    from uniforce_vtla.tokenizer.mount_relation import Mount
 
+    # reference (480, 640), marker images (B, 480, 640), finger
+    Seen = tuple[np.ndarray, np.ndarray, Finger]
     # reference (480, 640), marker images (B, 480, 640), finger → (B, P, L)
     Encode = Callable[[np.ndarray, np.ndarray, Finger], Latent]
 
@@ -86,26 +89,35 @@ def seen(view: WornView, contact: ContactState, finger: Finger, encode: Encode) 
     return found
 
 
-def recorded_grasps(folder: str, new: str, anchor: str, tools: str, tokenizer: Tokenizer) -> Grasps:
+def recorded_grasps(
+    folder: str, new: str, anchor: str, tools: str, tokenizer: Tokenizer, mounted: Mount = "upright"
+) -> Grasps:
     """Read recorded pairs of the two sensors; either finger may wear the new one, of one kind it is the left.
+
+    Its images are brought upright if ``mounted`` says that they were recorded otherwise.
 
     Raises DatasetError: as ``read_uniforce_pairs``, or pairs of other sensors.
     """
+    import numpy as np
     import torch
 
     from uniforce_datasets.readers.uniforce_pairs import read_uniforce_pairs
+    from uniforce_robots.sensors.config_uniforce import Orientation
+    from uniforce_vtla.tokenizer.mount_relation import SETTINGS
 
+    upright = Orientation(*SETTINGS[mounted]).of_frame
     new_name, anchor_name = (words.partition(":")[0] for words in (new, anchor))
     encode, of_new, of_anchor, classes = pooled_latents(tokenizer), [], [], []
     for recording in read_uniforce_pairs(folder):
         if set(recording.kinds) != {new_name, anchor_name}:
             do = "Name them new= and anchor=."
             raise DatasetError(expected(f"sensors of {recording}", [new_name, anchor_name], recording.kinds, do))
-        left = encode(recording.left_reference, recording.left_frames, "left")
-        right = encode(recording.right_reference, recording.right_frames, "right")
+        left: Seen = (recording.left_reference, recording.left_frames, "left")
+        right: Seen = (recording.right_reference, recording.right_frames, "right")
         is_left = recording.kinds[0] == new_name
-        of_new.append(left if is_left else right)
-        of_anchor.append(right if is_left else left)
+        reference, frames, finger = left if is_left else right
+        of_new.append(encode(upright(reference), np.stack([upright(frame) for frame in frames]), finger))
+        of_anchor.append(encode(*(right if is_left else left)))
         kind = "tool" if recording.indenter in split(tools) else "small"
         classes += [kind] * len(recording.left_frames)
     return Grasps(torch.cat(of_new), torch.cat(of_anchor), tuple(classes))  # type: ignore[arg-type]  # cat keeps the origin

@@ -14,16 +14,20 @@ from uniforce_datasets.readers.recording import PairRecording
 from uniforce_datasets.readers.uniforce_pairs import write_uniforce_pairs
 from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_datasets.synthetic import FPS, synthetic_frame
+from uniforce_robots.sensors.config_uniforce import Orientation
 from uniforce_vtla import keys
 from uniforce_vtla.contact import TactileSimulator
-from uniforce_vtla.contact.indenters import flat_face_gap
+from uniforce_vtla.contact.indenters import PRETRAIN, flat_face_gap
+from uniforce_vtla.contact.sampling import ForceRange, sample_loads, sample_objects
 from uniforce_vtla.contact.worn import WornView
 from uniforce_vtla.contact.worn_in_words import wear
 from uniforce_vtla.contracts import FINGERS, ContactState
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.markers.canonicalizer import Canonicalizer
+from uniforce_vtla.markers.mirror import mirrored
 from uniforce_vtla.tokenizer import ForceHead, Latent, Tokenizer
 from uniforce_vtla.tokenizer.calibration import Calibration
+from uniforce_vtla.tokenizer.mount_relation import SETTINGS, Mount
 
 
 @pytest.mark.slow
@@ -68,6 +72,47 @@ def test_recorded_pairs_of_two_units_of_a_kind_are_kept_apart(
     grasps = recorded_grasps(str(tmp_path), "tactip:7", anchor, "tool,flat", tokenizer)  # type: ignore[arg-type]
     assert grasps.classes == ("tool",) * 3 and len(grasps.new) == 3
     assert float(grasps.new.mean()) == value[new_is] and float(grasps.anchor.mean()) != value[new_is]
+
+
+def record_pairs(root: Path, new: str, anchor: str, mount: Mount) -> Path:
+    """Write 60 grasps, half small objects, half tools, with the new sensor left, as its mount shows them."""
+    as_mounted = Orientation(*SETTINGS[mount]).of_frame  # each of these settings undoes itself
+    rng = np.random.default_rng(0)
+    for indenter, flat_share in {"small": 0.0, "tool": 1.0}.items():
+        objects = sample_objects(rng, 30, PRETRAIN, flat_share=flat_share)
+        force, torsion = sample_loads(rng, 30, ForceRange(), objects.names)
+        contact = ContactState(objects.gap_mm, force, torsion)
+        left, right = (WornView(wear(words)(0), seed) for seed, words in enumerate((new, anchor)))
+        shown = np.stack([as_mounted(image) for image in left.images(contact)])
+        sensors = new.partition(":")[0], anchor.partition(":")[0]
+        references = as_mounted(left.reference), right.reference
+        recording = PairRecording(sensors, indenter, "", *references, shown, right.images(mirrored(contact)))
+        write_uniforce_pairs(root, recording, "marker")
+    return root
+
+
+@pytest.mark.parametrize(
+    ("new", "mount"), [("uskin:2", "upright"), ("uskin:2", "mirrored_y"), ("gelsight:2", "turned")]
+)
+def test_a_sensor_mounted_the_wrong_way_is_refused_until_it_is_said(
+    new: str, mount: Mount, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pairs = record_pairs(tmp_path / "pairs", new, "tactip:1", mount)
+    asked = [f"new={new}", "anchor=tactip:1", f"pairs={pairs}", f"out={tmp_path / 'map'}"]
+    if mount != "upright":
+        assert main(asked) == 2
+        said = capsys.readouterr().err
+        assert (
+            f"the one {mount} against the other" in said and f"mounted={mount}" in said and "rotation_deg=180" in said
+        )
+        assert ("flip=true" in said) == (mount == "mirrored_y") and not (tmp_path / "map").exists()
+    assert main([*asked, f"mounted={mount}"]) == 0
+    assert (tmp_path / "map").exists()
+
+
+def test_a_mount_is_stated_of_recorded_pairs_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["new=uskin:2", "mounted=turned"]) == 2
+    assert "recorded pairs" in capsys.readouterr().err
 
 
 def test_simulated_loads_undo_a_pad_that_answers_less(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,6 +13,7 @@ the press.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -25,6 +26,7 @@ from uniforce_vtla.contracts import check_count
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.tokenizer.force_head import ForceHead
 from uniforce_vtla.tokenizer.latent import Latent, own_latent
+from uniforce_vtla.tokenizer.mount_relation import SETTINGS, mount_relation
 from uniforce_vtla.tokenizer.settings import OBJECT_CLASSES, CalibrationConfig
 from uniforce_vtla.tokenizer.weights import content_hash, load_model, read_config, save_checkpoint
 
@@ -42,6 +44,7 @@ HELD_N = 1.0  # of grip that the anchor reads, from which on both fingers hold t
 FEWEST_HELD = 30  # moments
 LEAST_SPREAD_N = 0.25  # of the anchor's shear; a tool that is only carried shows hardly more than noise
 LEAST_R = 0.7  # between the fingers' shear
+logger = logging.getLogger(__name__)
 
 
 class LatentMap(nn.Module):
@@ -268,8 +271,9 @@ def calibrate(
         anchor: name of the known one.
         config: share held out, fewest grasps, seed.
 
-    Raises ContractError: too few grasps of a class, different shapes, NaN, no origin, or grasps that never load the
-    sensors; CheckpointError: latents of another tokenizer than the head's.
+    Raises ContractError: too few grasps of a class, different shapes, NaN, no origin, grasps that never load the
+    sensors, or a sensor mounted turned by 180° or mirrored; CheckpointError: latents of another tokenizer than the
+    head's.
     """
     config = config or CalibrationConfig()
     origin = head.tokenizer_hash
@@ -279,6 +283,7 @@ def calibrate(
     judge, fit = _split(names, config)
     found, ridge = fit_map(own_new[fit], own_anchor[fit])
     truth, before, after = (head(Latent.of(z[judge], origin)).numpy() for z in (own_anchor, own_new, found(own_new)))
+    _refuse_other_mount(before[:, :2], truth[:, :2], new, anchor)
     kinds = names[judge]
     judged = {}
     for kind in OBJECT_CLASSES:
@@ -286,6 +291,27 @@ def calibrate(
         judged[kind] = Agreement(len(t), _r2(t, a), _abs_r(t, a), _r2(t, b))
     turn_deg = float(np.degrees(in_plane_turn_rad(before[:, :2], truth[:, :2])))
     return Calibration(found, origin, head.hash, new, anchor, ridge, turn_deg, judged)
+
+
+def _refuse_other_mount(read: np.ndarray, known: np.ndarray, new: str, anchor: str) -> None:
+    """Raise ContractError where (n, 2) shear shows that one of two sensors is turned by 180° or mirrored.
+
+    A map would learn that, too, and the rig would still show the sensor the wrong way round.
+    """
+    relation = mount_relation(read, known)
+    x, y = relation.r
+    if relation.mount == "undecided":
+        logger.warning(
+            "%s: shear agrees too little to tell how it is mounted (r %.2f along x, %.2f along y)", new, x, y
+        )
+    elif relation.mount != "upright":
+        rotation_deg, flip = SETTINGS[relation.mount]
+        came = f"the one {relation.mount} against the other (r of shear {x:.2f} along x, {y:.2f} along y)"
+        do = (
+            f"`uniforce touch check=orientation` says which. If it is {new}: rotation_deg={rotation_deg}"
+            f"{' flip=true' if flip else ''} in the rig; for pairs recorded without, mounted={relation.mount}."
+        )
+        raise ContractError(expected(f"mounts of {new} and {anchor}", "both upright", came, do))
 
 
 def in_plane_turn_rad(read: np.ndarray, known: np.ndarray) -> float:

@@ -1,0 +1,67 @@
+"""How one of two fingers' sensors is mounted, seen from the other: from loads that both fingers carry.
+
+A load that a held object passes on, such as a push on it, pulls both pads the same way. In the canonical frame both
+sensors then read the same shear. A sensor turned by 180° on its mount reads both axes with the other sign, a mirrored
+one reads one axis so.
+
+Which of the two sensors is mounted otherwise, readings of both don't tell. Nor do grasps in which little is carried: an
+object that is only pinched pulls the pads *opposite* ways, as if one were turned.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from uniforce_vtla.errors import ContractError, expected
+
+Mount = Literal["upright", "turned", "mirrored_x", "mirrored_y", "undecided"]
+# mount → settings that bring it upright: degrees counter-clockwise, and whether columns are mirrored before
+SETTINGS: dict[Mount, tuple[int, bool]] = {
+    "upright": (0, False),
+    "turned": (180, False),
+    "mirrored_x": (0, True),
+    "mirrored_y": (180, True),
+}
+MOUNTS: dict[tuple[bool, bool], Mount] = {  # whether x and y are read with the same sign
+    (True, True): "upright",
+    (False, False): "turned",
+    (False, True): "mirrored_x",
+    (True, False): "mirrored_y",
+}
+# Of each axis, either sign, or it doesn't tell. Simulated grasps of all kinds: .94 to 1.
+LEAST_R = 0.5
+FEWEST = 10  # readings; of fewer, chance alone reaches such an r
+
+
+@dataclass(frozen=True)
+class MountRelation:
+    """How the first sensor is mounted if the second is upright, and the correlation of their shear along x and y."""
+
+    mount: Mount
+    r: tuple[float, float]
+
+
+def mount_relation(first: np.ndarray, second: np.ndarray) -> MountRelation:
+    """Return how two sensors are mounted to each other.
+
+    Args:
+        first: (n, 2) shear of one finger, or its markers' mean motion, canonical frame, in any unit.
+        second: (n, 2) of the other finger at the same moments.
+
+    Raises ContractError: readings that aren't paired or aren't finite.
+    """
+    shapes = np.shape(first), np.shape(second)
+    if shapes[0] != shapes[1] or len(shapes[0]) != 2 or shapes[0][1] != 2:
+        came = f"{shapes[0]} and {shapes[1]}"
+        raise ContractError(expected("paired shear", "(n, 2) twice", came, "Pair the readings by frame."))
+    if not (np.isfinite(first).all() and np.isfinite(second).all()):
+        raise ContractError(expected("paired shear", "finite numbers", "NaN or inf", "Leave those frames out."))
+    if len(first) < FEWEST:
+        return MountRelation("undecided", (0.0, 0.0))
+    a = first - first.mean(axis=0)
+    b = second - second.mean(axis=0)
+    size = np.sqrt((a**2).sum(axis=0) * (b**2).sum(axis=0))
+    x, y = ((a * b).sum(axis=0) / np.maximum(size, 1e-12)).tolist()
+    tells = min(abs(x), abs(y)) >= LEAST_R
+    return MountRelation(MOUNTS[x > 0, y > 0] if tells else "undecided", (x, y))
