@@ -127,6 +127,29 @@ class Scale:
         return torch.cat([z[:, 0, :2], 0.8 * z[:, 0, :1]], dim=1)
 
 
+class Plain:
+    """Stands for a head: a latent's first three numbers are the force."""
+
+    tokenizer_hash, hash = "abc", "def"
+
+    def __call__(self, z: torch.Tensor) -> torch.Tensor:
+        return z.as_subclass(torch.Tensor)[:, 0, :3]
+
+
+def test_a_sensor_that_is_turned_is_refused_and_shear_that_says_nothing_is_warned_of(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    _, anchor = grasps()
+    turned = anchor.as_subclass(torch.Tensor).clone()
+    turned[:, 0, :2] *= -1
+    with pytest.raises(ContractError, match=r"both upright, got the one turned .*rotation_deg=180 in the rig"):
+        calibrate(Latent.of(turned, "abc"), anchor, CLASSES, Plain(), "new", "old")  # type: ignore[arg-type]
+    assert not caplog.text
+    turned[:, 0, 1] = torch.randn(len(turned))
+    calibrate(Latent.of(turned, "abc"), anchor, CLASSES, Plain(), "new", "old")  # type: ignore[arg-type]
+    assert "too little to tell how it is mounted" in caplog.text
+
+
 def presses(*load_N: float) -> Latent:
     z = torch.zeros(len(load_N), 16, 6)
     z[:, 0, 0] = torch.tensor(load_N)

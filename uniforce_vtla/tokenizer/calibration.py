@@ -309,7 +309,8 @@ def _refuse_other_mount(read: np.ndarray, known: np.ndarray, new: str, anchor: s
         came = f"the one {relation.mount} against the other (r of shear {x:.2f} along x, {y:.2f} along y)"
         do = (
             f"`uniforce touch check=orientation` says which. If it is {new}: rotation_deg={rotation_deg}"
-            f"{' flip=true' if flip else ''} in the rig; for pairs recorded without, mounted={relation.mount}."
+            f"{' flip=true' if flip else ''} in the rig{' (a camera: its driver mirrors)' if flip else ''}; "
+            f"for pairs recorded without, mounted={relation.mount}."
         )
         raise ContractError(expected(f"mounts of {new} and {anchor}", "both upright", came, do))
 
