@@ -6,6 +6,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from uniforce_datasets.readers.files import existing_folder
 from uniforce_datasets.readers.films import film_frames, find_films
 from uniforce_vtla.errors import ContractError, UniForceError, expected
 from uniforce_vtla.markers.film_markers import SETTLE, FilmMarkers, read_markers
@@ -47,26 +48,23 @@ def film_references(folder: str | Path, sensor: str, borrow: bool = False) -> li
     """
     if get_sensor(sensor).signal != "camera":
         raise ContractError(expected("sensor", "a camera sensor", sensor, "Counts of taxels are not filmed."))
-    held = find_films(folder)
+    root = existing_folder(folder)
     found: dict[Path, FilmReference] = {}
     markers: dict[Path, FilmMarkers] = {}
-    for path in tqdm(held, desc="films", unit="film"):
-        name = path.relative_to(Path(folder).absolute()).as_posix()
-        found[path] = FilmReference(name, held[path], 0, {})
+    for path, held in tqdm(find_films(root).items(), desc="films", unit="film"):
+        name = path.relative_to(root).as_posix()
         try:
-            markers[path] = read_markers(film_frames(path), sensor)
+            seen = read_markers(film_frames(path), sensor)
         except UniForceError as error:
-            found[path] = replace(found[path], why=str(error))
+            found[path] = FilmReference(name, held, 0, {}, why=str(error))
             continue
-        seen = markers[path]
-        found[path] = replace(found[path], read=len(seen.numbers), refused=seen.refused, why=_unread(name, seen))
-    usual, _ = Counter(seen.shape for seen in markers.values()).most_common(1)[0] if markers else ((), 0)
-    for path, seen in markers.items():
-        if not found[path].why and seen.shape != usual:
-            do = "Films of another camera setting are another session: put them in a folder of their own."
-            found[path] = replace(found[path], why=expected(found[path].film, usual, seen.shape, do))
-    session = [path for path in held if not found[path].why]
-    return _placed(found, session, markers, borrow)
+        found[path] = FilmReference(name, held, len(seen.numbers), seen.refused, why=_unread(name, seen))
+        if seen.numbers:
+            markers[path] = seen
+    session = _of_one_size(found, markers)
+    if session:
+        _place(found, session, markers, borrow)
+    return list(found.values())
 
 
 def _unread(name: str, seen: FilmMarkers) -> str:
@@ -79,24 +77,35 @@ def _unread(name: str, seen: FilmMarkers) -> str:
     return f"{name}: none of {len(seen.refused)} frames can be read; frame {number}: {why}"
 
 
-def _placed(
+def _of_one_size(found: dict[Path, FilmReference], markers: dict[Path, FilmMarkers]) -> list[Path]:
+    """Return the films whose frames have the size that most have; the others' references say that theirs differ."""
+    sizes = Counter(seen.shape for seen in markers.values())
+    usual = max(sizes, key=lambda shape: sizes[shape], default=())
+    for path, seen in markers.items():
+        if seen.shape != usual:
+            do = "Films of another camera setting are another session: put them in a folder of their own."
+            found[path] = replace(found[path], why=expected(found[path].film, usual, seen.shape, do))
+    return [path for path, seen in markers.items() if seen.shape == usual]
+
+
+def _place(
     found: dict[Path, FilmReference], session: list[Path], markers: dict[Path, FilmMarkers], borrow: bool
-) -> list[FilmReference]:
-    """Return all films with the references of the session's readable ones put in."""
+) -> None:
+    """Put the references of a session's films in."""
     films = [Film(found[path].held, markers[path].centres_px) for path in session]
-    known, free = pads(films) if films else ([], [])
+    known, free = pads(films)
     taken = borrowed(films, known, free) if borrow else free
     of_pad = {film: number for number, pad in enumerate(known) for film in pad.films}
     for number, path in enumerate(session):
         own = found[path]
         reference = taken[number]
         if reference is None:
-            found[path] = replace(own, why=_missing(own.film, of_pad.get(number)), pad=of_pad.get(number, -1))
+            pad = of_pad.get(number)
+            found[path] = replace(own, why=_missing(own.film, pad), pad=-1 if pad is None else pad)
             continue
         source = session[reference.film]
         frame = markers[source].numbers[reference.frame]
         found[path] = replace(own, of=found[source].film, frame=frame, off_px=reference.off_px, pad=reference.pad)
-    return list(found.values())
 
 
 def _missing(name: str, pad: int | None) -> str:
