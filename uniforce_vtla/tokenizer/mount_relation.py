@@ -5,8 +5,8 @@ sensors then read the same shear. A sensor turned by 180° on its mount reads bo
 one reads one axis so.
 
 Which of the two sensors is mounted otherwise, readings of both don't tell. Nor do grasps in which little is carried: an
-object that is only pinched pulls the pads *opposite* ways, as if one were turned. Real grasps of light objects said so
-now and then, and of 87 such films of one session 10 even said "mirrored", which no camera is (docs/evidence.md).
+object that is only pinched pulls the pads *opposite* ways, as if one were turned. Of 87 real
+grasps that were only lifted and shaken, 7 said "turned" and 10 "mirrored", which no camera is (docs/evidence.md).
 """
 
 from dataclasses import dataclass
