@@ -71,7 +71,8 @@ def calibrate_unit(
     seen = images_of(other, mirrored(grasps.contact))
     new = encode(tokenizer, sensor, grasps.reference, grasps.images)
     known = encode(tokenizer, anchor, other.reference(), seen, right=True)
-    return calibrate(new, known, grasps.classes, head, sensor.name, anchor.name)
+    numbers = np.arange(len(new)) // len(STEPS)  # the steps of one contact are one grasp
+    return calibrate(new, known, grasps.classes, head, sensor.name, anchor.name, grasps=numbers.tolist())
 
 
 def calibrated_cell(

@@ -13,7 +13,8 @@ from uniforce_cli.paired_grasps import pooled_latents, simulated_grasps
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.options import Count, OutFolder, Seed, TokenizerFolder
 from uniforce_vtla.tokenizer import Latent, Tokenizer
-from uniforce_vtla.tokenizer.calibration import Calibration, fit_map
+from uniforce_vtla.tokenizer.calibration import Calibration
+from uniforce_vtla.tokenizer.latent_map import fit_map
 from uniforce_vtla.tokenizer.plain_touch import descriptors
 
 

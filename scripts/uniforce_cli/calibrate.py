@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from uniforce_robots.sensors.finger import TactileFinger
     from uniforce_vtla.tokenizer.api import Tokenizer
     from uniforce_vtla.tokenizer.calibration import Calibration
+    from uniforce_vtla.tokenizer.calibration_choice import Choice
 
 Unit = Annotated[
     str, Pattern("a sensor and which unit of it", r"\w+(:(drawing|\d{1,6}))?(\+[a-z]+=[\d.]+)*", "uskin:7")
@@ -36,7 +37,9 @@ logger = logging.getLogger(__name__)
 
 @dataclass
 class CalibrateCommand:
-    """Fit a map for the sensor ``new`` to paired grasps with the sensor ``anchor``, or one gain to known loads.
+    """Fit the sensor ``new`` to paired grasps with the sensor ``anchor``, or one gain of it to known loads.
+
+    Left-out grasps choose among a map of the latent, one gain of the newtons and none.
 
     Two minutes: hold a small object from outside, let both fingers grasp it, squeeze, push and twist; after a minute
     take a tool's flat handle. Record that with: uniforce pairs robot=franka rig=rig.yaml indenters=small,tool
@@ -85,7 +88,8 @@ def calibrate_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibrat
     else:
         grasps = simulated_grasps(*sensors, config.grasps, config.seed, pooled_latents(tokenizer))
     head = ForceHead.from_pretrained(anchor_kind, config.tokenizer or None)
-    return calibrate(grasps.new, grasps.anchor, grasps.classes, head, config.new, config.anchor, config.fit)
+    names = config.new, config.anchor
+    return calibrate(grasps.new, grasps.anchor, grasps.classes, head, *names, config.fit, grasps.numbers)
 
 
 def scale_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
@@ -142,6 +146,13 @@ def _check_sources(config: CalibrateCommand) -> None:
         raise ContractError(expected("rig", "known loads beside it", "none", do))
 
 
+def choice_in_words(choice: Choice) -> str:
+    """Return the chosen form and the error that each form leaves on left-out grasps."""
+    errors = ", ".join(f"{form} {error:.3f}" for form, error in choice.error.items())
+    noise = ", ".join(f"{form} ± {choice.standard_error[form]:.3f}" for form in ("gain", "map"))
+    return f"chosen by {choice.grasps} left-out grasps: {choice.form}. Error: {errors}; against none {noise}"
+
+
 def check_agreement(found: Calibration, config: CalibrateCommand) -> str:
     """Return which class the task needs agrees least, in words; ContractError: it agrees too little to be of use."""
     classes = OBJECT_CLASSES if config.task == "both" else (config.task,)
@@ -168,6 +179,8 @@ def main(config: CalibrateCommand) -> None:
         print(f"{config.new}: {what} {found.gain:.2f}; in {found.save(config.out)}. Next: {then}")
         return
     found = calibrate_sensor(config, tokenizer)
+    if found.choice:
+        print(choice_in_words(found.choice))
     print(f"{config.new} against {config.anchor}, held-out grasps, R² (|r|) of the force read")
     for name, judged in found.agreement.items():
         axes = [f"F{a} {r2:.2f} ({r:.2f})" for a, r2, r in zip(AXES, judged.r2, judged.abs_r, strict=True)]
@@ -180,4 +193,4 @@ def main(config: CalibrateCommand) -> None:
         print(f"{found.grip_in_words}: a policy holds it from the lift on (grip=read | held says otherwise)")
     if found.worst()[1] < config.fit.warn_below:
         logger.warning("%s: grasp again, more of them and all over the pad", worst)
-    print(f"{worst}; map in {found.save(config.out)}. Next: {then}")
+    print(f"{worst}; calibration in {found.save(config.out)}. Next: {then}")

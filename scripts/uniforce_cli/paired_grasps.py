@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 TOOL_TORSION_ARM_mm = 9.0  # a held tool twists flat pads so far
 BATCH = 32
+# Recorded pairs that count as one grasp: the layout doesn't store where a grasp ends. `uniforce pairs` keeps some 25
+# pairs of a grasp, so that stretches of 50 cut few grasps in two.
+STRETCH = 50
 EVERY = 4  # frames of a recorded wipe, of which one is read: neighbours show the same
 logger = logging.getLogger(__name__)
 
@@ -39,6 +42,7 @@ class Grasps:
     new: Latent
     anchor: Latent
     classes: tuple[str, ...]
+    numbers: tuple[int, ...]  # of the grasp that a row is of
 
 
 def pooled_latents(tokenizer: Tokenizer) -> Encode:
@@ -72,7 +76,7 @@ def simulated_grasps(new: str, anchor: str, count: int, seed: int, encode: Encod
         logger.warning("%d of %d grasps are left out: a finger's frame was refused", left_out, count)
     classes = tuple("tool" if objects.names[row] == FLAT else "small" for row in both)
     of_new, of_anchor = (torch.stack([of[row] for row in both]) for of in (left, right))
-    return Grasps(of_new, of_anchor, classes)  # type: ignore[arg-type]  # stack keeps the origin
+    return Grasps(of_new, of_anchor, classes, tuple(both))  # type: ignore[arg-type]  # stack keeps the origin
 
 
 def seen(view: WornView, contact: ContactState, finger: Finger, encode: Encode) -> dict[int, Latent]:
@@ -108,6 +112,8 @@ def recorded_grasps(
     upright = Orientation(*SETTINGS[mounted]).of_frame
     new_name, anchor_name = (words.partition(":")[0] for words in (new, anchor))
     encode, of_new, of_anchor, classes = pooled_latents(tokenizer), [], [], []
+    stretches: dict[tuple[str, str, int], int] = {}
+    numbers: list[int] = []
     for recording in read_uniforce_pairs(folder):
         if set(recording.kinds) != {new_name, anchor_name}:
             do = "Name them new= and anchor=."
@@ -120,7 +126,10 @@ def recorded_grasps(
         of_anchor.append(encode(*(right if is_left else left)))
         kind = "tool" if recording.indenter in split(tools) else "small"
         classes += [kind] * len(recording.left_frames)
-    return Grasps(torch.cat(of_new), torch.cat(of_anchor), tuple(classes))  # type: ignore[arg-type]  # cat keeps the origin
+        for frame in range(recording.first_frame, recording.first_frame + len(recording.left_frames)):
+            stretch = recording.name, recording.indenter, frame // STRETCH
+            numbers.append(stretches.setdefault(stretch, len(stretches)))
+    return Grasps(torch.cat(of_new), torch.cat(of_anchor), tuple(classes), tuple(numbers))  # type: ignore[arg-type]  # cat keeps the origin
 
 
 def recorded_wipes(folder: str, new: str, anchor: str, finger: Finger, tokenizer: Tokenizer) -> tuple[Latent, Latent]:

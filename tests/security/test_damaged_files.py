@@ -106,7 +106,13 @@ def test_sizes_beyond_any_machine_cost_nothing(tmp_path: Path) -> None:
         set_in(head / "config.json", head=changes)
         with pytest.raises(CheckpointError):
             ForceHead.from_pretrained(path=head)
-    for changes in ({"patches": 16384}, {"latent": 10**12}, {"ridge": "x"}, {"agreement": {"small": 1}}):
+    for changes in (
+        {"patches": 16384},
+        {"latent": 10**12},
+        {"ridge": "x"},
+        {"choice": {"form": "all"}},
+        {"agreement": {"small": 1}},
+    ):
         set_in(calibration / "config.json", **{"latent": 6, "patches": 4, "ridge": 1.0} | changes)
         with pytest.raises(CheckpointError):
             Calibration.load(calibration, "a")

@@ -7,9 +7,11 @@ import pytest
 import torch
 
 from uniforce_vtla.errors import CheckpointError, ContractError
-from uniforce_vtla.tokenizer.calibration import Calibration, LatentMap, calibrate
+from uniforce_vtla.tokenizer.calibration import Calibration, calibrate
+from uniforce_vtla.tokenizer.calibration_choice import choose
 from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig
 from uniforce_vtla.tokenizer.latent import Latent
+from uniforce_vtla.tokenizer.latent_map import LatentMap, fit_map
 from uniforce_vtla.tokenizer.settings import CalibrationConfig
 
 CLASSES = ("small", "tool") * 150
@@ -48,14 +50,14 @@ def test_grasps_it_never_saw_balance_afterwards(head: ForceHead) -> None:
 def test_equal_sensors_stay_as_they_are(head: ForceHead) -> None:
     _, anchor = grasps()
     found = calibrate(anchor, anchor, CLASSES, head, "new", "old")
-    assert torch.allclose(found(anchor), anchor, atol=1e-5)
+    assert torch.equal(found(anchor), anchor) and found.gain == 1.0
+    assert found.choice and found.choice.form == "none" and found.agreement["small"].r2 == (1.0, 1.0, 1.0)
 
 
-def test_the_ridge_grows_with_what_can_not_be_explained(head: ForceHead) -> None:
+def test_the_ridge_grows_with_what_can_not_be_explained() -> None:
     new, anchor = grasps()
-    noisy = Latent.of(new + 3 * torch.randn(new.shape), "abc")
-    few = slice(0, 60)
-    exact, loose = (calibrate(z[few], anchor[few], CLASSES[few], head, "new", "old").ridge for z in (new, noisy))
+    noisy = new + 3 * torch.randn(new.shape)
+    exact, loose = (fit_map(z[:60], anchor[:60])[1] for z in (new, noisy))
     assert loose > 10 * exact
 
 
@@ -75,6 +77,7 @@ def test_saved_equals_loaded_and_another_tokenizer_is_refused(head: ForceHead, t
     found.save(tmp_path)
     again = Calibration.load(tmp_path, "abc")
     assert torch.equal(again(new), found(new)) and again.agreement == found.agreement and again.hash == found.hash
+    assert found.choice and again.choice == found.choice and found.choice.form == "map"
     assert again.head_hash == found.head_hash and again(new).tokenizer_hash == "abc"
     with pytest.raises(CheckpointError, match="Calibrate again"):
         Calibration.load(tmp_path, "xyz")
@@ -98,6 +101,7 @@ def test_only_pooled_latents_are_mapped(shape: tuple[int, ...], head: ForceHead)
         (torch.rand(90, 16, 6), torch.rand(90, 16, 6), ("small", "hammer") * 45, "class of an object"),
         (torch.rand(90, 16, 6), torch.rand(90, 9, 6), CLASSES[:90], "twice"),
         (torch.rand(90, 16, 6), torch.rand(90, 16, 6), CLASSES[:80], "80 classes"),
+        (torch.rand(90, 16, 6), torch.rand(90, 16, 6), ("small",) * 80 + ("tool",) * 10, "tool objects"),
         (torch.full((90, 16, 6), torch.nan), torch.ones(90, 16, 6), CLASSES[:90], "finite"),
         (torch.rand(90, 16, 6), torch.ones(90, 16, 6), CLASSES[:90], "changing"),
     ],
@@ -107,6 +111,21 @@ def test_bad_grasps_are_refused(
 ) -> None:
     with pytest.raises(ContractError, match=says):
         calibrate(Latent.of(new, "abc"), Latent.of(anchor, "abc"), classes, head, "new", "old", CalibrationConfig())
+
+
+def test_frames_of_few_grasps_are_refused(head: ForceHead) -> None:
+    new, anchor = grasps()
+    with pytest.raises(ContractError, match="separate grasps of small objects: expected at least 3, got 2"):
+        calibrate(new, anchor, CLASSES, head, "new", "old", grasps=[row % 4 for row in range(300)])
+
+
+def test_a_whole_grasp_judges_or_chooses(head: ForceHead) -> None:
+    """Sixty grasps of five rows, a class each in turn: a fifth of them judges."""
+    new, anchor = grasps()
+    classes = tuple(name for name in CLASSES[:60] for _ in range(5))
+    found = calibrate(new, anchor, classes, head, "new", "old", grasps=[row // 5 for row in range(300)])
+    assert found.choice and found.choice.grasps == 48
+    assert [judged.grasps for judged in found.agreement.values()] == [6, 6]
 
 
 def test_who_judges_is_drawn_by_the_seed_alone(head: ForceHead) -> None:
@@ -156,11 +175,60 @@ def presses(*load_N: float) -> Latent:
     return Latent.of(z, "abc")
 
 
+def pushed(seed: int, grasps: int = 200, rows: int = 1) -> torch.Tensor:
+    """Latents (n, 16, 6) of grasps whose rows are alike."""
+    drawn = torch.randn(grasps, 16, 6, generator=torch.Generator().manual_seed(seed)).repeat_interleave(rows, dim=0)
+    return drawn + 0.01 * torch.randn(drawn.shape, generator=torch.Generator().manual_seed(seed + 1))
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_a_pad_that_answers_less_takes_a_gain_and_keeps_its_latents(noise: float) -> None:
+    anchor = pushed(0)
+    new = 0.8 * anchor + noise * pushed(5)
+    choice = choose(new, anchor, Scale())  # type: ignore[arg-type]
+    assert choice.form == "gain" and choice.error["gain"] < choice.error["none"]
+    assert choose(new, anchor, Scale(), with_gain=False).form != "gain"  # type: ignore[arg-type]
+
+
+def test_noise_is_not_calibrated() -> None:
+    """Both fingers are read with noise: a gain that shrinks the reading buys little, and a map nothing."""
+    anchor = pushed(0)
+    choice = choose(anchor + 0.3 * pushed(3), anchor, Scale())  # type: ignore[arg-type]
+    assert choice.form == "none" and min(choice.error.values()) > 0.01
+
+
+def test_frames_of_a_grasp_do_not_choose_for_each_other() -> None:
+    """Fingers that have nothing in common: a map can only learn each grasp by heart, from its other frames."""
+    new, anchor = pushed(0, grasps=30, rows=10), pushed(2, grasps=30, rows=10)
+    by_row = choose(new, anchor, Scale())  # type: ignore[arg-type]
+    by_grasp = choose(new, anchor, Scale(), [row // 10 for row in range(300)])  # type: ignore[arg-type]
+    assert by_row.form == "map" and by_row.error["map"] < 0.2
+    assert by_grasp.error["map"] > 0.9 and by_grasp.grasps == 30
+
+
+def test_axes_that_differ_between_the_fingers_can_be_left_out() -> None:
+    """Opposite shear and equal normal force, as of an object that is only squeezed."""
+    anchor = pushed(0)
+    z = torch.zeros_like(anchor)
+    z[:, 0, 0] = anchor[:, 0, 0]
+    opposite = z.clone()
+    opposite[:, 0, 1] = anchor[:, 0, 1]
+    z[:, 0, 1] = -anchor[:, 0, 1]
+    assert choose(opposite, z, Scale(), axes=(2,)).form == "none"  # type: ignore[arg-type]
+    assert choose(opposite, z, Scale()).form == "map"  # type: ignore[arg-type]
+
+
+def test_one_grasp_chooses_nothing() -> None:
+    with pytest.raises(ContractError, match="2 or more"):
+        choose(pushed(0), pushed(0), Scale(), [0] * 200)  # type: ignore[arg-type]
+
+
 def test_known_loads_give_a_gain_that_is_stored(tmp_path: Path) -> None:
     found = Calibration.of_loads(presses(3, 6, 9), np.array([3, 6, 9]), Scale(), "tactip:7")  # type: ignore[arg-type]
     assert found.gain == pytest.approx(1.25) and torch.equal(found(presses(3)), presses(3))
     again = Calibration.load(found.save(tmp_path / "map"), "abc")
     assert (again.gain, again.new, again.head_hash, again.hash) == (found.gain, "tactip:7", "def", found.hash)
+    assert again.choice is None and "choice" not in found.facts()  # as of calibrations older than the choice
     plain = Calibration.of_loads(presses(3.75, 7.5, 11.25), np.array([3, 6, 9]), Scale(), "tactip:7")  # type: ignore[arg-type]
     assert plain.gain == pytest.approx(1.0) and plain.hash != found.hash
 

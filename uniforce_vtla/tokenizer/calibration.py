@@ -5,6 +5,9 @@ forces are equal, so their latents should be. What differs depends on the place 
 pooled latent, ridge-regressed towards the identity in closed form, is fitted to the pairs. No force is ever measured.
 It corrects what a reference image can't show: stiffness, thickness and gain.
 
+The map is used only if grasps that it wasn't fitted to are read better with it (``choose``). Otherwise one gain of the
+newtons is, or nothing.
+
 Who has a scale needs no known sensor: a few presses of known load give one gain of the newtons (``of_loads``), or, of
 the tool that the fingers hold, one of shear (``through_a_tool``): a covered flat gel shows that and hardly grip.
 Without a scale, wipe with the tool between a known finger and the new one (``beside_an_anchor``): each carries half
@@ -14,56 +17,37 @@ the press.
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
-from torch import nn
 
 from uniforce_vtla.contracts import check_count
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
+from uniforce_vtla.tokenizer.calibration_choice import GAINS, Choice, choose, fit_form, newtons, read_choice
 from uniforce_vtla.tokenizer.force_head import ForceHead
 from uniforce_vtla.tokenizer.latent import Latent, own_latent
+from uniforce_vtla.tokenizer.latent_map import LatentMap, grasp_numbers
 from uniforce_vtla.tokenizer.mount_relation import SETTINGS, mount_relation
 from uniforce_vtla.tokenizer.settings import OBJECT_CLASSES, CalibrationConfig
 from uniforce_vtla.tokenizer.weights import content_hash, load_model, read_config, save_checkpoint
 
 MAX_NUMBERS = 4096  # of a pooled latent; larger maps are none of ours
-RIDGES = tuple(10.0**k for k in range(-4, 3))  # tried by cross-validation, in units of the latent's mean variance
-FOLDS = 5
+FEWEST_GRASPS = 3  # of a class: one judges, two choose
 AXES = ("x", "y", "z")
 FEWEST_LOADS = 3
 REST_SHARE = 0.3  # of the mean load: what a gain may leave; simulated TacTips leave .05 to .1
 # Of an axis on held-out grasps, from which on it is believed: grip under a tool has .93 to .99 for domes and taxels,
 # .81 to .86 for flat gels.
 TRUSTED_R2 = 0.9
-GAINS = (0.2, 5.0)  # beyond, something else is wrong than the pad's stiffness
 HELD_N = 1.0  # of grip that the anchor reads, from which on both fingers hold the tool
 FEWEST_HELD = 30  # moments
 LEAST_SPREAD_N = 0.25  # of the anchor's shear; a tool that is only carried shows hardly more than noise
 LEAST_R = 0.7  # between the fingers' shear
 logger = logging.getLogger(__name__)
-
-
-class LatentMap(nn.Module):
-    """z' = z + weight · (z − centre) + shift over all P·L numbers of a pooled latent; starts as the identity."""
-
-    weight: torch.Tensor
-    centre: torch.Tensor
-    shift: torch.Tensor
-
-    def __init__(self, patches: int, latent: int) -> None:
-        super().__init__()
-        self.patches, self.latent, numbers = patches, latent, patches * latent
-        for name, shape in {"weight": (numbers, numbers), "centre": (numbers,), "shift": (numbers,)}.items():
-            self.register_buffer(name, torch.zeros(shape))
-
-    def forward(self, z: torch.Tensor) -> torch.Tensor:
-        """Return mapped latents (B, P, latent)."""
-        flat = z.flatten(1)
-        return (flat + (flat - self.centre) @ self.weight + self.shift).view_as(z)
 
 
 @dataclass(frozen=True)
@@ -90,6 +74,7 @@ class Calibration:
     agreement: dict[str, Agreement]  # by class of objects
     gain: float = 1.0  # of the newtons that the head reads after the map
     through_tool: bool = False  # whether the gain is of shear alone, found through a held tool
+    choice: Choice | None = None  # of grasps; None: of loads or wipes, or older than the choice
 
     @classmethod
     def of_loads(cls, z: torch.Tensor, load_N: np.ndarray, head: ForceHead, new: str) -> Calibration:
@@ -214,8 +199,9 @@ class Calibration:
     def facts(self) -> dict[str, object]:
         """Return which sensors it matches, and how well."""
         judged = {name: asdict(found) for name, found in self.agreement.items()}
-        numbers = {"ridge": self.ridge, "turn_deg": self.turn_deg, "gain": self.gain}
+        numbers: dict[str, object] = {"ridge": self.ridge, "turn_deg": self.turn_deg, "gain": self.gain}
         numbers |= {"through_tool": True} if self.through_tool else {}
+        numbers |= {"choice": asdict(self.choice)} if self.choice else {}
         return {"new": self.new, "anchor": self.anchor, **numbers, "agreement": judged}
 
     def save(self, path: str | Path) -> Path:
@@ -244,11 +230,12 @@ class Calibration:
                 raise ValueError(f"gain {gain}")
             through_tool = facts.get("through_tool", False) is True
             agreement = {name: _agreement(found) for name, found in facts["agreement"].items()}
+            choice = read_choice(facts["choice"]) if "choice" in facts else None
         except (KeyError, TypeError, ValueError, AttributeError, ContractError) as error:
             wanted, do = "the facts of a calibration", "Calibrate again."
             raise CheckpointError(expected(f"config of {folder}", wanted, error, do)) from error
         found = load_model(folder, lambda: LatentMap(patches, latent))
-        return cls(found.eval(), tokenizer_hash, *texts, ridge, turn, agreement, gain, through_tool)
+        return cls(found.eval(), tokenizer_hash, *texts, ridge, turn, agreement, gain, through_tool, choice)
 
 
 def calibrate(
@@ -259,8 +246,9 @@ def calibrate(
     new: str,
     anchor: str,
     config: CalibrationConfig | None = None,
+    grasps: Sequence[int] | None = None,
 ) -> Calibration:
-    """Fit the map to paired pooled latents of the same grasps, and judge it on grasps it didn't see.
+    """Choose and fit a map, a gain or nothing to paired pooled latents, and judge it on grasps that had no part in it.
 
     Args:
         z_new: (n, P, latent) of the sensor to calibrate, canonical frame.
@@ -269,28 +257,34 @@ def calibrate(
         head: force head of the anchor; it reads both fingers for the judgement, the fit doesn't need it.
         new: name of the sensor to calibrate.
         anchor: name of the known one.
-        config: share held out, fewest grasps, seed.
+        config: share held out, fewest pairs, seed.
+        grasps: (n) number of the grasp that a row is of; None where each row is a grasp of its own.
 
-    Raises ContractError: too few grasps of a class, different shapes, NaN, no origin, grasps that never load the
-    sensors, or a sensor mounted turned by 180° or mirrored; CheckpointError: latents of another tokenizer than the
+    Raises ContractError: too few pairs or grasps of a class, different shapes, NaN, no origin, grasps that never load
+    the sensors, or a sensor mounted turned by 180° or mirrored; CheckpointError: latents of another tokenizer than the
     head's.
     """
     config = config or CalibrationConfig()
     origin = head.tokenizer_hash
     own_new, own_anchor = (own_latent(z, origin, "calibration") for z in (z_new, z_anchor))
     names = np.asarray(classes)
-    _check(own_new, own_anchor, names, config)
-    judge, fit = _split(names, config)
-    found, ridge = fit_map(own_new[fit], own_anchor[fit])
-    truth, before, after = (head(Latent.of(z[judge], origin)).numpy() for z in (own_anchor, own_new, found(own_new)))
+    of_grasp = grasp_numbers(grasps, len(names))
+    _check(own_new, own_anchor, names, of_grasp, config)
+    judge, fit = _split(names, of_grasp, config)
+    paired = own_new[fit], own_anchor[fit], head, of_grasp[fit]
+    choice = choose(*paired, with_gain=config.gain)
+    found = fit_form(choice.form, *paired)
+    truth, before = newtons(head, own_anchor[judge]), newtons(head, own_new[judge])
     _refuse_other_mount(before[:, :2], truth[:, :2], new, anchor)
-    kinds = names[judge]
+    after = found.newtons(head, own_new[judge])
     judged = {}
     for kind in OBJECT_CLASSES:
-        t, a, b = (values[kinds == kind] for values in (truth, after, before))
-        judged[kind] = Agreement(len(t), _r2(t, a), _abs_r(t, a), _r2(t, b))
+        of_kind = names[judge] == kind
+        t, a, b = (values[of_kind] for values in (truth, after, before))
+        judged[kind] = Agreement(len(np.unique(of_grasp[judge][of_kind])), _r2(t, a), _abs_r(t, a), _r2(t, b))
     turn_deg = float(np.degrees(in_plane_turn_rad(before[:, :2], truth[:, :2])))
-    return Calibration(found, origin, head.hash, new, anchor, ridge, turn_deg, judged)
+    fitted = found.map, origin, head.hash, new, anchor, found.ridge
+    return Calibration(*fitted, turn_deg, judged, found.gain, choice=choice)
 
 
 def _refuse_other_mount(read: np.ndarray, known: np.ndarray, new: str, anchor: str) -> None:
@@ -321,49 +315,15 @@ def in_plane_turn_rad(read: np.ndarray, known: np.ndarray) -> float:
     return float(np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum()))
 
 
-def fit_map(z_new: torch.Tensor, z_anchor: torch.Tensor) -> tuple[LatentMap, float]:
-    """Return the map from (n, P, latent) to (n, P, latent) of the same grasps in random order, and its ridge."""
-    x, y = (z.flatten(1).double() for z in (z_new, z_anchor))
-    ridge = _best_ridge(x, y)
-    found = LatentMap(*z_new.shape[1:])
-    for name, value in zip(("weight", "centre", "shift"), _ridge_map(x, y, ridge), strict=True):
-        getattr(found, name).copy_(value)
-    return found.eval(), ridge
-
-
-def _split(classes: np.ndarray, config: CalibrationConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Return rows that judge, the same share of each class, and rows that are fitted to, both in random order."""
+def _split(classes: np.ndarray, grasps: np.ndarray, config: CalibrationConfig) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows that judge, the same share of each class's grasps, and rows that are fitted to, in random order."""
     order = np.random.default_rng(config.seed).permutation(len(classes))
-    rank = np.zeros(len(order))
+    judges: list[int] = []
     for name in OBJECT_CLASSES:
-        rows = order[classes[order] == name]
-        rank[rows] = np.arange(len(rows)) / len(rows)
-    return order[rank[order] < config.held_out], order[rank[order] >= config.held_out]
-
-
-def _ridge_map(x: torch.Tensor, y: torch.Tensor, ridge: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Return weight (N, N), centre (N,) and shift (N,) that bring x (n, N) to y; ``ridge`` holds weight at 0."""
-    centre, shift = x.mean(dim=0), (y - x).mean(dim=0)
-    around = x - centre
-    covariance = around.T @ around / len(x)
-    held = ridge * covariance.diagonal().mean() * torch.eye(len(covariance), dtype=x.dtype)
-    target = around.T @ (y - x - shift) / len(x)
-    return torch.linalg.solve(covariance + held, target), centre, shift
-
-
-def _best_ridge(x: torch.Tensor, y: torch.Tensor) -> float:
-    """Return which of ``RIDGES`` leaves the smallest error on grasps left out in turn."""
-    fold = torch.arange(len(x)) % FOLDS  # rows come in random order
-
-    def error(ridge: float) -> float:
-        total = 0.0
-        for k in range(FOLDS):
-            weight, centre, shift = _ridge_map(x[fold != k], y[fold != k], ridge)
-            left_out = x[fold == k]
-            total += float((left_out + (left_out - centre) @ weight + shift - y[fold == k]).square().sum())
-        return total
-
-    return min(RIDGES, key=error)
+        own = list(dict.fromkeys(grasps[order][classes[order] == name].tolist()))
+        judges += own[: math.ceil(config.held_out * len(own))]
+    is_judge = np.isin(grasps[order], judges)
+    return order[is_judge], order[~is_judge]
 
 
 def shear_gain(read_N: np.ndarray, known_N: np.ndarray) -> float:
@@ -419,16 +379,22 @@ def _agreement(stored: dict[str, object]) -> Agreement:
     return Agreement(int(stored["grasps"]), (*r2,), (*abs_r,), (*before,))  # type: ignore[call-overload,arg-type]
 
 
-def _check(z_new: torch.Tensor, z_anchor: torch.Tensor, classes: np.ndarray, config: CalibrationConfig) -> None:
-    if z_new.shape != z_anchor.shape or z_new.ndim != 3 or len(classes) != len(z_new):
-        came = f"{tuple(z_new.shape)}, {tuple(z_anchor.shape)} and {len(classes)} classes"
-        raise ContractError(expected("paired latents", "(n, P, latent) twice, n classes", came, "Pair them by frame."))
+def _check(
+    z_new: torch.Tensor, z_anchor: torch.Tensor, classes: np.ndarray, grasps: np.ndarray, config: CalibrationConfig
+) -> None:
+    if z_new.shape != z_anchor.shape or z_new.ndim != 3 or not len(classes) == len(grasps) == len(z_new):
+        came = f"{tuple(z_new.shape)}, {tuple(z_anchor.shape)}, {len(classes)} classes and {len(grasps)} grasps"
+        wanted = "(n, P, latent) twice, n classes, n grasps"
+        raise ContractError(expected("paired latents", wanted, came, "Pair them by frame."))
     if unknown := set(classes.tolist()) - set(OBJECT_CLASSES):
         raise ContractError(expected("class of an object", " | ".join(OBJECT_CLASSES), sorted(unknown), "Name it so."))
     for name in OBJECT_CLASSES:
         if (count := int((classes == name).sum())) < config.min_pairs // 2:
             do = f"Grasp one class for a minute, then the other: {name} objects are missing."
             raise ContractError(expected(f"grasps of {name} objects", f"at least {config.min_pairs // 2}", count, do))
+        if (apart := len(np.unique(grasps[classes == name]))) < FEWEST_GRASPS:
+            do = "Open the fingers between grasps, and grasp more often."
+            raise ContractError(expected(f"separate grasps of {name} objects", f"at least {FEWEST_GRASPS}", apart, do))
     if not bool(z_new.isfinite().all() and z_anchor.isfinite().all()):
         raise ContractError(expected("latents", "finite numbers", "NaN or inf", "Check the recordings."))
     if float(z_anchor.mean(dim=1).std(dim=0).max()) < 1e-6:

@@ -145,10 +145,12 @@ class PretrainSettings:
 
 @dataclass(frozen=True)
 class CalibrationConfig:
-    """How a calibration's map is fitted and judged."""
+    """How a calibration is chosen, fitted and judged."""
 
     held_out: Share = 0.2  # share of the grasps that only judge
     min_pairs: Count = 50  # half of them of each class; fewer say nothing about whole maps
+    # whether one gain of the newtons may be chosen; a policy that feels whole latents can't use it
+    gain: bool = True
     seed: Seed = 0  # which grasps judge
     refuse_below: Share = 0.5  # R² of Fz on held-out grasps of the task's class; less is no calibration
     warn_below: Share = 0.8  # less is worth another try

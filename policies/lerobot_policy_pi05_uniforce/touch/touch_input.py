@@ -66,7 +66,8 @@ def _check_gain(config: PI05UniforceConfig, finger: Finger, worn: Calibration) -
     head = config.touch.head_hash if config.touch.input == "newtons" else ""
     if worn.gain != 1 and worn.head_hash != head:
         wanted = f"a gain of newtons that head {head[:12]} reads" if head else "a map: this policy feels no newtons"
-        came, do = f"a gain of those of head {worn.head_hash[:12]}", "Calibrate by pairs, or with this policy's head."
+        came = f"a gain of those of head {worn.head_hash[:12]}"
+        do = "Calibrate by pairs with fit.gain=false, or with this policy's head."
         raise CheckpointError(expected(f"{finger}_calibration", wanted, came, do))
 
 
