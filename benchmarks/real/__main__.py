@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from benchmarks.real.eflesh import eflesh_lines, eflesh_rows
 from benchmarks.real.grasp_readers import grasp_readers
 from benchmarks.real.grasps import SEALED, SEEN, score_grasps, summary
 from benchmarks.real.readouts import (
@@ -36,11 +37,14 @@ class RealCommand:
     Example: python -m benchmarks.real data=cr_tactip/…/train_data,cr_tactip/…/val_data
     Grasps of two GelSight Minis: how well the normal forces of both fingers agree.
     Example: python -m benchmarks.real grasps=Incipient-Slip-Detection/docs/franka-servo/datasets
+    Two units of a magnetic skin, with newtons: a unit's own readout, and the other unit's.
+    Example: python -m benchmarks.real eflesh=eFlesh/characterization/datasets
     """
 
     data: FolderPaths = ""  # of TacTips, comma between them
     grasps: FolderPath = ""  # of two GelSight Minis
-    # of the grasps: seen, by a trial once | development, all others but the sealed six | sealed: score them once
+    eflesh: FolderPath = ""  # of the magnetic skin
+    # of grasps and skin: seen, by a trial once | development, all others but the sealed | sealed: score them once
     objects: Literal["seen", "development", "sealed"] = "development"
     tokenizer: TokenizerFolder = ""  # empty = the shipped one
     seeds: Count = 3  # untrained tokenizers
@@ -118,7 +122,7 @@ def _with_bounds(value: float, bounds: Sequence[float]) -> str:
 @command(RealCommand)
 def main(config: RealCommand) -> None:
     folders = [Path(name) for name in split(config.data)]
-    if not folders and not config.grasps:
+    if not folders and not config.grasps and not config.eflesh:
         raise ContractError(expected("data", "folders of recordings", "none", "Name those that fit and are read."))
     tokenizer = Tokenizer.from_pretrained(config.tokenizer or None)
     content: dict[str, Any] = {"what": "real recordings, read where they lie", "tokenizer_hash": tokenizer.hash}
@@ -129,6 +133,10 @@ def main(config: RealCommand) -> None:
     if config.grasps:
         content["grasps"] = {config.objects: grasp_rows(config, tokenizer)}
         print("\n".join(grasp_lines(content["grasps"][config.objects])))
+    if config.eflesh:
+        sealed = config.objects == "sealed"
+        content["eflesh"] = eflesh_rows(Path(config.eflesh), tokenizer, config.seeds, config.frames, sealed)
+        print("\n".join(eflesh_lines(content["eflesh"])))
     print(f"written to {write_json(Path(config.out), content | provenance())}")
 
 
