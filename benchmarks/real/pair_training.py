@@ -145,9 +145,11 @@ def read_halves(config: PairTrainingCommand, grasps: Sequence[Grasp]) -> list[di
     presses = simulated_presses(Tokenizer.from_pretrained().config.side, Path(config.work) / "labelled")
     ledger = Ledger(Path(config.work))
     readers: dict[tuple[str, int, int], Reader] = {}
+    shipped = latent_reader(Tokenizer.from_pretrained(), presses, 0)
+    described = described_reader(presses, 0)
     for half in HALVES:
-        readers[SHIPPED, 0, half] = latent_reader(Tokenizer.from_pretrained(), presses, 0)
-        readers[DESCRIPTOR, 0, half] = described_reader(presses, 0)
+        readers[SHIPPED, 0, half] = shipped
+        readers[DESCRIPTOR, 0, half] = described
     for key, tokenizer in tokenizers(config, grasps).items():
         readers[key] = latent_reader(tokenizer, presses, key[1])
     objects = sorted({grasp.trial.object_name for grasp in grasps})
