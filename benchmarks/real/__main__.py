@@ -46,6 +46,7 @@ class RealCommand:
     eflesh: FolderPath = ""  # of the magnetic skin
     # of grasps and skin: seen, by a trial once | development, all others but the sealed | sealed: score them once
     objects: Literal["seen", "development", "sealed"] = "development"
+    borrow: bool = False  # of the grasps: references of other films where a film shows contact only
     tokenizer: TokenizerFolder = ""  # empty = the shipped one
     seeds: Count = 3  # untrained tokenizers
     frames: Count = 1000  # of each recording, at most
@@ -88,29 +89,26 @@ def lines_of(found: dict[str, Any]) -> list[str]:
 
 
 def grasp_rows(config: RealCommand, tokenizer: Tokenizer) -> dict[str, Any]:
-    """Return reader → campaign → agreement of the fingers on the chosen objects."""
+    """Return reader → group of trials → agreement of the fingers on the chosen objects."""
     trials = read_grasps(config.grasps)
     named = {trial.object_name for trial in trials}
     chosen = {"seen": {*SEEN}, "sealed": {*SEALED}, "development": named - {*SEEN, *SEALED}}[config.objects]
     if not chosen & named:
         do = "Give docs/franka-servo/datasets of the whole repository."
         raise DatasetError(expected(f"objects of {config.grasps}", sorted(chosen), sorted(named), do))
-    scores = score_grasps(trials, chosen, grasp_readers(tokenizer, 0, Path(config.cache)))
-    return {
-        name: {campaign: summary(found) for campaign, found in by_campaign.items()}
-        for name, by_campaign in scores.items()
-    }
+    scores = score_grasps(trials, chosen, grasp_readers(tokenizer, 0, Path(config.cache)), config.borrow)
+    return {name: {group: summary(found) for group, found in by_group.items()} for name, by_group in scores.items()}
 
 
 def grasp_lines(found: dict[str, Any]) -> list[str]:
-    """Return a line per reader and campaign."""
+    """Return a line per reader and group."""
     lines = []
-    for name, by_campaign in found.items():
-        for campaign, row in by_campaign.items():
+    for name, by_group in found.items():
+        for group, row in by_group.items():
             count = f"{row['trials']} trials of {row['objects']} objects"
             error = _with_bounds(row["relative_error"], row["relative_error_95"])
             r = _with_bounds(row["r"], row["r_95"])
-            lines.append(f"{name:24} {campaign:6} {count}: relative error {error}, r {r}")
+            lines.append(f"{name:24} {group:16} {count}: relative error {error}, r {r}")
     return lines
 
 

@@ -17,7 +17,7 @@ from uniforce_datasets.readers.gelsight_grasps import GraspTrial
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.markers import Canonicalizer
 from uniforce_vtla.markers.film_markers import SETTLE, STEP
-from uniforce_vtla.markers.free_frame import Film, FreeFrame, pads
+from uniforce_vtla.markers.free_frame import Film, FreeFrame, borrowed, pads
 
 SENSOR = "gelsight"
 # Objects of base_data_for_validation. A trial of 2026-11-28 looked at them once.
@@ -60,6 +60,30 @@ class Grasp:
     trial: GraspTrial
     reference: dict[Finger, np.ndarray]  # (480, 640) uint8 marker image
     current: dict[Finger, np.ndarray]  # (T, 480, 640)
+    borrowed: bool = False  # a finger's reference comes from another film
+
+    @property
+    def group(self) -> str:
+        """Trials that are scored together: the campaign, and whether a reference is borrowed."""
+        return f"{self.trial.campaign}, borrowed" if self.borrowed else self.trial.campaign
+
+
+@dataclass(frozen=True)
+class Films:
+    """What one finger's camera saw of each trial."""
+
+    frames: list[list[np.ndarray]]  # (H, W, 3) uint8 each
+    free: list[FreeFrame | None]
+
+    def reference(self, trial: int) -> np.ndarray | None:
+        """Return the frame of free air for a trial, None if there is none."""
+        free = self.free[trial]
+        return None if free is None else self.frames[free.film][free.frame]
+
+    def is_borrowed(self, trial: int) -> bool:
+        """Whether a trial's reference is a frame of another film."""
+        free = self.free[trial]
+        return free is not None and free.film != trial
 
 
 @dataclass(frozen=True)
@@ -67,7 +91,7 @@ class Score:
     """Agreement of the fingers in one trial."""
 
     held: str
-    campaign: str
+    group: str
     frames: int
     relative_error: float
     r: float  # within the trial
@@ -88,12 +112,12 @@ def _light(frame: np.ndarray) -> np.ndarray:
     return cv2.GaussianBlur(grey, (0, 0), BLUR_px)
 
 
-def read_films(trials: Sequence[GraspTrial], finger: Finger) -> tuple[list[list[np.ndarray]], list[FreeFrame | None]]:
-    """Return each trial's frames of a finger, every fifth once exposure holds, and which of them is free air."""
+def read_films(trials: Sequence[GraspTrial], finger: Finger, borrow: bool = False) -> Films:
+    """Return each trial's frames of a finger, every fifth once exposure holds, and where its free air is."""
     frames = [list(film_frames(trial.films[finger]))[SETTLE::STEP] for trial in trials]
     films = [Film(trial.object_name, markers(of_trial)) for trial, of_trial in zip(trials, frames, strict=True)]
-    _, free = pads(films)
-    return frames, free
+    known, free = pads(films)
+    return Films(frames, borrowed(films, known, free) if borrow else free)
 
 
 def markers(frames: Iterable[np.ndarray]) -> list[np.ndarray]:
@@ -107,9 +131,10 @@ def markers(frames: Iterable[np.ndarray]) -> list[np.ndarray]:
     return found
 
 
-def in_contact(trial: GraspTrial, frames: dict[Finger, list[np.ndarray]], free: dict[Finger, int]) -> Grasp | None:
+def in_contact(
+    trial: GraspTrial, frames: dict[Finger, list[np.ndarray]], references: dict[Finger, np.ndarray], borrowed: bool
+) -> Grasp | None:
     """Return the frames in which both gels are shaded, None if there are too few."""
-    references = {finger: frames[finger][free[finger]] for finger in FINGERS}
     count = min(len(frames[finger]) for finger in FINGERS)
     chosen = [
         number
@@ -125,7 +150,7 @@ def in_contact(trial: GraspTrial, frames: dict[Finger, list[np.ndarray]], free: 
         canonicalizer.set_reference(references[finger])
         reference[finger] = canonicalizer.marker_image(references[finger])
         current[finger] = np.stack([canonicalizer.marker_image(frames[finger][number]) for number in chosen])
-    return Grasp(trial, reference, current)
+    return Grasp(trial, reference, current, borrowed)
 
 
 def agreement(grasp: Grasp, read: Reader) -> Score:
@@ -134,7 +159,7 @@ def agreement(grasp: Grasp, read: Reader) -> Score:
     error = float(np.abs(left - right).mean() / np.abs((left + right) / 2).mean())
     r = float(np.corrcoef(left, right)[0, 1])
     mean_N = float((left + right).mean() / 2)
-    return Score(grasp.trial.object_name, grasp.trial.campaign, len(left), error, r, mean_N)
+    return Score(grasp.trial.object_name, grasp.group, len(left), error, r, mean_N)
 
 
 def summary(scores: Sequence[Score], seed: int = 0) -> dict[str, object]:
@@ -157,32 +182,38 @@ def summary(scores: Sequence[Score], seed: int = 0) -> dict[str, object]:
     }
 
 
-def find_grasps(trials: Sequence[GraspTrial]) -> Iterator[Grasp]:
-    """Yield the trials of which both fingers have a free frame and enough contact, a campaign at a time."""
+def find_grasps(trials: Sequence[GraspTrial], borrow: bool = False) -> Iterator[Grasp]:
+    """Yield the trials of which both fingers have a reference and enough contact, a campaign at a time.
+
+    Args:
+        trials: all that one rig recorded; those of other objects show which markers are free.
+        borrow: take references from other films of the same pad where a film shows contact only.
+    """
     for campaign in ("close", "wide"):
         own = [trial for trial in trials if trial.campaign == campaign]
         if not own:
             continue
-        read = {finger: read_films(own, finger) for finger in FINGERS}
+        films = {finger: read_films(own, finger, borrow) for finger in FINGERS}
         for number, trial in enumerate(own):
-            free = {finger: read[finger][1][number] for finger in FINGERS}
-            known = {finger: frame.frame for finger, frame in free.items() if frame is not None}
+            references = {finger: films[finger].reference(number) for finger in FINGERS}
+            known = {finger: frame for finger, frame in references.items() if frame is not None}
             if len(known) < len(FINGERS):
                 continue
-            frames = {finger: read[finger][0][number] for finger in FINGERS}
-            grasp = in_contact(trial, frames, known)
+            is_borrowed = any(films[finger].is_borrowed(number) for finger in FINGERS)
+            frames = {finger: films[finger].frames[number] for finger in FINGERS}
+            grasp = in_contact(trial, frames, known, is_borrowed)
             if grasp is not None:
                 yield grasp
 
 
 def score_grasps(
-    trials: Sequence[GraspTrial], scored: Collection[str], readers: Mapping[str, Reader]
+    trials: Sequence[GraspTrial], scored: Collection[str], readers: Mapping[str, Reader], borrow: bool = False
 ) -> dict[str, dict[str, list[Score]]]:
-    """Return reader → campaign → scores of the trials of some objects; all trials serve to find free frames."""
+    """Return reader → group → scores of the trials of some objects; all trials serve to find free frames."""
     found: dict[str, dict[str, list[Score]]] = {name: {} for name in readers}
-    for grasp in tqdm(find_grasps(trials), desc="grasps", unit="grasp"):
+    for grasp in tqdm(find_grasps(trials, borrow), desc="grasps", unit="grasp"):
         if grasp.trial.object_name not in scored:
             continue
         for name, read in readers.items():
-            found[name].setdefault(grasp.trial.campaign, []).append(agreement(grasp, read))
+            found[name].setdefault(grasp.group, []).append(agreement(grasp, read))
     return found

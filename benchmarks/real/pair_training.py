@@ -191,7 +191,7 @@ def _mean(of_trial: Sequence[Score]) -> Score:
     error = float(np.mean([score.relative_error for score in of_trial]))
     r = float(np.mean([score.r for score in of_trial]))
     mean_N = float(np.mean([score.mean_N for score in of_trial]))
-    return Score(first.held, first.campaign, first.frames, error, r, mean_N)
+    return Score(first.held, first.group, first.frames, error, r, mean_N)
 
 
 def difference(scores: Sequence[Score], others: Sequence[Score], seed: int = 0) -> list[float]:

@@ -1,14 +1,16 @@
 """Agreement of two fingers: the sealed objects are drawn by hash, contact is shading, the formula is as fixed."""
 
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from benchmarks.real.grasps import SEALED, SEEN, SHADED, Grasp, Score, agreement, shading, summary
+from benchmarks.real.grasps import SEALED, SEEN, SHADED, Films, Grasp, Score, agreement, shading, summary
 from uniforce_datasets.readers.gelsight_grasps import GraspTrial
+from uniforce_vtla.markers.free_frame import FreeFrame
 
 OTHERS = [
     "artificial_strawberry",
@@ -81,3 +83,13 @@ def test_objects_are_drawn_anew_and_not_trials() -> None:
     found = summary(scores)
     assert (found["objects"], found["trials"], found["relative_error"]) == (2, 21, 0.1)
     assert found["relative_error_95"] == [pytest.approx(0.1), pytest.approx(0.7)]
+
+
+def test_a_borrowed_reference_is_another_films_frame_and_is_marked() -> None:
+    frames = [[np.full((2, 2, 3), 10 * film + number, np.uint8) for number in range(3)] for film in range(3)]
+    films = Films(frames, [FreeFrame(0, 2, 0.1, 0), FreeFrame(0, 2, 0.1, 0), None])
+    assert films.reference(0) is frames[0][2] and not films.is_borrowed(0)
+    assert films.reference(1) is frames[0][2] and films.is_borrowed(1)
+    assert films.reference(2) is None and not films.is_borrowed(2)
+    assert grasp().group == "close"
+    assert replace(grasp(), borrowed=True).group == "close, borrowed"
