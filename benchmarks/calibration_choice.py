@@ -99,9 +99,9 @@ def real_cases(folder: str, tokenizer: Tokenizer, head: ForceHead) -> dict[str, 
     """Return the development objects' grasps, by campaign, finger and what is left out together."""
     found: dict[str, list[tuple[str, dict[Finger, torch.Tensor]]]] = {}
     for grasp in tqdm(find_grasps(read_grasps(folder)), desc="grasps", unit="grasp"):
-        if grasp.trial.object_name not in {*SEEN, *SEALED}:
+        if grasp.held not in {*SEEN, *SEALED}:
             latents = {finger: _latents(tokenizer, grasp, finger) for finger in FINGERS}
-            found.setdefault(grasp.trial.campaign, []).append((grasp.trial.object_name, latents))
+            found.setdefault(grasp.group, []).append((grasp.held, latents))
     cases = {}
     for campaign, trials in found.items():
         if len(trials) < FOLDS:

@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.real.eflesh import eflesh_lines, eflesh_rows
 from benchmarks.real.grasp_readers import grasp_readers
-from benchmarks.real.grasps import SEALED, SEEN, score_grasps, summary
+from benchmarks.real.grasps import SEALED, SEEN, by_group, find_grasps, read_grasps_by
 from benchmarks.real.readouts import (
     RIDGES,
     Features,
@@ -21,6 +21,8 @@ from benchmarks.real.readouts import (
     transfer,
 )
 from benchmarks.real.tactip_shear import TactipSet, read_tactip_shear
+from benchmarks.real.uskin_grasps import SENSOR as USKIN
+from benchmarks.real.uskin_grasps import find_uskin_grasps
 from uniforce_cli.boundary import command
 from uniforce_datasets.readers.gelsight_grasps import read_grasps
 from uniforce_vtla.errors import ContractError, DatasetError, expected
@@ -37,12 +39,15 @@ class RealCommand:
     Example: python -m benchmarks.real data=cr_tactip/…/train_data,cr_tactip/…/val_data
     Grasps of two GelSight Minis: how well the normal forces of both fingers agree.
     Example: python -m benchmarks.real grasps=Incipient-Slip-Detection/docs/franka-servo/datasets
+    Grasps of two uSkins: the same.
+    Example: python -m benchmarks.real uskin=proactive-slip-control/data_set
     Two units of a magnetic skin, with newtons: a unit's own readout, and the other unit's.
     Example: python -m benchmarks.real eflesh=eFlesh/characterization/datasets
     """
 
     data: FolderPaths = ""  # of TacTips, comma between them
     grasps: FolderPath = ""  # of two GelSight Minis
+    uskin: FolderPath = ""  # grasps of two uSkins
     eflesh: FolderPath = ""  # of the magnetic skin
     # of grasps and skin: seen, by a trial once | development, all others but the sealed | sealed: score them once
     objects: Literal["seen", "development", "sealed"] = "development"
@@ -96,15 +101,24 @@ def grasp_rows(config: RealCommand, tokenizer: Tokenizer) -> dict[str, Any]:
     if not chosen & named:
         do = "Give docs/franka-servo/datasets of the whole repository."
         raise DatasetError(expected(f"objects of {config.grasps}", sorted(chosen), sorted(named), do))
-    scores = score_grasps(trials, chosen, grasp_readers(tokenizer, 0, Path(config.cache)), config.borrow)
-    return {name: {group: summary(found) for group, found in by_group.items()} for name, by_group in scores.items()}
+    # trials of all objects serve to find free frames
+    grasps = (grasp for grasp in find_grasps(trials, config.borrow) if grasp.held in chosen)
+    readings = read_grasps_by(grasps, grasp_readers(tokenizer, 0, Path(config.cache)))
+    return {name: by_group(of_reader) for name, of_reader in readings.items()}
+
+
+def uskin_rows(config: RealCommand, tokenizer: Tokenizer) -> dict[str, Any]:
+    """Return reader → group of trials → agreement of the fingers."""
+    readers = grasp_readers(tokenizer, 0, Path(config.cache), USKIN)
+    readings = read_grasps_by(find_uskin_grasps(config.uskin), readers)
+    return {name: by_group(of_reader) for name, of_reader in readings.items()}
 
 
 def grasp_lines(found: dict[str, Any]) -> list[str]:
     """Return a line per reader and group."""
     lines = []
-    for name, by_group in found.items():
-        for group, row in by_group.items():
+    for name, groups in found.items():
+        for group, row in groups.items():
             count = f"{row['trials']} trials of {row['objects']} objects"
             error = _with_bounds(row["relative_error"], row["relative_error_95"])
             r = _with_bounds(row["r"], row["r_95"])
@@ -120,7 +134,7 @@ def _with_bounds(value: float, bounds: Sequence[float]) -> str:
 @command(RealCommand)
 def main(config: RealCommand) -> None:
     folders = [Path(name) for name in split(config.data)]
-    if not folders and not config.grasps and not config.eflesh:
+    if not folders and not config.grasps and not config.uskin and not config.eflesh:
         raise ContractError(expected("data", "folders of recordings", "none", "Name those that fit and are read."))
     tokenizer = Tokenizer.from_pretrained(config.tokenizer or None)
     content: dict[str, Any] = {"what": "real recordings, read where they lie", "tokenizer_hash": tokenizer.hash}
@@ -131,6 +145,9 @@ def main(config: RealCommand) -> None:
     if config.grasps:
         content["grasps"] = {config.objects: grasp_rows(config, tokenizer)}
         print("\n".join(grasp_lines(content["grasps"][config.objects])))
+    if config.uskin:
+        content["uskin"] = uskin_rows(config, tokenizer)
+        print("\n".join(grasp_lines(content["uskin"])))
     if config.eflesh:
         sealed = config.objects == "sealed"
         content["eflesh"] = eflesh_rows(Path(config.eflesh), tokenizer, config.seeds, config.frames, sealed)

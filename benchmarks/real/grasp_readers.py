@@ -1,4 +1,4 @@
-"""Readers of normal force for real grasps: one head each, trained on the same simulated GelSight presses.
+"""Readers of normal force for real grasps: one head each, trained on the same simulated presses.
 
 The tokenizer stands beside an untrained encoder of its size and six hand-made numbers. A head reads each frame alone.
 """
@@ -15,7 +15,7 @@ from benchmarks.probes.report_sets import REPORT_SETS
 from benchmarks.probes.zero_shot import descriptor_features, encode_set, sized_head
 from benchmarks.real.grasps import SENSOR, Reader
 from uniforce_vtla.contracts import Finger
-from uniforce_vtla.tokenizer import ForceHead, Tokenizer
+from uniforce_vtla.tokenizer import Tokenizer
 from uniforce_vtla.tokenizer.descriptor import NATURAL_UNITS
 from uniforce_vtla.tokenizer.force_head import HeadTrainingConfig, train_head
 from uniforce_vtla.tokenizer.latent import POOL, pool_latent
@@ -28,10 +28,10 @@ BATCH = 16
 Encode = Callable[[np.ndarray, np.ndarray, Finger], torch.Tensor]
 
 
-def simulated_presses(side: int, cache: Path) -> LabelledSet:
-    """Return the presses that heads learn from; they are drawn into ``cache`` once."""
-    sensors = {SENSOR: SET.sources()[SENSOR]}
-    return SET.draw(SET.training, sensors, side, cache)[SENSOR]
+def simulated_presses(side: int, cache: Path, sensor: str = SENSOR) -> LabelledSet:
+    """Return the presses of a sensor that heads learn from; they are drawn into ``cache`` once."""
+    sensors = {sensor: SET.sources()[sensor]}
+    return SET.draw(SET.training, sensors, side, cache)[sensor]
 
 
 def latent_reader(tokenizer: Tokenizer, presses: LabelledSet, seed: int) -> Reader:
@@ -48,17 +48,14 @@ def described_reader(presses: LabelledSet, seed: int) -> Reader:
     return _reader(_described, train_head(z, presses.force_N, sized_head(plain, z, 1), seed))
 
 
-def grasp_readers(tokenizer: Tokenizer, seed: int, cache: Path) -> dict[str, Reader]:
-    """Return name → reader."""
-    presses = simulated_presses(tokenizer.config.side, cache)
-    shipped = ForceHead.from_pretrained(SENSOR)
-    found: dict[str, Reader] = {}
-    if shipped.tokenizer_hash == tokenizer.hash:
-        found["tokenizer, shipped head"] = _reader(_latents(tokenizer), shipped.model)
-    found["tokenizer"] = latent_reader(tokenizer, presses, seed)
-    found["untrained encoder"] = latent_reader(Tokenizer.random(tokenizer.config, seed), presses, seed)
-    found["hand descriptor"] = described_reader(presses, seed)
-    return found
+def grasp_readers(tokenizer: Tokenizer, seed: int, cache: Path, sensor: str = SENSOR) -> dict[str, Reader]:
+    """Return name → reader of a sensor, the tokenizer's first."""
+    presses = simulated_presses(tokenizer.config.side, cache, sensor)
+    return {
+        "tokenizer": latent_reader(tokenizer, presses, seed),
+        "untrained encoder": latent_reader(Tokenizer.random(tokenizer.config, seed), presses, seed),
+        "hand descriptor": described_reader(presses, seed),
+    }
 
 
 def _latents(tokenizer: Tokenizer) -> Encode:

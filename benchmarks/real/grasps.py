@@ -5,8 +5,8 @@ The formula was fixed before any reading was scored: the relative error of a tri
 shading of the gel. Intervals come from a bootstrap over objects, since trials of one object resemble each other.
 """
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -48,6 +48,8 @@ SHADED = 2.5
 SHADED_PERCENTILE = 95
 FEWEST_FRAMES = 8  # in contact, or a trial isn't scored
 DRAWS = 2000  # of the bootstrap
+CHANCE = "chance"
+BORROWED = ", borrowed"  # behind the name of a group whose references come from other films
 
 # reference (480, 640), current (T, 480, 640) marker images, finger → (T,) normal force
 Reader = Callable[[np.ndarray, np.ndarray, Finger], np.ndarray]
@@ -57,15 +59,10 @@ Reader = Callable[[np.ndarray, np.ndarray, Finger], np.ndarray]
 class Grasp:
     """Frames of one trial in which both fingers are in contact."""
 
-    trial: GraspTrial
+    held: str
+    group: str  # of trials that are scored together: the campaign, and whether a reference is borrowed
     reference: dict[Finger, np.ndarray]  # (480, 640) uint8 marker image
     current: dict[Finger, np.ndarray]  # (T, 480, 640)
-    borrowed: bool = False  # a finger's reference comes from another film
-
-    @property
-    def group(self) -> str:
-        """Trials that are scored together: the campaign, and whether a reference is borrowed."""
-        return f"{self.trial.campaign}, borrowed" if self.borrowed else self.trial.campaign
 
 
 @dataclass(frozen=True)
@@ -84,6 +81,16 @@ class Films:
         """Whether a trial's reference is a frame of another film."""
         free = self.free[trial]
         return free is not None and free.film != trial
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Normal forces read in one trial, N, at the same moments of contact."""
+
+    held: str
+    group: str
+    left_N: np.ndarray  # (T,)
+    right_N: np.ndarray  # (T,)
 
 
 @dataclass(frozen=True)
@@ -132,7 +139,7 @@ def markers(frames: Iterable[np.ndarray]) -> list[np.ndarray]:
 
 
 def in_contact(
-    trial: GraspTrial, frames: dict[Finger, list[np.ndarray]], references: dict[Finger, np.ndarray], borrowed: bool
+    held: str, group: str, frames: dict[Finger, list[np.ndarray]], references: dict[Finger, np.ndarray]
 ) -> Grasp | None:
     """Return the frames in which both gels are shaded, None if there are too few."""
     count = min(len(frames[finger]) for finger in FINGERS)
@@ -150,16 +157,35 @@ def in_contact(
         canonicalizer.set_reference(references[finger])
         reference[finger] = canonicalizer.marker_image(references[finger])
         current[finger] = np.stack([canonicalizer.marker_image(frames[finger][number]) for number in chosen])
-    return Grasp(trial, reference, current, borrowed)
+    return Grasp(held, group, reference, current)
 
 
-def agreement(grasp: Grasp, read: Reader) -> Score:
-    """Return how well a reader's normal forces of the two fingers agree."""
-    left, right = (read(grasp.reference[finger], grasp.current[finger], finger) for finger in FINGERS)
-    error = float(np.abs(left - right).mean() / np.abs((left + right) / 2).mean())
-    r = float(np.corrcoef(left, right)[0, 1])
-    mean_N = float((left + right).mean() / 2)
-    return Score(grasp.trial.object_name, grasp.group, len(left), error, r, mean_N)
+def read_grasp(grasp: Grasp, read: Reader) -> Reading:
+    """Return the normal forces that a reader finds on both fingers."""
+    left_N = read(grasp.reference["left"], grasp.current["left"], "left")
+    right_N = read(grasp.reference["right"], grasp.current["right"], "right")
+    return Reading(grasp.held, grasp.group, left_N, right_N)
+
+
+def agreement(reading: Reading) -> Score:
+    """Return how well the normal forces of the two fingers agree."""
+    left_N, right_N = reading.left_N, reading.right_N
+    mean_N = float((left_N + right_N).mean() / 2)
+    error = float(np.abs(left_N - right_N).mean() / abs(mean_N))
+    r = float(np.corrcoef(left_N, right_N)[0, 1])
+    return Score(reading.held, reading.group, len(left_N), error, r, mean_N)
+
+
+def by_chance(readings: Sequence[Reading]) -> list[Reading]:
+    """Return each trial's left finger beside the right finger of the next trial of another object."""
+    found = []
+    for number, reading in enumerate(readings):
+        others = [*readings[number + 1 :], *readings[:number]]
+        other = next((one for one in others if one.held != reading.held), None)
+        if other is not None:
+            count = min(len(reading.left_N), len(other.right_N))
+            found.append(replace(reading, left_N=reading.left_N[:count], right_N=other.right_N[:count]))
+    return found
 
 
 def summary(scores: Sequence[Score], seed: int = 0) -> dict[str, object]:
@@ -200,20 +226,24 @@ def find_grasps(trials: Sequence[GraspTrial], borrow: bool = False) -> Iterator[
             if len(known) < len(FINGERS):
                 continue
             is_borrowed = any(films[finger].is_borrowed(number) for finger in FINGERS)
+            group = f"{campaign}{BORROWED}" if is_borrowed else campaign
             frames = {finger: films[finger].frames[number] for finger in FINGERS}
-            grasp = in_contact(trial, frames, known, is_borrowed)
+            grasp = in_contact(trial.object_name, group, frames, known)
             if grasp is not None:
                 yield grasp
 
 
-def score_grasps(
-    trials: Sequence[GraspTrial], scored: Collection[str], readers: Mapping[str, Reader], borrow: bool = False
-) -> dict[str, dict[str, list[Score]]]:
-    """Return reader → group → scores of the trials of some objects; all trials serve to find free frames."""
-    found: dict[str, dict[str, list[Score]]] = {name: {} for name in readers}
-    for grasp in tqdm(find_grasps(trials, borrow), desc="grasps", unit="grasp"):
-        if grasp.trial.object_name not in scored:
-            continue
+def read_grasps_by(grasps: Iterable[Grasp], readers: Mapping[str, Reader]) -> dict[str, list[Reading]]:
+    """Return reader → readings; ``CHANCE`` is the first reader's, of two fingers that held different objects."""
+    found: dict[str, list[Reading]] = {name: [] for name in readers}
+    for grasp in tqdm(grasps, desc="grasps", unit="grasp"):
         for name, read in readers.items():
-            found[name].setdefault(grasp.group, []).append(agreement(grasp, read))
-    return found
+            found[name].append(read_grasp(grasp, read))
+    first = next(iter(readers))
+    return found | {CHANCE: by_chance(found[first])}
+
+
+def by_group(readings: Sequence[Reading]) -> dict[str, object]:
+    """Return group of trials → agreement of the fingers."""
+    groups = sorted({reading.group for reading in readings})
+    return {group: summary([agreement(reading) for reading in readings if reading.group == group]) for group in groups}

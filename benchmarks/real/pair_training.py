@@ -26,6 +26,7 @@ from benchmarks.real.grasps import (
     Score,
     agreement,
     find_grasps,
+    read_grasp,
     summary,
 )
 from uniforce_cli.boundary import command, one_thread
@@ -111,7 +112,7 @@ def tokenizers(config: PairTrainingCommand, grasps: Sequence[Grasp]) -> dict[tup
     shipped = Tokenizer.from_pretrained()
     work = Path(config.work)
     simulated = PairCache(work / "simulated", SIMULATED)
-    objects = sorted({grasp.trial.object_name for grasp in grasps})
+    objects = sorted({grasp.held for grasp in grasps})
     found: dict[tuple[str, int, int], Tokenizer] = {}
     for arm, real_units in ARMS.items():
         for seed in range(config.seeds):
@@ -132,7 +133,7 @@ def tokenizers(config: PairTrainingCommand, grasps: Sequence[Grasp]) -> dict[tup
                 if half and not real_units:
                     found[arm, seed, half] = found[arm, seed, 0]
                     continue
-                trained_on = [g for g in grasps if half_of(g.trial.object_name, objects) != half]
+                trained_on = [g for g in grasps if half_of(g.held, objects) != half]
                 real = RecordedPairs([shrunk(grasp, shipped.config.side) for grasp in trained_on])
                 folder = work / f"{arm}_{seed}_{half}".replace(" ", "_")
                 data: Any = MixedPairs(real, simulated, real_units)
@@ -152,13 +153,13 @@ def read_halves(config: PairTrainingCommand, grasps: Sequence[Grasp]) -> list[di
         readers[DESCRIPTOR, 0, half] = described
     for key, tokenizer in tokenizers(config, grasps).items():
         readers[key] = latent_reader(tokenizer, presses, key[1])
-    objects = sorted({grasp.trial.object_name for grasp in grasps})
+    objects = sorted({grasp.held for grasp in grasps})
     done = {(row["arm"], row["seed"], row["half"]) for row in ledger.read("readings")}
     for (arm, seed, half), read in tqdm(readers.items(), desc="readers"):
         if (arm, seed, half) in done:
             continue
-        own = [grasp for grasp in grasps if half_of(grasp.trial.object_name, objects) == half]
-        scores = [asdict(agreement(grasp, read)) for grasp in own]
+        own = [grasp for grasp in grasps if half_of(grasp.held, objects) == half]
+        scores = [asdict(agreement(read_grasp(grasp, read))) for grasp in own]
         ledger.add("readings", {"arm": arm, "seed": seed, "half": half, "scores": scores})
     return ledger.read("readings")
 
@@ -214,8 +215,8 @@ def main(config: PairTrainingCommand) -> None:
     """Train what is lacking, read what is lacking, write the table."""
     one_thread()
     trials = [trial for trial in read_grasps(config.grasps) if trial.campaign == CAMPAIGN]
-    grasps = [grasp for grasp in find_grasps(trials) if grasp.trial.object_name not in SEALED]
-    objects = sorted({grasp.trial.object_name for grasp in grasps})
+    grasps = [grasp for grasp in find_grasps(trials) if grasp.held not in SEALED]
+    objects = sorted({grasp.held for grasp in grasps})
     if len(objects) < 2 * len(HALVES):
         do = "Give docs/franka-servo/datasets of the whole repository."
         raise DatasetError(expected(f"objects of {config.grasps}", "four or more", objects, do))

@@ -58,7 +58,7 @@ def test_development_objects_alone_are_read(monkeypatch: pytest.MonkeyPatch, tin
     references = {"left": images[0], "right": images[0]}
     held = [*SEALED, *SEEN, "lemon", "lemon", "mug", "mug", "ball"]
     trials = [GraspTrial(name, name, "close", {"left": Path(), "right": Path()}, slipped=False) for name in held]
-    grasps = [Grasp(trial, references, both) for trial in trials]  # type: ignore[arg-type]
+    grasps = [Grasp(trial.object_name, "close", references, both) for trial in trials]  # type: ignore[arg-type]
     monkeypatch.setattr("benchmarks.calibration_choice.read_grasps", lambda folder: trials)
     monkeypatch.setattr("benchmarks.calibration_choice.find_grasps", lambda trials: grasps)
     tokenizer = Tokenizer.random(tiny)

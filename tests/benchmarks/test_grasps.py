@@ -1,15 +1,26 @@
 """Agreement of two fingers: the sealed objects are drawn by hash, contact is shading, the formula is as fixed."""
 
 import hashlib
-from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from benchmarks.real.grasps import SEALED, SEEN, SHADED, Films, Grasp, Score, agreement, shading, summary
-from uniforce_datasets.readers.gelsight_grasps import GraspTrial
+from benchmarks.real.grasps import (
+    SEALED,
+    SEEN,
+    SHADED,
+    Films,
+    Grasp,
+    Reading,
+    Score,
+    agreement,
+    by_chance,
+    by_group,
+    read_grasp,
+    shading,
+    summary,
+)
 from uniforce_vtla.markers.free_frame import FreeFrame
 
 OTHERS = [
@@ -65,14 +76,13 @@ def test_contact_is_seen_by_shading_and_exposure_is_none() -> None:
 
 
 def grasp() -> Grasp:
-    trial = GraspTrial("ball", "ball/1", "close", {"left": Path("l"), "right": Path("r")}, slipped=False)
     images = {"left": np.zeros((4, 2, 2)), "right": np.zeros((4, 2, 2))}
-    return Grasp(trial, {"left": np.zeros((2, 2)), "right": np.zeros((2, 2))}, images)  # type: ignore[dict-item]
+    return Grasp("ball", "close", {"left": np.zeros((2, 2)), "right": np.zeros((2, 2))}, images)  # type: ignore[dict-item]
 
 
 def test_the_error_is_the_mean_difference_over_the_mean_of_both() -> None:
     force_N = {"left": np.array([1.0, 2.0, 3.0, 4.0]), "right": np.array([2.0, 2.0, 4.0, 4.0])}
-    found = agreement(grasp(), lambda reference, current, finger: force_N[finger])
+    found = agreement(read_grasp(grasp(), lambda reference, current, finger: force_N[finger]))
     assert found.relative_error == pytest.approx((0.5) / 2.75) and found.frames == 4
     assert found.r == pytest.approx(np.corrcoef(force_N["left"], force_N["right"])[0, 1])
 
@@ -91,5 +101,21 @@ def test_a_borrowed_reference_is_another_films_frame_and_is_marked() -> None:
     assert films.reference(0) is frames[0][2] and not films.is_borrowed(0)
     assert films.reference(1) is frames[0][2] and films.is_borrowed(1)
     assert films.reference(2) is None and not films.is_borrowed(2)
-    assert grasp().group == "close"
-    assert replace(grasp(), borrowed=True).group == "close, borrowed"
+
+
+def test_chance_pairs_fingers_that_held_different_objects() -> None:
+    ball, again, mug = (
+        Reading(held, "close", np.full(count, left_N), np.full(count, right_N))
+        for held, count, left_N, right_N in (("ball", 5, 1.0, 2.0), ("ball", 4, 3.0, 4.0), ("mug", 3, 5.0, 6.0))
+    )
+    found = by_chance([ball, again, mug])
+    assert [(one.left_N[0], one.right_N[0], len(one.left_N)) for one in found] == [(1, 6, 3), (3, 6, 3), (5, 2, 3)]
+    assert by_chance([ball, again]) == []
+
+
+def test_groups_are_summed_up_apart() -> None:
+    force_N = np.array([1.0, 2.0, 3.0])
+    readings = [Reading("ball", "close", force_N, force_N), Reading("mug", "wide, borrowed", force_N, 2 * force_N)]
+    found = by_group(readings)
+    assert list(found) == ["close", "wide, borrowed"]
+    assert found["close"]["relative_error"] == 0.0 < found["wide, borrowed"]["relative_error"]  # type: ignore[index]
