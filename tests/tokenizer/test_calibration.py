@@ -191,9 +191,9 @@ def test_a_pad_that_answers_less_takes_a_gain_and_keeps_its_latents(noise: float
 
 
 def test_noise_is_not_calibrated() -> None:
-    """Both fingers are read with noise: a gain that shrinks the reading buys little, and a map nothing."""
-    anchor = pushed(0)
-    choice = choose(anchor + 0.3 * pushed(3), anchor, Scale())  # type: ignore[arg-type]
+    """Both fingers are read with the same noise: a gain that shrinks the reading would lower the error, and misread."""
+    force = pushed(0)
+    choice = choose(force + 0.3 * pushed(3), force + 0.3 * pushed(7), Scale())  # type: ignore[arg-type]
     assert choice.form == "none" and min(choice.error.values()) > 0.01
 
 
