@@ -7,6 +7,10 @@ from collections.abc import Sequence
 from importlib.metadata import version
 
 GROUPS = {  # what a verb is for; the module of its name does it and is loaded when it is called, so help is quick
+    "begin": {
+        "doctor": "list what this machine has, what it lacks and what to do",
+        "demo": "record, train, score and show in five minutes",
+    },
     "see a sensor": {
         "touch": "show a tactile sensor live, or check its rate and orientation",
         "calibrate": "fit a new sensor to a known one from grasps, without force labels",
@@ -29,7 +33,6 @@ GROUPS = {  # what a verb is for; the module of its name does it and is loaded w
     },
     "hand on": {
         "share": "check a policy, write its card, upload it when asked to",
-        "demo": "record, train, score and show in five minutes",
     },
 }
 VERBS = [name for group in GROUPS.values() for name in group]
