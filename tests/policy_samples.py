@@ -11,6 +11,7 @@ from lerobot.policies.pi05 import modeling_pi05 as stock
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings
 from lerobot_policy_pi05_uniforce.modeling_pi05_uniforce import LANGUAGE
+from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs
 
 SITES = pytest.mark.parametrize("site", ["prefix", "suffix"])
 OPEN = [0.6, 1.5]  # gates of two slots
@@ -30,7 +31,7 @@ def small_config(cameras=("front", "wrist"), **settings):
 
 def inputs(policy, batch):
     images, masks = policy._preprocess_images(batch)
-    return images, masks, batch[LANGUAGE[0]], batch[LANGUAGE[1]]
+    return Inputs(images, masks, batch[LANGUAGE[0]], batch[LANGUAGE[1]], policy.felt(batch))
 
 
 def start_noise(policy, size=2):
@@ -60,8 +61,9 @@ def lerobots_layers(network: Any) -> Any:
 
 def lerobots_own(policy, given, noise, steps=4, **rtc):
     """Sample with LeRobot's loop and LeRobot's layers: nothing of ours but the weights and the extra tokens."""
-    with lerobots_layers(policy.model):
-        return stock.PI05Pytorch.sample_actions(policy.model, *given, noise=noise, num_steps=steps, **rtc)
+    *seen, felt = given
+    with lerobots_layers(policy.model), policy.model.feeling(felt):
+        return stock.PI05Pytorch.sample_actions(policy.model, *seen, noise=noise, num_steps=steps, **rtc)
 
 
 def ours(policy, given, noise, steps=4, **rtc):

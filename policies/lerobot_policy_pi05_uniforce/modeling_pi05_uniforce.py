@@ -25,6 +25,7 @@ from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch, state_size
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE, floor_quantiles
 from lerobot_policy_pi05_uniforce.touch.controls import ControlInput, NewtonInput
 from lerobot_policy_pi05_uniforce.touch.encoder import ENCODER, check_hash, is_packaged
+from lerobot_policy_pi05_uniforce.touch.felt import Felt
 from lerobot_policy_pi05_uniforce.touch.touch_input import TouchInput, build_monitors, load_calibrations
 from lerobot_policy_pi05_uniforce.warm_up import LANGUAGE, WARM_LOOKS, made_up_batch
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
@@ -219,15 +220,23 @@ class PI05UniforcePolicy(stock.PI05Policy):
         images, masks = super()._preprocess_images(cameras)
         if self.training and self.config.augment.camera_variation:
             images = [vary(image, self.config.augment.camera_variation) for image in images]
+        return images, masks
+
+    def felt(self, batch: dict[str, Tensor]) -> Felt:
+        """Return the state, with the previous action where the policy takes it, and touch.
+
+        Raises as ``TouchInput.gather``.
+        """
+        device = self.leash.device
+        state = None
         if self.model.state_token is not None:
-            state = batch[STATE].to(images[0].device, torch.float32)
+            state = batch[STATE].to(device, torch.float32)
             if self.config.previous_axes:
                 move = self._previous_move(batch)[:, self.config.previous_axes]
                 state = torch.cat([state, move.to(state)], dim=1)
-            images.append(state[:, None])  # (B, 1, S), or S + A with the previous action
-            masks.append(torch.ones_like(state[:, 0], dtype=torch.bool))
-        touches, touch_masks = self.touch.gather(batch, images[0].device, self.training)
-        return images + touches, masks + touch_masks
+            state = state[:, None]  # (B, 1, S), or S + A with the previous action
+        touches, touch_masks = self.touch.gather(batch, device, self.training)
+        return Felt(state, tuple(touches), tuple(touch_masks))
 
     def _previous_move(self, batch: dict[str, Tensor]) -> Tensor:
         """Return (B, A) in units of ``delta_scale``: of a sample its demo's commands, of a rollout those issued."""
@@ -280,9 +289,12 @@ class PI05UniforcePolicy(stock.PI05Policy):
             reduction: "mean" → scalar; "none" → (B,) for weighted training.
         """
         images, masks = self._preprocess_images(batch)
+        felt = self.felt(batch)
         actions = self.prepare_action(batch)
         noise, time = self._flow_start(actions)
-        losses = self.model.forward(images, masks, *self._text(batch), actions, noise, time)
+        tokens, text_mask = self._text(batch)
+        flow = {"actions": actions, "noise": noise, "time": time}
+        losses = self.model.forward(images, masks, tokens, text_mask, felt, **flow)
         losses = losses[:, :, : self._action_size]  # (B, chunk, A)
         is_pad = batch.get("action_is_pad", torch.zeros_like(actions[..., 0], dtype=torch.bool))
         keep = (~is_pad[:, -losses.shape[1] :]).to(losses)[..., None]  # (B, chunk, 1)
@@ -314,6 +326,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
         if self.config.action.objective == "regression":
             kwargs["noise"] = start  # zeros whatever was asked for: it was trained on nothing else
         kwargs.setdefault("noise", start)
+        kwargs["felt"] = self.felt(batch)
         return self._targets(super().predict_action_chunk(batch, **kwargs), batch)
 
     def _notice_adapters(self) -> None:

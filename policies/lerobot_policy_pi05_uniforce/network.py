@@ -1,6 +1,7 @@
 """The network: LeRobot's π0.5 whose prefix also holds a state token and force tokens."""
 
-from contextlib import nullcontext
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from typing import Any
 
 import torch
@@ -13,6 +14,7 @@ from lerobot_policy_pi05_uniforce.sampler.fast import FastSampler
 from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, drop_padding
 from lerobot_policy_pi05_uniforce.touch.controls import control_tokens
 from lerobot_policy_pi05_uniforce.touch.encoder import build_encoder
+from lerobot_policy_pi05_uniforce.touch.felt import NOTHING, Felt
 from lerobot_policy_pi05_uniforce.touch.tokens import ForceTokens, GatedColumns, SuffixTouch, TouchGate
 from lerobot_policy_pi05_uniforce.training import freeze_unread
 from lerobot_policy_pi05_uniforce.weights import no_weights
@@ -42,7 +44,7 @@ class StateToken(nn.Module):
 
 
 class PI05UniforcePytorch(stock.PI05Pytorch):
-    """π0.5's network with touch: state and touch ride behind the cameras in the images list.
+    """π0.5's network with a state token and force tokens behind cameras and text.
 
     At ``touch.site=prefix`` force tokens join cameras and text and are encoded once per observation. At ``suffix`` they
     stand before the noisy actions in the action expert, which reads them again in every flow step; they see the prefix
@@ -55,7 +57,9 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         self.gradient_checkpointing_enabled = False
         with no_weights() if empty else nullcontext():
             self._build_stock(config)
-        self._touch: SuffixTouch | None = None  # of the call in progress, at touch.site=suffix
+        # of the call in progress: LeRobot's own loops hand no more than cameras and text on
+        self._felt = NOTHING
+        self._touch: SuffixTouch | None = None  # at touch.site=suffix
         encodes = bool(config.slots) and config.touch.input in ENCODED
         self.tactile_encoder = build_encoder(config, empty) if encodes else None
         vlm_width = self.paligemma_with_expert.paligemma.config.text_config.hidden_size
@@ -96,6 +100,7 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         img_masks: list,
         tokens: Tensor,
         masks: Tensor,
+        felt: Felt = NOTHING,
         noise: Tensor | None = None,
         num_steps: int | None = None,
         **kwargs: Any,
@@ -104,43 +109,70 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
 
         RTC (``config.rtc_config``) differentiates through the flow: LeRobot's loop samples.
         """
-        inputs = Inputs(images, img_masks, tokens, masks)
+        inputs = Inputs(images, img_masks, tokens, masks, felt)
         if self.fast is None or self.adapted or self.rtc_processor is not None:
-            try:
-                return super().sample_actions(*inputs, noise, num_steps, **kwargs)
-            finally:
-                self._touch = None
+            seen = {"images": images, "img_masks": img_masks, "tokens": tokens, "masks": masks}
+            with self.feeling(felt):
+                return super().sample_actions(**seen, noise=noise, num_steps=num_steps, **kwargs)
         if noise is None:
             shape = (len(tokens), self.config.chunk_size, self.config.max_action_dim)
             noise = self.sample_noise(shape, tokens.device)
         return self.fast.sample(inputs, noise, num_steps or self.config.num_inference_steps)
 
-    def forward(self, images: list, img_masks: list, tokens: Tensor, masks: Tensor, *args: Any) -> Tensor:
+    def forward(
+        self,
+        images: list,
+        img_masks: list,
+        tokens: Tensor,
+        masks: Tensor,
+        felt: Felt = NOTHING,
+        **flow: Tensor,
+    ) -> Tensor:
         """Return LeRobot's flow-matching losses, (B, chunk, max_action_dim).
 
         Text is cut to the batch's longest prompt: padding changes nothing, and is half of what ``tiny`` computes.
+
+        Args:
+            images: cameras (B, 3, H, W).
+            img_masks: (B,) bool each.
+            tokens: (B, L) text.
+            masks: (B, L) bool.
+            felt: state and touch.
+            flow: ``actions`` and ``noise`` (B, chunk, max_action_dim), and ``time`` (B,).
         """
         if not self.config.compile_model:  # compiled code wants one length
             tokens, masks = drop_padding(tokens, masks)
+        with self.feeling(felt):
+            return super().forward(images=images, img_masks=img_masks, tokens=tokens, masks=masks, **flow)
+
+    @contextmanager
+    def feeling(self, felt: Felt) -> Iterator[None]:
+        """Let ``embed_prefix`` and ``embed_suffix`` know state and touch while one of LeRobot's loops runs."""
+        self._felt = felt
         try:
-            return super().forward(images, img_masks, tokens, masks, *args)
+            yield
         finally:
+            self._felt = NOTHING
             self._touch = None
 
     def embed_prefix(
-        self, images: list, img_masks: list, tokens: Tensor, masks: Tensor, *args: Any, **kwargs: Any
+        self,
+        images: list,
+        img_masks: list,
+        tokens: Tensor,
+        masks: Tensor,
+        felt: Felt | None = None,
+        **kwargs: Any,
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Embed cameras and text as π0.5 does, then append state and (at that site) force tokens to the same block.
 
-        ``images`` holds (B, 3, H, W) cameras first, then (B, 1, S) state if used, then (B, K, ·) per slot.
         Appended last, they leave image and text positions as they were; a masked token changes nothing.
         """
-        extra = Inputs(images, img_masks, tokens, masks).extra
-        cameras = len(images) - len(extra[0])
-        seen = images[:cameras], img_masks[:cameras]
-        embs, pads, atts = super().embed_prefix(*seen, tokens, masks, *args, **kwargs)
-        self._touch = self.suffix_touch(*extra)
-        behind, self.paligemma_with_expert.gated = self.embed_extra(*extra, before=embs.shape[1])
+        felt = self._felt if felt is None else felt
+        seen = {"images": images, "img_masks": img_masks, "tokens": tokens, "masks": masks}
+        embs, pads, atts = super().embed_prefix(**seen, **kwargs)
+        self._touch = self.suffix_touch(felt)
+        behind, self.paligemma_with_expert.gated = self.embed_felt(felt, before=embs.shape[1])
         for embedded, mask in behind:
             count = embedded.shape[1]
             embs = torch.cat([embs, embedded.to(embs.dtype)], dim=1)  # (B, L + count, D)
@@ -159,37 +191,40 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         pads, atts = torch.cat([self._touch.mask, pads], dim=1), torch.cat([block, atts], dim=1)
         return embs, pads, atts, cond
 
-    def embed_extra(
-        self, extra: list[Tensor], masks: list[Tensor], before: int
-    ) -> tuple[list[tuple[Tensor, Tensor]], GatedColumns | None]:
-        """Return what stands behind ``before`` tokens of cameras and text, and the weight of touch, if not 1.
+    def embed_felt(self, felt: Felt, before: int) -> tuple[list[tuple[Tensor, Tensor]], GatedColumns | None]:
+        """Return the tokens behind ``before`` ones of cameras and text, and the weight of touch, if not 1.
 
         The first is (B, ·, D) tokens and (B,) mask of the state, and at that site of every touch slot, in that order.
         """
-        states = 1 if self.state_token is not None and extra else 0
-        touches, touch_masks = extra[states:], masks[states:]
-        prefix = [(self.state_token(extra[0]), masks[0])] if states else []
+        behind: list[tuple[Tensor, Tensor]] = []
+        if felt.state is not None:
+            real = torch.ones_like(felt.state[:, 0, 0], dtype=torch.bool)  # (B,)
+            behind.append((self.state_token(felt.state), real))
+        states = len(behind)
         if self.config.touch.site == "prefix":
-            prefix += self._touches(touches, touch_masks)
+            behind += self._touches(felt)
         gated = None
-        if self.touch_gate is not None and touches:
+        if self.touch_gate is not None and felt.touches:
             count = self.config.tokens_per_slot
-            pads = torch.cat([mask[:, None].expand(-1, count) for mask in touch_masks], dim=1)
-            gated = GatedColumns(before + states, self.touch_gate(len(touches), count), pads)
-        return prefix, gated
+            pads = torch.cat([mask[:, None].expand(-1, count) for mask in felt.masks], dim=1)
+            gated = GatedColumns(before + states, self.touch_gate(len(felt.touches), count), pads)
+        return behind, gated
 
-    def suffix_touch(self, extra: list[Tensor], masks: list[Tensor]) -> SuffixTouch | None:
+    def suffix_touch(self, felt: Felt) -> SuffixTouch | None:
         """Return all slots' tokens for the suffix; None at the other site or without touch."""
-        states = 1 if self.state_token is not None and extra else 0
-        embedded = self._touches(extra[states:], masks[states:]) if self.config.touch.site == "suffix" else []
-        if not embedded:
+        if self.config.touch.site != "suffix" or not felt.touches:
             return None
-        pads = [mask[:, None].expand(-1, tokens.shape[1]) for tokens, mask in embedded]
-        return SuffixTouch(torch.cat([tokens for tokens, _ in embedded], dim=1), torch.cat(pads, dim=1))
+        embedded = self._touches(felt)
+        tokens = torch.cat([of_slot for of_slot, _ in embedded], dim=1)  # (B, slots · K, D_expert)
+        pads = [mask[:, None].expand(-1, of_slot.shape[1]) for of_slot, mask in embedded]
+        return SuffixTouch(tokens, torch.cat(pads, dim=1))
 
-    def _touches(self, touches: list[Tensor], masks: list[Tensor]) -> list[tuple[Tensor, Tensor]]:
-        rows = enumerate(zip(touches, masks, strict=True))
-        return [(self.force_tokens(touch, slot), mask) for slot, (touch, mask) in rows]
+    def _touches(self, felt: Felt) -> list[tuple[Tensor, Tensor]]:
+        """Return (B, K, D) tokens and (B,) mask of each slot."""
+        return [
+            (self.force_tokens(touch, slot), mask)
+            for slot, (touch, mask) in enumerate(zip(felt.touches, felt.masks, strict=True))
+        ]
 
 
 def state_size(config: PI05UniforceConfig) -> int:

@@ -5,6 +5,7 @@ does, where there is one.
 """
 
 import timeit
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -17,7 +18,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from lerobot_policy_pi05_uniforce.sampler import layers
 from lerobot_policy_pi05_uniforce.sampler.cuda_graphs import BUCKETS, KEPT, GraphedSampler, bucketed
-from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, drop_dead
+from lerobot_policy_pi05_uniforce.sampler.prefix import drop_dead
 from uniforce_vtla.errors import ContractError
 
 TOLERANCE = 1e-4  # on actions in network units, of order 1
@@ -41,17 +42,21 @@ def test_equals_the_stock_loop(touch, steps, site, make_policy, make_batch):
     assert (slow - ours(policy, given, noise, steps)).abs().max() < TOLERANCE
 
 
+def lost(felt, rows):
+    """Return what is felt where the last slot's sensor is lost in some rows of the batch."""
+    return replace(felt, masks=(*felt.masks[:-1], felt.masks[-1] & rows))
+
+
 @SITES
 @GATED
 @pytest.mark.parametrize("size", [1, 3])
 def test_rows_with_other_prompts_and_a_lost_finger_stay_apart(size, site, gate, make_policy, make_batch):
     policy = gated_policy(make_policy, site, gate)
-    images, masks, tokens, text_mask = inputs(policy, make_batch(policy, size=size))
+    given, noise = inputs(policy, make_batch(policy, size=size)), start_noise(policy, size)
     if size > 1:
-        text_mask = text_mask.clone()
-        text_mask[1, 12:] = False  # a shorter prompt
-        masks = [*masks[:-1], masks[-1] & torch.tensor([True, True, False])]
-    given, noise = (images, masks, tokens, text_mask), start_noise(policy, size)
+        shorter = given.masks.clone()
+        shorter[1, 12:] = False
+        given = given._replace(masks=shorter, felt=lost(given.felt, torch.tensor([True, True, False])))
     assert (lerobots_own(policy, given, noise) - ours(policy, given, noise)).abs().max() < TOLERANCE
 
 
@@ -98,7 +103,7 @@ def test_in_bfloat16_it_is_as_near_to_float32_as_lerobots_loop(site, gate, make_
 @torch.no_grad()
 def test_torch_compile_traces_step_and_prefix_whole(make_policy, make_batch):
     policy = gated_policy(make_policy, "suffix", OPEN)
-    fast, given = policy.model.fast, drop_dead(Inputs(*inputs(policy, make_batch(policy))))
+    fast, given = policy.model.fast, drop_dead(inputs(policy, make_batch(policy)))
     tables, noise = fast.prepared.tables(2), start_noise(policy)
     prefix = fast.encoder.encode(given, noise.shape[1])
     step = torch._dynamo.explain(fast.velocity)(prefix, noise, tables[0])
@@ -163,7 +168,7 @@ def graphed(make_policy, site):
 
 
 def both(policy, given, steps=4):
-    noise = start_noise(policy, len(given[2]))
+    noise = start_noise(policy, len(given.tokens))
     return lerobots_own(policy, given, noise, steps), ours(policy, given, noise, steps)
 
 
@@ -179,17 +184,16 @@ def test_replays_give_lerobots_actions_for_every_new_observation(policy, make_ba
 
 
 def test_prompts_cameras_and_lost_fingers_change_and_the_actions_are_still_lerobots(policy, make_batch):
-    images, masks, tokens, text_mask = inputs(policy, make_batch(policy))
-    shorter = text_mask.clone()
+    whole = inputs(policy, make_batch(policy))
+    shorter = whole.masks.clone()
     shorter[:, 9:] = False
-    lost = [*masks[:-1], torch.tensor([True, False])]
-    gone = [torch.zeros_like(masks[0]), *masks[1:]]
+    gone = [torch.zeros_like(whole.img_masks[0]), *whole.img_masks[1:]]
     for given in (
-        (images, masks, tokens, text_mask),
-        (images, masks, tokens, shorter),
-        (images, lost, tokens, text_mask),
-        (images, gone, tokens, text_mask),
-        (images, masks, tokens, text_mask),
+        whole,
+        whole._replace(masks=shorter),
+        whole._replace(felt=lost(whole.felt, torch.tensor([True, False]))),
+        whole._replace(img_masks=gone),
+        whole,
     ):
         slow, fast = both(policy, given)
         assert (slow - fast).abs().max() < TOLERANCE

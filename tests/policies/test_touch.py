@@ -2,6 +2,7 @@ import json
 import logging
 from collections import deque
 from contextlib import nullcontext
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from lerobot_policy_pi05_uniforce.checkpoint import check_settings
 from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint, stored_config
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
 from lerobot_policy_pi05_uniforce.touch import controls
+from lerobot_policy_pi05_uniforce.touch.felt import Felt
 from lerobot_policy_pi05_uniforce.touch.tokens import SHUT, ForceTokens
 from lerobot_policy_pi05_uniforce.touch.touch_input import build_monitors, load_calibrations
 from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError, SensorError
@@ -42,23 +44,23 @@ class PlainNetwork(stock.PI05Pytorch):
 def test_no_touch_is_bit_equal_to_plain_pi05(make_policy, make_batch):
     policy = make_policy(sampler__kind="stock", touch__input="none")
     policy.model.state_token = None
-    images, masks, tokens, text_mask = inputs(policy, make_batch(policy))
-    assert len(images) == 2  # cameras only
+    *seen, felt = inputs(policy, make_batch(policy))
+    assert felt == Felt()
     plain, start = PlainNetwork(policy.model), start_noise(policy)
-    ours = policy.model.sample_actions(images, masks, tokens, text_mask, noise=start)
-    assert torch.equal(ours, plain.sample_actions(images, masks, tokens, text_mask, noise=start))
+    ours = policy.model.sample_actions(*seen, felt, noise=start)
+    assert torch.equal(ours, plain.sample_actions(*seen, noise=start))
     assert not any("force" in key or "tactile" in key for key in policy.state_dict())
 
 
 @SITES
 def test_masked_touch_equals_no_touch(site, make_policy, make_batch):
     policy = make_policy(touch__site=site)
-    images, masks, tokens, text_mask = inputs(policy, make_batch(policy))
+    *seen, felt = inputs(policy, make_batch(policy))
     start = start_noise(policy)
-    off = [*masks[:3], *(torch.zeros_like(m) for m in masks[3:])]  # two cameras, state, then slots
-    masked = policy.model.sample_actions(images, off, tokens, text_mask, noise=start)
-    without = policy.model.sample_actions(images[:3], masks[:3], tokens, text_mask, noise=start)
-    touched = policy.model.sample_actions(images, masks, tokens, text_mask, noise=start)
+    off = replace(felt, masks=tuple(torch.zeros_like(mask) for mask in felt.masks))
+    masked = policy.model.sample_actions(*seen, off, noise=start)
+    without = policy.model.sample_actions(*seen, Felt(felt.state), noise=start)
+    touched = policy.model.sample_actions(*seen, felt, noise=start)
     assert torch.allclose(masked, without, atol=1e-6)
     assert (touched - without).abs().max() > 1e-3
 
@@ -67,12 +69,12 @@ def test_masked_touch_equals_no_touch(site, make_policy, make_batch):
 @pytest.mark.parametrize("gate", [None, OPEN])
 def test_joint_training_velocity_equals_sampling_velocity(site, gate, make_policy, make_batch):
     policy = alive(make_policy(touch__site=site, touch__start_at_base=gate is not None), gate)
-    images, masks, tokens, text_mask = inputs(policy, make_batch(policy))
+    *seen, felt = inputs(policy, make_batch(policy))
     x, time = start_noise(policy), torch.tensor([0.7, 0.3])
     actions = torch.zeros_like(x)
     x_t = time[:, None, None] * x
-    squared = policy.model.forward(images, masks, tokens, text_mask, actions, x, time)  # (u − v)², u = x − 0
-    prefix, pads, atts = policy.model.embed_prefix(images, masks, tokens, text_mask)
+    squared = policy.model.forward(*seen, felt, actions=actions, noise=x, time=time)  # (u − v)², u = x − 0
+    prefix, pads, atts = policy.model.embed_prefix(*seen, felt)
     mask = stock.prepare_attention_masks_4d(stock.make_att_2d_masks(pads, atts))
     joint, places = policy.model.paligemma_with_expert, torch.cumsum(pads, 1) - 1
     _, cache = joint.forward(mask, places, None, [prefix, None], use_cache=True)
@@ -104,11 +106,11 @@ def test_a_token_of_tiny_also_holds_the_whole_map(settings, make_config):
 def test_cached_latents_equal_encoding_the_images(make_policy, make_batch):
     policy = make_policy()
     batch = make_batch(policy)
-    images, _ = policy._preprocess_images(batch)
+    touches = policy.felt(batch).touches
     cached = {k: v for k, v in batch.items() if "tactile" not in k}
-    cached |= {latent_key(slot): images[3 + i].flatten(1) for i, slot in enumerate(("touch0", "touch1"))}
-    again, _ = policy._preprocess_images(cached)
-    assert all(torch.equal(a, b) for a, b in zip(images, again, strict=True))
+    cached |= {latent_key(slot): touches[i].flatten(1) for i, slot in enumerate(("touch0", "touch1"))}
+    again = policy.felt(cached).touches
+    assert all(torch.equal(a, b) for a, b in zip(touches, again, strict=True))
 
 
 def test_reference_is_encoded_once_until_reset(make_policy, make_batch, monkeypatch):
@@ -118,12 +120,12 @@ def test_reference_is_encoded_once_until_reset(make_policy, make_batch, monkeypa
     real = encoder.encode_reference
     monkeypatch.setattr(encoder, "encode_reference", lambda x: calls.append(1) or real(x))
     for _ in range(3):
-        policy._preprocess_images(batch)
+        policy.felt(batch)
     assert len(calls) == 1
     policy.reset()
-    policy._preprocess_images(batch)
+    policy.felt(batch)
     assert len(calls) == 2
-    policy._preprocess_images({**batch, tactile_key("right", True): batch[tactile_key("left", True)]})
+    policy.felt({**batch, tactile_key("right", True): batch[tactile_key("left", True)]})
     assert len(calls) == 3
 
 
@@ -146,8 +148,8 @@ def test_lost_touch_can_be_masked_and_is_logged_once(make_policy, make_batch, ca
     gone = {k: v for k, v in batch.items() if k != tactile_key("left")}
     with caplog.at_level(logging.WARNING):
         for _ in range(2):
-            _, masks = policy._preprocess_images(gone)
-    assert masks[3].all() and not masks[4].any()
+            masks = policy.felt(gone).masks
+    assert masks[0].all() and not masks[1].any()
     assert sum("tactile_left" in r.message for r in caplog.records) == 1
 
 
@@ -231,11 +233,11 @@ def test_whatever_touch_holds_follows_the_policy_to_its_device(kind, make_policy
 def test_a_sensor_that_is_not_healthy_can_be_masked_and_is_not_watched_in_training(make_policy, make_batch):
     policy = watched(make_policy(touch__on_sensor_loss="mask"))
     batch = make_batch(policy)
-    masks = [policy._preprocess_images(batch)[1] for _ in range(FREE_LOOKS)]
-    assert masks[0][3].all() and not masks[-1][3].any() and masks[-1][4].all()
+    masks = [policy.felt(batch).masks for _ in range(FREE_LOOKS)]
+    assert masks[0][0].all() and not masks[-1][0].any() and masks[-1][1].all()
     policy = watched(make_policy(touch__on_sensor_loss="error")).train()
     for _ in range(FREE_LOOKS + 1):
-        policy._preprocess_images(batch)
+        policy.felt(batch)
 
 
 def test_touch_dropout_in_training_with_two_slots_or_on_request(make_policy, make_batch):
@@ -244,10 +246,10 @@ def test_touch_dropout_in_training_with_two_slots_or_on_request(make_policy, mak
         policy = make_policy(touch__slots=slots, augment__touch_dropout=asked)
         batch = make_batch(policy, size=32)
         policy.train()
-        _, masks = policy._preprocess_images(batch)
+        masks = policy.felt(batch).masks
         assert (not all(m.all() for m in masks)) == hidden
         policy.eval()
-        _, masks = policy._preprocess_images(batch)
+        masks = policy.felt(batch).masks
         assert all(m.all() for m in masks)
 
 
@@ -282,8 +284,8 @@ def test_controls_are_the_same_cached_or_live(make_policy, make_batch, kind):
     stored, _ = policy.touch.gather(cached, torch.device("cpu"), training=False)
     for a, b in zip(live, stored, strict=True):
         torch.testing.assert_close(a, b, rtol=0, atol=0)
-    images, masks = policy._preprocess_images(cached)
-    tokens = [tokens for tokens, _ in policy.model.embed_extra(images[2:], masks[2:], 0)[0]]
+    behind, _ = policy.model.embed_felt(policy.felt(cached), before=0)
+    tokens = [of_part for of_part, _ in behind]
     assert [t.shape[1] for t in tokens] == [1, 16, 16]
 
 
@@ -339,8 +341,7 @@ def test_the_first_action_is_the_bases(site, kind, make_policy, make_batch):
     settings = {"touch__input": "wrench", "touch__site": site, "sampler__kind": kind}
     policy = alive(make_policy(touch__start_at_base=True, **settings))
     given, noise = inputs(policy, make_batch(policy, size=3)), start_noise(policy, 3)
-    base = [part[:3] for part in given[:2]]  # two cameras and the state: touch isn't appended
-    without = ours(policy, (*base, *given[2:]), noise)
+    without = ours(policy, given._replace(felt=Felt(given.felt.state)), noise)  # touch isn't appended
     assert (ours(policy, given, noise) - without).abs().max() <= AT_START
     alive(policy, gate=OPEN)
     assert (ours(policy, given, noise) - without).abs().max() > 1e-3

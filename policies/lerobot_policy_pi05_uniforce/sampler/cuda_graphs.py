@@ -10,7 +10,7 @@ buffers without a graph, on any device: that is what the tests do. Graphs were r
 (docs/results/policy_latency.json).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import torch
@@ -19,6 +19,7 @@ from torch.nn import functional as F  # noqa: N812
 
 from lerobot_policy_pi05_uniforce.sampler.layers import Prepared, StepTable
 from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, Prefill, Prefix, PrefixEncoder
+from lerobot_policy_pi05_uniforce.touch.felt import Felt
 from lerobot_policy_pi05_uniforce.touch.tokens import GatedColumns, SuffixTouch
 from uniforce_vtla.errors import ContractError, expected
 
@@ -91,37 +92,38 @@ class GraphedSampler:
 
     def sample(self, inputs: Inputs, noise: Tensor, tables: list[StepTable]) -> Tensor:
         """Return (B, chunk, max_action_dim) actions of inputs that are all there."""
-        touch = self._sampler.network.suffix_touch(*inputs.extra)
-        observed = [*inputs.images, *inputs.img_masks, *bucketed(inputs.tokens, inputs.masks)]
+        touch = self._sampler.network.suffix_touch(inputs.felt)
+        text = bucketed(inputs.tokens, inputs.masks)
+        whole = inputs._replace(tokens=text[0], masks=text[1])
+        observed = flattened(whole)
         suffix = [noise] if touch is None else [noise, touch.tokens, touch.mask]
-        pair = self._pair(observed, suffix, tables)
+        pair = self._pair(whole, suffix, tables)
         pair.prefill(*observed)
         return pair.flow(*suffix)[0].clone()
 
-    def _pair(self, observed: list[Tensor], suffix: list[Tensor], tables: list[StepTable]) -> Pair:
+    def _pair(self, inputs: Inputs, suffix: list[Tensor], tables: list[StepTable]) -> Pair:
         if self._version != self._sampler.prepared.version:  # other weights: tables were made anew
             self._pairs, self._version = {}, self._sampler.prepared.version
-        key = (len(tables), *(tuple(value.shape) for value in (*observed, *suffix)))
+        shapes = (tuple(value.shape) for value in (*flattened(inputs), *suffix))
+        key = (len(tables), len(inputs.images), *shapes)
         if key not in self._pairs:
             while len(self._pairs) >= KEPT:
                 self._pairs.pop(next(iter(self._pairs)))
-            self._pairs[key] = self._record_pair(observed, suffix, tables)
+            self._pairs[key] = self._record_pair(inputs, suffix, tables)
         return self._pairs[key]
 
-    def _record_pair(self, observed: list[Tensor], suffix: list[Tensor], tables: list[StepTable]) -> Pair:
-        encoder, images = self._sampler.encoder, len(observed) // 2 - 1
+    def _record_pair(self, example: Inputs, suffix: list[Tensor], tables: list[StepTable]) -> Pair:
+        encoder = self._sampler.encoder
         chunk, room = suffix[0].shape[1], sum(part.shape[1] for part in suffix[:2])
         gated_at: list[int] = []  # first column of touch: a number, fixed with the shapes
 
         def prefill(*given: Tensor) -> tuple[Tensor, ...]:
-            *pictures, tokens, masks = given
-            inputs = Inputs(pictures[:images], pictures[images:], tokens, masks)
-            made = encoder.prefill(inputs, room, always_mask=True)
+            made = encoder.prefill(restored(given, example), room, always_mask=True)
             gated_at[:] = [] if made.gated is None else [made.gated.first]
             gate = () if made.gated is None else (made.gated.bias, made.gated.real)
             return (made.pads, *gate, *made.cache)
 
-        recorded = Replayed(prefill, observed, self._capture)
+        recorded = Replayed(prefill, flattened(example), self._capture)
         pads, *rest = recorded.outputs
         gated = GatedColumns(gated_at[0], *rest[:2]) if gated_at else None
         whole = Prefill(rest[2 * len(gated_at) :], pads, gated)
@@ -132,6 +134,31 @@ class GraphedSampler:
             return (self._sampler.flow(prefix, noise, tables),)
 
         return Pair(recorded, Replayed(flow, suffix, self._capture))
+
+
+def flattened(inputs: Inputs) -> list[Tensor]:
+    """Return the tensors of an observation, one behind the other."""
+    state = [] if inputs.felt.state is None else [inputs.felt.state]
+    felt = [*state, *inputs.felt.touches, *inputs.felt.masks]
+    return [*inputs.images, *inputs.img_masks, inputs.tokens, inputs.masks, *felt]
+
+
+def restored(tensors: Sequence[Tensor], example: Inputs) -> Inputs:
+    """Return the observation that ``flattened`` took apart, of as many cameras and slots as an example."""
+    rest = list(tensors)
+
+    def take(count: int) -> list[Tensor]:
+        taken = rest[:count]
+        del rest[:count]
+        return taken
+
+    images = take(len(example.images))
+    img_masks = take(len(example.images))
+    tokens, masks = take(2)
+    state = None if example.felt.state is None else take(1)[0]
+    touches = take(len(example.felt.touches))
+    felt = Felt(state, tuple(touches), tuple(rest))
+    return Inputs(images, img_masks, tokens, masks, felt)
 
 
 def bucketed(tokens: Tensor, masks: Tensor) -> tuple[Tensor, Tensor]:

@@ -10,22 +10,18 @@ from torch.nn import functional as F  # noqa: N812
 
 from lerobot_policy_pi05_uniforce.sampler import layers as ops
 from lerobot_policy_pi05_uniforce.sampler.layers import Prepared
+from lerobot_policy_pi05_uniforce.touch.felt import NOTHING, Felt
 from lerobot_policy_pi05_uniforce.touch.tokens import GatedColumns, SuffixTouch
 
 
 class Inputs(NamedTuple):
-    """What ``PI05Pytorch.sample_actions`` takes: cameras, then state and touch; text."""
+    """An observation: cameras, text, state and touch."""
 
-    images: list  # (B, 3, H, W) cameras, (B, 1, S) state, (B, K, ·) per touch slot
+    images: list  # (B, 3, H, W) each
     img_masks: list  # (B,) bool each
     tokens: Tensor  # (B, L) text
     masks: Tensor  # (B, L) bool
-
-    @property
-    def extra(self) -> tuple[list, list]:
-        """What rides behind the cameras, and its masks."""
-        cameras = sum(image.ndim == 4 for image in self.images)
-        return self.images[cameras:], self.img_masks[cameras:]
+    felt: Felt = NOTHING
 
 
 @dataclass(frozen=True)
@@ -58,7 +54,7 @@ class PrefixEncoder:
 
     def encode(self, inputs: Inputs, chunk: int) -> Prefix:
         """Encode an observation and make its prefix ready for a chunk of that many steps."""
-        touch = self._network.suffix_touch(*inputs.extra)
+        touch = self._network.suffix_touch(inputs.felt)
         room = chunk + (0 if touch is None else touch.mask.shape[1])
         return self.with_suffix(self.prefill(inputs, room), touch, chunk)
 
@@ -111,17 +107,16 @@ class PrefixEncoder:
     def _embed(self, inputs: Inputs) -> tuple[Tensor, Tensor, GatedColumns | None]:
         """Return (B, L, D) tokens in LeRobot's order, (B, L) whether each is real, and the weight of touch."""
         model = self._network.paligemma_with_expert
-        cameras = [image for image in inputs.images if image.ndim == 4]
         parts: list[Tensor] = []
-        if cameras:
-            parts += ops.embed_cameras(model.paligemma.model, torch.cat(cameras)).chunk(len(cameras))
-        masks = [*inputs.img_masks[: len(cameras)]]
-        pads = [mask[:, None].expand(-1, part.shape[1]) for part, mask in zip(parts, masks, strict=True)]
+        if inputs.images:
+            cameras = ops.embed_cameras(model.paligemma.model, torch.cat(inputs.images))
+            parts += cameras.chunk(len(inputs.images))
+        pads = [mask[:, None].expand(-1, part.shape[1]) for part, mask in zip(parts, inputs.img_masks, strict=True)]
         parts.append(model.embed_language_tokens(inputs.tokens))
         pads.append(inputs.masks.bool())
         before = sum(part.shape[1] for part in parts)
-        extra, gated = self._network.embed_extra(*inputs.extra, before)
-        for part, mask in extra:
+        behind, gated = self._network.embed_felt(inputs.felt, before)
+        for part, mask in behind:
             parts.append(part.to(parts[0].dtype))
             pads.append(mask[:, None].expand(-1, part.shape[1]))
         return torch.cat(parts, dim=1), torch.cat(pads, dim=1), gated
@@ -130,12 +125,13 @@ class PrefixEncoder:
 def drop_dead(inputs: Inputs) -> Inputs:
     """Leave out cameras no row of the batch has, and text columns no prompt of the batch uses.
 
-    Positions count real tokens only, and masked ones are not attended to, so nothing else changes. Extra tokens (state,
-    touch) stay in their places: which slot one belongs to is its place in the list.
+    Positions count real tokens only, and masked ones are not attended to, so nothing else changes.
     """
-    images, img_masks, tokens, masks = inputs
-    kept = [(i, m) for i, m in zip(images, img_masks, strict=True) if i.ndim != 4 or bool(m.any())]
-    return Inputs([i for i, _ in kept], [m for _, m in kept], *drop_padding(tokens, masks))
+    kept = [number for number, mask in enumerate(inputs.img_masks) if bool(mask.any())]
+    images = [inputs.images[number] for number in kept]
+    img_masks = [inputs.img_masks[number] for number in kept]
+    tokens, masks = drop_padding(inputs.tokens, inputs.masks)
+    return Inputs(images, img_masks, tokens, masks, inputs.felt)
 
 
 def drop_padding(tokens: Tensor, masks: Tensor) -> tuple[Tensor, Tensor]:

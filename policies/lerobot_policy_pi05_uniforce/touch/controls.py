@@ -21,7 +21,7 @@ SHAPES = {
     "newtons": (1, 3),  # fx, fy, fz in N
     "wrench": (1, len(WRENCH_SCALE)),  # and torsion in Nmm
     "descriptor": (1, DESCRIPTOR_SIZE),
-    "marker_pair": (2, PAIR_SIDE**2),  # flat: what has four axes counts as a camera
+    "marker_pair": (2, PAIR_SIDE**2),  # rows of pixels
 }
 FROM_IMAGES = {"descriptor": (descriptor_key, descriptors), "marker_pair": (marker_pair_key, marker_pairs)}
 
