@@ -28,9 +28,9 @@ from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import (
 )
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
 from lerobot_policy_pi05_uniforce.sampler.layers import linear
+from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs
 from uniforce_vtla.keys import ACTION, AXES, STATE
 
-Given = tuple[list, list, torch.Tensor, torch.Tensor]
 GEMM_SIDE = 1024  # of the square product that anchors the floor
 
 
@@ -85,7 +85,7 @@ def build(case: BenchCase, device: str, touch: TouchSettings | None = None) -> P
     return network
 
 
-def observe(case: BenchCase, network: PI05UniforcePytorch, device: str) -> tuple[Given, torch.Tensor]:
+def observe(case: BenchCase, network: PI05UniforcePytorch, device: str) -> tuple[Inputs, torch.Tensor]:
     """Return cameras, masks, text tokens and their mask for batch 1, and starting noise."""
     config = network.config
     height, width = config.image_resolution
@@ -94,7 +94,7 @@ def observe(case: BenchCase, network: PI05UniforcePytorch, device: str) -> tuple
     tokens = torch.randint(0, 50, (1, config.tokenizer_max_length), device=device)
     mask = torch.arange(config.tokenizer_max_length, device=device)[None] < case.prompt
     noise = torch.randn(1, config.chunk_size, config.max_action_dim, device=device)
-    return (images, there, tokens, mask), noise
+    return Inputs(images, there, tokens, mask), noise
 
 
 def lerobots_layers(network: PI05UniforcePytorch) -> Any:
@@ -110,10 +110,11 @@ def without_graphs(network: PI05UniforcePytorch) -> Any:
         yield
 
 
-def samplers(network: PI05UniforcePytorch, given: Given, noise: torch.Tensor, steps: int) -> dict[str, Callable]:
+def samplers(network: PI05UniforcePytorch, given: Inputs, noise: torch.Tensor, steps: int) -> dict[str, Callable]:
     def slow() -> torch.Tensor:
         with lerobots_layers(network):
-            return stock.PI05Pytorch.sample_actions(network, *given, noise=noise, num_steps=steps)
+            *seen, _ = given
+            return stock.PI05Pytorch.sample_actions(network, *seen, noise=noise, num_steps=steps)
 
     return {"stock": slow, "fast": lambda: network.sample_actions(*given, noise=noise, num_steps=steps)}
 

@@ -16,10 +16,12 @@ from typing import Any
 
 import torch
 
-from benchmarks.policy.latency import BenchCase, Given, build, device_name, lerobots_layers, milliseconds, observe
+from benchmarks.policy.latency import BenchCase, build, device_name, lerobots_layers, milliseconds, observe
 from benchmarks.timing import in_turns, ratio
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TouchSettings
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
+from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, drop_padding
+from lerobot_policy_pi05_uniforce.touch.felt import Felt
 from uniforce_vtla.tokenizer.weights import content_hash
 
 SLOTS = {"touch0": "right", "touch1": "left"}
@@ -51,19 +53,19 @@ def bench_touch(case: BenchCase, device: str, rounds: int, steps: int) -> dict[s
     return report | _in_turns(trains, device, max(3, rounds // 3), "train_step")
 
 
-def with_touch(network: PI05UniforcePytorch, given: Given, noise: torch.Tensor) -> tuple[Given, torch.Tensor]:
+def with_touch(network: PI05UniforcePytorch, given: Inputs, noise: torch.Tensor) -> tuple[Inputs, torch.Tensor]:
     """Add cached latents of every slot and leave text padding out, as the trainer does for short prompts."""
-    images, masks, tokens, text_mask = given
-    config, used = network.config, int(text_mask.sum())
-    for _ in config.slots:
-        images = [*images, torch.randn(1, config.tokens_per_slot, config.latent_size, device=noise.device)]
-        masks = [*masks, torch.ones(1, dtype=torch.bool, device=noise.device)]
-    return (images, masks, tokens[:, :used], text_mask[:, :used]), noise
+    config = network.config
+    shape = (1, config.tokens_per_slot, config.latent_size)
+    touches = [torch.randn(shape, device=noise.device) for _ in config.slots]
+    real = [torch.ones(1, dtype=torch.bool, device=noise.device) for _ in config.slots]
+    tokens, masks = drop_padding(given.tokens, given.masks)
+    return Inputs(given.images, given.img_masks, tokens, masks, Felt(None, tuple(touches), tuple(real))), noise
 
 
 def _training(
     network: PI05UniforcePytorch,
-    given: Given,
+    given: Inputs,
     noise: torch.Tensor,
     learning_rate: float,
     look: Callable[[torch.Tensor], None] = lambda loss: None,
@@ -74,7 +76,7 @@ def _training(
 
     def step() -> None:
         with lerobots_layers(network):
-            loss = network.forward(*given, actions, noise, time).mean()
+            loss = network.forward(*given, actions=actions, noise=noise, time=time).mean()
             loss.backward()
         look(loss)
         optimizer.step()
