@@ -56,8 +56,9 @@ def bench_touch(case: BenchCase, device: str, rounds: int, steps: int) -> dict[s
 def with_touch(network: PI05UniforcePytorch, given: Inputs, noise: torch.Tensor) -> tuple[Inputs, torch.Tensor]:
     """Add cached latents of every slot and leave text padding out, as the trainer does for short prompts."""
     config = network.config
-    shape = (1, config.tokens_per_slot, config.latent_size)
-    touches = [torch.randn(shape, device=noise.device) for _ in config.slots]
+    touches: list[torch.Tensor] = []
+    for _ in config.slots:
+        touches.append(torch.randn(1, config.tokens_per_slot, config.latent_size, device=noise.device))
     real = [torch.ones(1, dtype=torch.bool, device=noise.device) for _ in config.slots]
     tokens, masks = drop_padding(given.tokens, given.masks)
     return Inputs(given.images, given.img_masks, tokens, masks, Felt(None, tuple(touches), tuple(real))), noise

@@ -140,7 +140,7 @@ def test_padded_steps_and_axes_give_no_loss(make_policy, make_batch, monkeypatch
     batch["action_is_pad"][:, 5:] = True  # the last command and four steps are real
     losses = torch.full((2, 16, 8), 1e6)
     losses[:, :4, :5] = 2.0
-    monkeypatch.setattr(policy.model, "forward", lambda *args: losses)
+    monkeypatch.setattr(policy.model, "forward", lambda *args, **flow: losses)
     loss, _ = policy.forward(batch, reduction=reduction)
     assert torch.allclose(loss, torch.tensor(2.0))
     assert loss.shape == (() if reduction == "mean" else (2,))
