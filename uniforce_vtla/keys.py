@@ -102,7 +102,7 @@ def window_time_key(finger: Finger) -> str:
 # Per-frame columns of recorded equilibrium pairs; everything in them is measured or estimated, nothing is truth.
 PAIR_ERROR = "pair.error"  # estimated ‖F_left − F_right‖ over their mean
 PAIR_VELOCITY = "pair.velocity"  # (3,) m/s of the hand in its own frame, x = closing axis
-PAIR_ACCELERATION = "pair.acceleration"  # (3,) m/s² likewise
+PAIR_ACCELERATION = "pair.acceleration"  # (3,) m/s² of the hand in its own frame
 PAIR_GRIP = "pair.grip"  # N, the gripper's own estimate
 PAIR_INDENTER = "pair.indenter"  # index into the recording's indenters
 PAIR_SESSION = "pair.session"  # counts reference captures: pairs of one number share their references

@@ -54,7 +54,7 @@ class OutsideCommand:
     facts: FolderPath = "docs/results"  # the frozen sets' recipes and hashes
     cache: OutFolder = "outputs/labelled"  # drawn sets; delete it after changing contact/
     real: FilePath = ""  # real.json of `benchmarks.real`: its summary stands beside
-    contact: FilePath = ""  # contact_model.json of `benchmarks.finite_elements`: likewise
+    contact: FilePath = ""  # contact_model.json of `benchmarks.finite_elements`, to stand beside
     out: OutFile = "outputs/outside.json"
 
 

@@ -50,7 +50,7 @@ class NeededCommand:
     episodes: Count = 20  # scenes, the same for every cell
     first_seed: Seed = BLOCKS["is touch needed"].start
     policy: Text = ""  # V+T: checkpoint folders that take turns; "" = scripts alone
-    blind: Text = ""  # V: likewise
+    blind: Text = ""  # V: checkpoint folders that take turns; "" = scripts alone
     learn_from: Count = 250  # scenes that scripts learn from, as for the gates
     sweep_on: Count = 15
     workers: Workers = 2

@@ -23,7 +23,7 @@ class SequenceBatch:
     """n sequences of a sensor worn on the left finger (its image frame is the canonical one)."""
 
     reference: np.ndarray  # (n, 480, 640) uint8, or what ``transform`` made of it
-    frames: np.ndarray  # (n, length, 480, 640) uint8, likewise
+    frames: np.ndarray  # (n, length, 480, 640) uint8, or what ``transform`` made of them
     force_N: np.ndarray  # (n, length, 3) fx, fy, fz
     indenters: tuple[str, ...]  # (n,) names
     sensor: str  # registry name

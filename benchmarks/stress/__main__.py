@@ -54,8 +54,8 @@ class StressCommand:
     level: Level = "touch"
     scenes: Count = 2  # screen: per cell
     policy: Policies = "shipped"  # rollouts: checkpoint folders that take turns
-    blind: Text = ""  # rollouts: likewise, of a policy without touch; it acts where a scene's fault is
-    stock: Text = ""  # rollouts: likewise, of any LeRobot policy of cameras and state
+    blind: Text = ""  # rollouts: checkpoint folders of a policy without touch; it acts where a scene's fault is
+    stock: Text = ""  # rollouts: checkpoint folders of any LeRobot policy of cameras and state
     calibrations: FolderPath = ""  # rollouts: of exchanged sensors, uskin-2 …; "" = they wear none
     rollouts: Count = 40  # scenes, the same for every cell
     near: CountOrZero = 3  # doses per operator near a cliff, beside the named one; 0 = the named ones alone
@@ -83,7 +83,7 @@ CALIBRATED = {
 }
 PARTS, FACTS = ("rollouts", "screen"), ("monitor", "wiping")
 SCREENED_FROM = 39_700  # development scenes
-READERS_LEARN = range(39_790, 39_794)  # likewise; of the sensor without a fault
+READERS_LEARN = range(39_790, 39_794)  # development scenes, of the sensor without a fault
 
 
 def _cell(level: str, words: str, first: int, scenes: int, readers: Readers) -> dict[str, Any]:

@@ -34,7 +34,7 @@ class WipeEnv(gymnasium.Env):
     Args:
         level: name of a locked level.
         left_sensor: what the left finger wears, in words (``worn``) or as one unit of any sensor.
-        right_sensor: likewise, of the right finger.
+        right_sensor: the same of the right finger.
         drawn: fingers whose pads are shown; a policy that reads one spares the other's time.
         expose_wrench: add the true pad wrenches to the observation; for ceiling controls only.
         max_steps: cut episodes earlier or later than the level does.

@@ -46,7 +46,7 @@ class ExpertNoise:
     # a policy's hand stops some millimetres too low or too high; without demos from there it is lost for good
     grasp_sd_m: float = 0.004  # height of the grasp on the eraser, per episode
     carry_sd_m: float = 0.005  # height of carrying, per episode
-    # across and along the row, how far beside its beginning the eraser is carried to, each time: likewise
+    # across and along the row: where the eraser is set down beside the row's beginning, each time; a policy strays, too
     stray_sd_m: tuple[float, float] = (0.004, 0.008)
 
 

@@ -78,7 +78,7 @@ class Level:
     adhesion_sigma: float = 0.15  # lognormal spread of ink adhesion over the board
     # hidden; stiffness and damping are drawn log-uniformly, over their nominal values
     stiffness_scale: Range = (0.5, 1.5)  # of the arm
-    damping_scale: Range = (0.8, 1.2)  # likewise
+    damping_scale: Range = (0.8, 1.2)  # of the arm
     stiction_Nm: Range = (0.05, 0.35)  # dry friction of each arm joint
     gripper_gain: Range = (0.5, 1.5)  # stiffness of the gripper's servo
     gripper_dead_band_m: Range = (0.0, 0.0003)  # smallest change of width the gripper answers

@@ -42,7 +42,7 @@ class SceneParams:
     letter_scale: float  # of the writing over its full box
     board_shift_m: tuple[float, float]  # x, y
     board_turn_rad: float  # about the vertical
-    eraser_turn_rad: float  # likewise, at rest
+    eraser_turn_rad: float  # about the vertical, at rest
     eraser_length_m: float
     light_gain: tuple[float, float, float]  # red, green, blue
     light_turn_rad: tuple[float, ...]  # rotation vector of the light's direction

@@ -44,7 +44,7 @@ class WipeSimulation:
     Args:
         scene: its numbers.
         left_sensor: kind that the left finger wears.
-        right_sensor: likewise.
+        right_sensor: kind that the right finger wears.
         solver: of the physics.
         stiffness: of the left and the right unit over its kind's.
         gripper: what moves the fingers, one of ``gripper.GRIPPERS``.

@@ -53,7 +53,7 @@ class TouchSettings:
     # True: training starts with the base policy's actions, touch behind a learnt gate (touch/tokens.py). tiny off
     start_at_base: bool = _BY_SIZE
     head_hash: str = ""  # of that head; filled when the policy is made
-    # likewise, where the tokenizer isn't shipped: then the checkpoint holds the head's weights
+    # sizes of that head where the tokenizer isn't shipped: the checkpoint then holds the head's weights
     head_sizes: dict[str, Any] | None = None
     # "error": hold and stop; "mask": go on without that slot, logged; simulation only
     on_sensor_loss: str = "error"

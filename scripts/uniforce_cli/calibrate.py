@@ -55,7 +55,7 @@ class CalibrateCommand:
 
     # the sensor to fit; in simulation unit 1 of it, or uskin:7 | uskin:drawing | with a fault tactip:1+gain=1.6
     new: Unit = "gelsight_stiff"
-    anchor: Unit = "tactip"  # the sensor that is known; likewise. Its force head reads both
+    anchor: Unit = "tactip"  # the known sensor, in the same words; its force head reads both
     pairs: FolderPath = ""  # recorded pairs, as `uniforce pairs` writes them; empty = grasps are simulated
     # how new sat on its finger while pairs were recorded; the rig's rotation_deg and flip bring it upright from then on
     mounted: Literal["upright", "turned", "mirrored_x", "mirrored_y"] = "upright"

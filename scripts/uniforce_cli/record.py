@@ -49,7 +49,7 @@ class RecordConfig:
     level: Level = "touch"  # simulation: locked in the environment package
     # simulation, a robot's own config says it there: unit 1 of it, or uskin:7 | uskin:any | uskin:drawing
     left_sensor: Worn = "gelsight"
-    right_sensor: Worn = "tactip"  # likewise
+    right_sensor: Worn = "tactip"  # simulation: of the right finger, in the same words
     # simulation: servo, the level's own, regulates grip finely | hand holds by force, as the robot's does
     gripper: Gripper = "servo"
     root: options.OutFolder = "outputs/demos"  # the dataset's folder

@@ -60,9 +60,9 @@ class ScoreConfig:
     # it, or uskin:7 | uskin:any (another in every scene) | uskin:drawing (as drawn, no camera: fast); faults stand
     # behind it: tactip:1+flicker=0.2 (uniforce_vtla/contact/faults.py)
     left_sensor: Worn = ""
-    right_sensor: Worn = ""  # likewise; "" = tactip
+    right_sensor: Worn = ""  # of the right finger, in the same words; "" = tactip
     left_calibration: options.FolderPath = ""  # of `uniforce calibrate`: what the left finger's sensor wears
-    right_calibration: options.FolderPath = ""  # likewise
+    right_calibration: options.FolderPath = ""  # of `uniforce calibrate`, for the right finger's sensor
     # stop: where a sensor gives what no healthy one of its kind does the episode is aborted | off: go on
     monitor: Literal["stop", "off"] = "stop"
     # read: as the finger reads it | held: once lifted, as the demonstrations read it | "": held where the calibration

@@ -22,11 +22,11 @@ class PairBatch:
     # left_reference, left_current: (n, 480, 640) uint8, or what ``transform`` made of them
     left_reference: np.ndarray
     left_current: np.ndarray
-    # right_reference, right_current: likewise, the right finger's view (mirrored contact)
+    # right_reference, right_current: the same of the right finger, which sees the contact mirrored
     right_reference: np.ndarray
     right_current: np.ndarray
     force_N: np.ndarray  # (n, 3) in the canonical frame, i.e. the left finger's.
-    torsion_Nmm: np.ndarray  # (n,) likewise
+    torsion_Nmm: np.ndarray  # (n,) in the canonical frame
     indenters: tuple[str, ...]  # names of the objects
 
 

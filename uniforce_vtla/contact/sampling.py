@@ -22,7 +22,7 @@ class ForceRange:
     shear_N: float = 8.0  # along either axis
     friction: float = 0.95  # shear over normal; just under the simulator's 1.0: rarely gross slip
     torsion_arm_mm: float = 2.5  # torsion over friction × normal; a disc of radius 4 mm slips at 2/3 of that
-    # likewise of flat faces, as frozen sets were drawn; even pressure over a 25 mm pad carries 9.6 mm
+    # the same of flat faces, as frozen sets were drawn; even pressure over a 25 mm pad carries 9.6 mm
     flat_torsion_arm_mm: float = 2.5
 
 

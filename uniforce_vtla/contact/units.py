@@ -38,7 +38,7 @@ class UnitVariation:
     @classmethod
     def draw(cls, rng: np.random.Generator, sensor: str | VirtualSensor, strength: float = 1.0) -> UnitVariation:
         """Return a random unit of ``sensor``; ``strength`` 0 gives the drawing, 1 the usual spread."""
-        taxel = as_virtual(sensor).spec.signal != "camera"  # points likewise: the sensor's program knows their places
+        taxel = as_virtual(sensor).spec.signal != "camera"  # a sensor of points knows their places, too
         shift_mm = (0.3 if taxel else 0.6) * strength  # moulding tolerance; ViTac 2024 draws ±1 mm
         turn_rad = (0.0 if taxel else 0.03) * strength  # about 2°; ViTac 2024 draws ±.1 rad
         x, y = rng.uniform(-shift_mm, shift_mm, 2)

@@ -41,7 +41,7 @@ class WornSensor:
     marker_loss: float = 0.0  # chance per marker and frame
     lag_steps: int = 0  # control steps by which its picture is late
     since: UnitVariation | None = None  # the unit as it is now, if it changed after its reference was taken
-    light_since: Light | None = None  # likewise
+    light_since: Light | None = None  # the light as it is now, if it changed since the reference
     stale_N: float = 0.0  # pressed on the pad while the reference was taken
     stall_steps: int = 0  # control steps out of every STALL_EVERY for which the picture stands still
     direct: bool = False  # True: the fast path, no raw frame

@@ -41,9 +41,9 @@ class PairRecording:
     indenter: str  # what was held
     name: str  # where in its data set it comes from
     left_reference: np.ndarray  # (H, W) uint8 marker images in free air
-    right_reference: np.ndarray  # likewise
+    right_reference: np.ndarray  # (H, W) of the right finger
     left_frames: np.ndarray  # (T, H, W) uint8 marker images
-    right_frames: np.ndarray  # likewise
+    right_frames: np.ndarray  # (T, H, W) of the right finger
     first_frame: int = 0  # index of the first pair within the indenter's frames
 
     def __post_init__(self) -> None:

@@ -136,8 +136,8 @@ class TouchInput:
     def gather(self, batch: dict[str, Tensor], device: torch.device, training: bool) -> tuple[list, list]:
         """Return the slots' tensors and masks, in slot order.
 
-        Raises RolloutError: a declared input is missing or not finite, and ``on_sensor_loss`` is "error"; SensorError:
-        likewise, where a sensor gives what no healthy one of its kind does.
+        Raises, if ``on_sensor_loss`` is "error", RolloutError: a declared input is missing or not finite; SensorError: a
+        sensor's latents lie outside the range of healthy sensors of its kind.
         """
         for monitor in self.monitors.values():
             monitor.active = not training

@@ -52,10 +52,10 @@ class GraspSettings:
 class GuidedGrasp:
     """One grasp of T frames."""
 
-    left_N: np.ndarray  # (T, 3) what either pad is asked to carry, canonical frame
-    right_N: np.ndarray  # likewise
+    left_N: np.ndarray  # (T, 3) force that the left pad is to carry, canonical frame
+    right_N: np.ndarray  # (T, 3) force that the right pad is to carry
     velocity_m_s: np.ndarray  # (T, 3) of the hand in its own frame, as measured
-    acceleration_m_s2: np.ndarray  # likewise
+    acceleration_m_s2: np.ndarray  # (T, 3) of the hand in its own frame, as measured
     grip_N: np.ndarray  # (T,) the gripper's own estimate
     fault: str  # one of ``FAULTS``, or "none"
 

@@ -39,10 +39,10 @@ SPREAD_GRASPS = 4  # grasps the first guess of the spread is worth
 class GraspSignals:
     """What a rig knows of one grasp so far, T frames."""
 
-    left_N: np.ndarray  # (T, 3) estimated forces, canonical frame
-    right_N: np.ndarray  # likewise
+    left_N: np.ndarray  # (T, 3) estimated force on the left pad, canonical frame
+    right_N: np.ndarray  # (T, 3) estimated force on the right pad
     velocity_m_s: np.ndarray  # (T, 3) of the hand in its own frame
-    acceleration_m_s2: np.ndarray  # likewise
+    acceleration_m_s2: np.ndarray  # (T, 3) of the hand in its own frame
     mass_kg: float  # of object and moving holder
 
 

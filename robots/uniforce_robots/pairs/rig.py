@@ -32,7 +32,7 @@ class RigFrame:
     grasp: int  # counts grasps; a new number means the fingers had opened between
     images: dict[Finger, np.ndarray]  # finger → (480, 640) uint8 marker image, as the sensor saw it
     velocity_m_s: np.ndarray  # (3,) of the hand in its own frame, x = the fingers' closing axis
-    acceleration_m_s2: np.ndarray  # likewise
+    acceleration_m_s2: np.ndarray  # (3,) of the hand in its own frame
     grip_N: float  # the gripper's own estimate of its force
 
 

@@ -13,9 +13,9 @@ class TickStats:
 
     ticks: int = 0  # how many there were
     mean_hz: float = 0.0  # over the whole stretch; 0 with fewer than two ticks
-    jitter_p50_ms: float = 0.0  # how late ticks came after their deadlines
-    jitter_p99_ms: float = 0.0  # likewise
-    jitter_max_ms: float = 0.0  # likewise
+    jitter_p50_ms: float = 0.0  # of the ticks' delay after their deadlines: median
+    jitter_p99_ms: float = 0.0  # 99th percentile
+    jitter_max_ms: float = 0.0  # the longest
     missed: int = 0  # deadlines that passed without a tick, because the one before took too long
 
     @property

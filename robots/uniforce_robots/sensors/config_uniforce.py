@@ -41,7 +41,7 @@ class Orientation:
         """Return (16, 3) uint16 counts with taxels moved to their place and shear turned along.
 
         Counts are unsigned around mid-scale, so turning shear round mirrors it there; differences to a reference that
-        was turned likewise come out exactly turned. Turns by quarters only: configs of taxels allow no others.
+        was turned by as much come out exactly turned. Turns by quarters only: configs of taxels allow no others.
         """
         # rows from the bottom, columns from the left; x right, y up
         grid: np.ndarray = counts.reshape(SIDE, SIDE, 3).copy()
