@@ -1,1 +1,1 @@
-"""What proves the project's figures; nothing a user runs imports it."""
+"""Programs that prove the project's figures; nothing a user runs imports them."""

@@ -1,4 +1,4 @@
-"""What trials found, a line each, so that a stopped run goes on where it was; and result files several of them fill."""
+"""Findings of trials, a line each, so that a stopped run goes on; and result files that several of them fill."""
 
 import json
 from collections.abc import Callable, Iterable

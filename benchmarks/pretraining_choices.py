@@ -1,4 +1,4 @@
-"""What each choice of the pretraining buys: short runs, one choice changed at a time, on development sets."""
+"""Worth of each choice of the pretraining: short runs, one choice changed at a time, on development sets."""
 
 import json
 import sys

@@ -1,4 +1,4 @@
-"""What the tokenizer is worth: zero-shot force on frozen sets, charts, real recordings."""
+"""Worth of the tokenizer: zero-shot force on frozen sets, charts, real recordings."""
 
 import json
 import logging

@@ -1,4 +1,4 @@
-"""What is read from sensors of odd stiffness or gain in the scene, calibrated and not; the true wrench drives."""
+"""Readings of sensors of odd stiffness or gain in the scene, calibrated and not; the true wrench drives."""
 
 import sys
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What lies outside the procedural family: proof that held-out sensors could not have been drawn in pretraining."""
+"""Sensors outside the procedural family: proof that held-out sensors could not have been drawn in pretraining."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""What tests of the policy's network share: its inputs, norms that do something, LeRobot's own loop beside ours."""
+"""Shared by tests of the policy's network: its inputs, norms that do something, LeRobot's own loop beside ours."""
 
 from contextlib import contextmanager
 from typing import Any

@@ -1,4 +1,4 @@
-"""What is asked of the hand and when it is at fault, on a fake client and a clock that is set."""
+"""Commands to the hand and its faults, on a fake client and a clock that is set."""
 
 import pytest
 from hand_fakes import FakeHand

@@ -1,4 +1,4 @@
-"""What a stranger installs: the sdist makes the wheel, which works in an empty environment; nothing is downloaded."""
+"""The installed package: the sdist makes the wheel, which works in an empty environment; nothing is downloaded."""
 
 import os
 import subprocess

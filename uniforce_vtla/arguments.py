@@ -41,7 +41,7 @@ class Option:
 
     @property
     def wanted(self) -> str:
-        """What may be given, in words."""
+        """Values that may be given, in words."""
         if get_origin(self.kind) is Literal:
             return " | ".join(str(value) or '""' for value in get_args(self.kind))
         kind = KINDS.get(self.kind) or f"a list like {self.default or '[…]'}"

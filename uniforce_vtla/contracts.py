@@ -1,4 +1,4 @@
-"""What flows between the stages: shapes, units, frames, and the checks at each boundary.
+"""Data that flows between the stages: shapes, units, frames, and the checks at each boundary.
 
 raw frame → marker image → marker pair → latent → force.  See docs/design.md, "Contracts".
 """

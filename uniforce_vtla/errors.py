@@ -51,7 +51,7 @@ class RobotError(FaultError):
 
     Attributes:
         fault: one word for what happened. The robot's own: ``connection``, ``version``, ``reflex``, ``user_stop``,
-            ``guiding``, ``communication``, ``discontinuity``, ``limit``. What it says can't be: ``bad_state``,
+            ``guiding``, ``communication``, ``discontinuity``, ``limit``. Impossible reports: ``bad_state``,
             ``jump``, ``speed``, ``force``, ``frozen``, ``stale``. Ours: ``action``, ``guard``, ``sensor``, ``ended``,
             ``backend``. The hand's: ``hand_connection``, ``hand_stale``, ``hand_deadline``, ``hand_state``,
             ``grasp_lost``. And ``other``.
@@ -59,7 +59,7 @@ class RobotError(FaultError):
 
 
 class TeleoperatorError(FaultError):
-    """What a person steers with can't be followed: unplugged, silent, garbage, too far from the robot.
+    """A teleoperator can't be followed: unplugged, silent, garbage, too far from the robot.
 
     Attributes:
         fault: one word for what happened: ``connection``, ``stale``, ``garbage``, ``far``, ``not_started``,

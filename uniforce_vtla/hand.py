@@ -36,7 +36,7 @@ class HandRules:
 
 @dataclass(frozen=True)
 class HandCommand:
-    """What to ask of the hand: a grasp where ``force_N`` > 0, a plain move where it is 0."""
+    """Command to the hand: a grasp where ``force_N`` > 0, a plain move where it is 0."""
 
     width_m: float
     speed_m_s: float

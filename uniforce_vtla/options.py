@@ -1,4 +1,4 @@
-"""What an option may be, declared as the type of its field: ranges, choices, names, files to read or to write."""
+"""Rules of options, declared as the type of a field: ranges, choices, names, files to read or to write."""
 
 import re
 import tempfile

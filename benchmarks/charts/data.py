@@ -1,4 +1,4 @@
-"""What more data buys: demonstrations against clean wipes, pretraining pairs against zero-shot force.
+"""Worth of more data: demonstrations against clean wipes, pretraining pairs against zero-shot force.
 
 Both are development: wipes of ``development`` scenes, and the set ``fe_dev_v1`` of contacts by finite elements.
 """

@@ -31,7 +31,7 @@ TOOLS = 0.5  # share of held tools
 
 @dataclass(frozen=True)
 class UnitGrasps:
-    """What one unit shows while it grasps."""
+    """Images of one unit while it grasps."""
 
     reference: np.ndarray  # (480, 640) uint8
     images: np.ndarray  # (n, 480, 640) uint8

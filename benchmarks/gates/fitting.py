@@ -1,4 +1,4 @@
-"""What the cleverest scripts may learn beforehand: stiffness from lag, press from height, an observer; other scenes."""
+"""Knowledge that the cleverest scripts learn on other scenes: stiffness from lag, press from height, an observer."""
 
 import itertools
 import json
@@ -35,7 +35,7 @@ STYLES: dict[str, tuple[Callable[[Layout, BlindSettings], Regulator], tuple[floa
 
 @dataclass(frozen=True)
 class Fitted:
-    """What was learnt; all of it from scenes that are scored nowhere."""
+    """Learnt values; all of them from scenes that are scored nowhere."""
 
     set_points: dict[str, BlindSettings]  # of each style, the best of the sweep
     arm: LagLaw

@@ -1,7 +1,7 @@
 """How well any policy could wipe with a sensor: the expert's law on what the frozen head reads of it.
 
-The hand holds the grip, so the law needs the shear alone. What a kind loses here against the demonstrations' TacTip, no
-policy that feels newtons wins back.
+The hand holds the grip, so the law needs the shear alone. A policy that feels newtons
+can't win back what a sensor loses here against the demonstrations' TacTip.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""What is scored, on which scenes, and what is claimed of it. Fixed before a policy of it is trained.
+"""Plan of the ladder: rows, scenes and claims. Fixed before a policy of it is trained.
 
 The demonstrations wear one unit per finger: TacTip 1 right, GelSight 1 left in one half and uSkin 1 in the other.
 The ladder exchanges the sensor of the finger that the policy feels with, the right one. Exchanging the finger is

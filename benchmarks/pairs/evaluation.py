@@ -127,7 +127,7 @@ def _share(flagged: np.ndarray, rows: np.ndarray) -> dict[str, float]:
 
 
 def _kept(flagged: np.ndarray, gate: np.ndarray, bad: np.ndarray, error: np.ndarray) -> dict[str, float]:
-    """What a recorder would keep, gate and score together, all faults in play."""
+    """Pairs that a recorder would keep, gate and score together, all faults in play."""
     kept = gate & ~flagged
     return {
         "kept_share": float(kept.mean()),

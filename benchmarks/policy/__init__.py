@@ -1,1 +1,1 @@
-"""What a chunk of the policy costs: latency, operations, memory, touch; random weights, no checkpoint."""
+"""Cost of a chunk of the policy: latency, operations, memory, touch; random weights, no checkpoint."""

@@ -1,4 +1,4 @@
-"""What a call asks for: floating point operations, operations of the dispatcher; and what loading a checkpoint does."""
+"""Operations of a call: floating point, and of the dispatcher; and the memory of loading a checkpoint."""
 
 import json
 import math

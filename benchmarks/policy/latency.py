@@ -1,6 +1,6 @@
 """Latency of one action chunk: LeRobot's own loop and the fast sampler in turns, in one process, with random weights.
 
-What time depends on is shapes alone, so no checkpoint is needed. ``tiny`` is the CPU policy; ``mid`` has π0.5's depth,
+Time depends on shapes alone, so no checkpoint is needed. ``tiny`` is the CPU policy; ``mid`` has π0.5's depth,
 cameras, prompt and flow steps at small widths, so that neither launches nor products of matrices are all of it;
 ``base`` is the real size, for a GPU.
 """

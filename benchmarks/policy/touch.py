@@ -1,4 +1,4 @@
-"""What touch costs: two slots of 16 cached latents at either token site beside none, latency and training step.
+"""Cost of touch: two slots of 16 cached latents at either token site beside none, latency and training step.
 
 All variants are timed in turns in one process, so that a busy machine slows them alike; ratios are medians of ratios
 within a round. Random weights; the gate of ``start_at_base`` is on, as for size ``base``, and training steps run

@@ -1,1 +1,1 @@
-"""Stage: probes. What a tokenizer is worth: labelled sets, baselines, tables, figures, real recordings."""
+"""Stage: probes. Worth of a tokenizer: labelled sets, baselines, tables, figures, real recordings."""

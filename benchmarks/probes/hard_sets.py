@@ -26,7 +26,7 @@ from uniforce_vtla.tokenizer.pair_cache import shrink
 
 @dataclass(frozen=True)
 class HardSettings:
-    """What goes wrong, and how much; a frozen set's recipe."""
+    """Faults and their doses; a frozen set's recipe."""
 
     name: str  # for people
     seed: int  # of everything drawn

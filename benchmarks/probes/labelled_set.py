@@ -65,7 +65,7 @@ SENSORS = ("gelsight", "tactip", "uskin")
 
 @dataclass(frozen=True)
 class SetConfig:
-    """What a labelled set is drawn from."""
+    """Recipe of a labelled set."""
 
     name: str  # for people
     seed: int  # of contacts, units and noise

@@ -40,7 +40,7 @@ def fit_rotation(z: np.ndarray, force_N: np.ndarray) -> np.ndarray:
 
     The first three axes are the orthonormal triple whose squared correlations with Fx, Fy, Fz sum to the most.  The
     search starts at the nearest triple (Procrustes) to the three regression directions; that one alone would do only
-    if the latent were as wide in every direction: a little of a strong shear hides a weak normal force.  What is left
+    if the latent were as wide in every direction: a little of a strong shear hides a weak normal force.  The rest
     of the space is filled with its own principal axes.
 
     ``z`` are (..., L) latents of a sensor's training set, L ≥ 3, ``force_N`` is (..., 3).

@@ -1,4 +1,4 @@
-"""What ten frames with a known force say of a sensor: its angle on the mount, a gain and an offset per axis."""
+"""Correct a sensor by ten frames with a known force: its angle on the mount, a gain and an offset per axis."""
 
 from __future__ import annotations
 

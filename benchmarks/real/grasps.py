@@ -67,7 +67,7 @@ class Grasp:
 
 @dataclass(frozen=True)
 class Films:
-    """What one finger's camera saw of each trial."""
+    """Frames of one finger's camera, trial by trial."""
 
     frames: list[list[np.ndarray]]  # (H, W, 3) uint8 each
     free: list[FreeFrame | None]

@@ -1,4 +1,4 @@
-"""What can break while an episode runs: how it is broken and mended, and what has to come of it."""
+"""Faults while an episode runs: how each is made and mended, and what has to come of it."""
 
 import random
 import time

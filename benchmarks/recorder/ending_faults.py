@@ -1,4 +1,4 @@
-"""What ends a session or keeps it from starting: a fresh session for each, its exit code looked at."""
+"""Faults that end a session or keep it from starting: a fresh session for each, its exit code looked at."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ ROOM_MB = 300  # where it can't be mounted: between what is free now and the gua
 
 @dataclass(frozen=True)
 class Bench:
-    """What a trial needs."""
+    """Parts of a trial."""
 
     rig: Rig
     root: Path

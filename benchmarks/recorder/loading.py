@@ -1,4 +1,4 @@
-"""What was recorded, as LeRobot takes it: its stock dataset class reads it, its trainer trains on it."""
+"""Recorded data as LeRobot takes it: its stock dataset class reads it, its trainer trains on it."""
 
 import json
 import re

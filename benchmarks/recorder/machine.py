@@ -1,4 +1,4 @@
-"""What this machine can do: the beat a loop keeps that does nothing, and who used the cores."""
+"""Limits of this machine: the beat of a loop that does nothing, and the processes that used the cores."""
 
 from __future__ import annotations
 

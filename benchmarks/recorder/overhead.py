@@ -1,4 +1,4 @@
-"""What recording costs: the robot's read, and the taxels' rate and age."""
+"""Cost of recording: the robot's read, and the taxels' rate and age."""
 
 import multiprocessing
 import time

@@ -1,4 +1,4 @@
-"""What is tried, how long and how often: the settings of all trials."""
+"""Settings of all trials: faults, durations, repetitions."""
 
 from dataclasses import dataclass
 from pathlib import Path

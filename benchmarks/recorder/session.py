@@ -36,7 +36,7 @@ class TrialError(UniForceError):
 
 @dataclass(frozen=True)
 class Line:
-    """What a session said, and when: seconds of ``time.monotonic``."""
+    """Lines that a session printed, and when: seconds of ``time.monotonic``."""
 
     time_s: float
     text: str

@@ -1,4 +1,4 @@
-"""What was asked beside what was seen; a part not run in full, or on a stretched rig, gets no verdict."""
+"""Bars beside results; a part not run in full, or on a stretched rig, gets no verdict."""
 
 from collections.abc import Iterator
 from typing import Any

@@ -26,7 +26,7 @@ from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 
 @dataclass(frozen=True)
 class Arm:
-    """What acts, and what its right finger wears."""
+    """An actor, and the sensor of its right finger."""
 
     name: str
     sensor: str = "tactip:1"  # in words
@@ -47,7 +47,7 @@ def play(arm: Arm, level: str, words: str, operator: str, dose: float, cell: str
 
 
 def disturbed(arm: Arm, level: str, words: str, disturbance: Disturbance, cell: str, seed: int, first: int) -> Row:
-    """Let an arm act in one disturbed scene. What a refused sensor stops counts as aborted."""
+    """Let an arm act in one disturbed scene. An episode that a refused sensor stops counts as aborted."""
     worker_process()
     torch.manual_seed(seed)
     act = {"policy": _policy, "stock": _stock, "expert": _expert, "reads": _reads}[arm.acts]

@@ -31,7 +31,7 @@ EXCHANGED = "X1 unit exchanged in mid-wipe"  # of TacTips
 
 @dataclass(frozen=True)
 class Disturbance:
-    """What differs from the usual episode."""
+    """Differences from the usual episode."""
 
     scene: Callable[[SceneParams], SceneParams] = lambda scene: scene
     late_steps: int = 0  # actions are executed so much later

@@ -1,4 +1,4 @@
-"""Is a fault the tokenizer's or any reader's?  What other features of the same frames say of the press.
+"""Is a fault the tokenizer's or any reader's?  Press read from other features of the same frames.
 
 Each is read by a ridge that was fitted on the sensor itself, without the fault and with its force known: more than the
 tokenizer's own head is given, which knew neither the unit nor the scene.

@@ -1,4 +1,4 @@
-"""What a frozen head reads on a worn finger of the scene while the expert wipes, by the true wrench or by that."""
+"""Readings of a frozen head on a finger of the scene while the expert wipes, by the true wrench or by that head."""
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress

@@ -35,7 +35,7 @@ class Cell:
 
     @property
     def words(self) -> str:
-        """What the right finger wears."""
+        """Sensor of the right finger."""
         faulty = self.operator in OPERATORS
         worn = worn_with(OPERATORS[self.operator], self.arm.sensor, self.dose) if faulty else self.arm.sensor
         assert worn is not None

@@ -1,4 +1,4 @@
-"""What is kept of an episode."""
+"""Row of an episode."""
 
 from dataclasses import dataclass
 

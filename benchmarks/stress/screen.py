@@ -1,4 +1,4 @@
-"""What would the policy read?  Seconds per cell, so that only cells near a cliff are rolled out."""
+"""Readings of the policy under each fault.  Seconds per cell, so that only cells near a cliff are rolled out."""
 
 from typing import Any
 

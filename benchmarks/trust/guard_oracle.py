@@ -1,4 +1,4 @@
-"""What may be sent and asked for, written a second time. Axes: x, y, z m, yaw rad, of an action width m; base frame."""
+"""Rules of the guards, written a second time. Axes: x, y, z m, yaw rad, of an action width m; base frame."""
 
 import math
 from typing import Any

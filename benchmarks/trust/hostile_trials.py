@@ -79,13 +79,13 @@ GRASPING = ("slip_out",)
 MIDWAY = ("hung_hand", "hand_dropped_midway", "hand_garbage_reply")  # need a command of the hand
 # No state arrives that a client could answer: a real arm ends the motion after 20 lost packets, and so does this one.
 STARVING = ("stopped_clock", "state_flood_old", "silent_arm", "garbage_state", "wrong_length_state")
-# What the client reads only when it expects an answer: the trial stops the arm, then asks for recovery.
+# The client reads these only when it expects an answer: the trial stops the arm, then asks for recovery.
 AT_NEXT_ANSWER = ("arm_garbage_reply",)
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What came of one fault."""
+    """Result of one fault."""
 
     fault: str
     named: str  # the fault the caller was given, "" for none

@@ -1,4 +1,4 @@
-"""What ends LeRobot's rollout on the robot, and how soon the arm rests: fingers, cameras, arm, hand, policy fail."""
+"""Faults that end LeRobot's rollout, and how soon the arm rests: fingers, cameras, arm, hand, policy fail."""
 
 import os
 import signal

@@ -55,7 +55,7 @@ FREE = ("rest_s=2", "press_s=0")  # nothing is touched
 
 @dataclass(frozen=True)
 class Kind:
-    """What fails, and by which names it may be told: an exception's class, or the fault of a RobotError."""
+    """A fault, and the names by which it may be reported: an exception's class, or the fault of a RobotError."""
 
     breaks: Callable[["Rig"], object]
     names: tuple[str, ...]
@@ -217,7 +217,7 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Trial:
-    """What came of one fault."""
+    """Result of one fault."""
 
     kind: str
     named: str  # the fault of a RobotError, or the class of another exception; "" for none

@@ -1,4 +1,4 @@
-"""What a dataset has to hold whatever its hashes say: exact marker images, resting references, every frame, numbers.
+"""Check a dataset's content whatever its hashes say: exact marker images, resting references, every frame, numbers.
 
 Looked at before an episode counts as saved (``check_stored``), and again before a dataset is read (``check_content``).
 """

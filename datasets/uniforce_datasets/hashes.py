@@ -64,8 +64,8 @@ def stage_hashes(root: Path, episode: int | None = None) -> None:
 def check_hashes(root: Path, verify: Verify = "full") -> None:
     """Compare the files of a dataset or view with its hashes; one warning where it has none.
 
-    A commit that a kill has cut short counts as made or not made, file by file. What a recorder moves in meanwhile is
-    looked at again: a dataset can be checked while it is recorded.
+    A commit that a kill has cut short counts as made or not made, file by file. A file that a recorder moves in
+    meanwhile is looked at again: a dataset can be checked while it is recorded.
 
     Args:
         root: its folder.

@@ -33,7 +33,7 @@ from uniforce_vtla.tokenizer.plain_touch import descriptors, marker_pairs
 
 
 class LatentEncoder(Protocol):
-    """What a training view asks of an encoder."""
+    """Encoder that a training view uses."""
 
     @property
     def hash(self) -> str:

@@ -1,4 +1,4 @@
-"""What a training view holds: chosen episodes of one or more recorded datasets, and every setting.
+"""Plan of a training view: chosen episodes of one or more recorded datasets, and every setting.
 
 ``ViewPlan.marker`` becomes ``uniforce_view.json``; ``read_marker`` checks it.
 """
@@ -32,7 +32,7 @@ def touch_stream(name: str, finger: Finger) -> str:
 
 @dataclass(frozen=True)
 class EpisodeFacts:
-    """What is known of one recorded episode; ``episodes=`` filters see it."""
+    """Facts of one recorded episode; ``episodes=`` filters see them."""
 
     source: str
     episode: int

@@ -52,7 +52,7 @@ for name, simulator in simulators.items():
     print(f"{name:9} depth [mm] at 2, 4 and 6 N: {simulator.depth_mm(contact)}")
 
 # %% [markdown]
-# ## What the sensors show
+# ## Images of the sensors
 #
 # Each simulator gives what a driver would give: camera frames, or counts of taxels.
 # The canonicalizer turns them into marker images, as on a robot.
@@ -75,7 +75,7 @@ plt.show()
 # %% [markdown]
 # ## The latent
 #
-# The tokenizer gives 8 × 8 patches of six numbers. What counts is their change from free air.
+# The tokenizer gives 8 × 8 patches of six numbers. Their change from free air counts.
 # The pictures are of 6 N, all on one colour scale.
 
 # %%

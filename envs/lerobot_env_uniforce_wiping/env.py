@@ -101,7 +101,7 @@ class WipeEnv(gymnasium.Env):
 
     @property
     def trace(self) -> EpisodeTrace:
-        """What happened so far."""
+        """Events of the episode so far."""
         return self._recorder.trace()
 
     @property

@@ -18,7 +18,7 @@ class Script(Protocol):
 
     @property
     def phase(self) -> str:
-        """What it is doing."""
+        """Current phase."""
 
     def reset(self, env: WipeEnv) -> None:
         """Start a new episode."""

@@ -206,7 +206,7 @@ class WipeExpert:
 
     @property
     def phase(self) -> str:
-        """What it is doing, one of ``sequence.PHASES``."""
+        """Current phase, one of ``sequence.PHASES``."""
         return self._sequence.phase
 
     def act(self, env: WipeEnv) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What moves the fingers: a servo that follows every width, or a hand under the rules of the robot's.
+"""Grippers of the scene: a servo that follows every width, or a hand under the rules of the robot's.
 
 The level's servo is no gripper that anybody has: it regulates grip by tenths of a millimetre. The Franka Hand takes a
 grasp with a force, holds by itself, and tells its width ten times a second. ``uniforce_vtla.hand.Hand`` decides what it

@@ -21,7 +21,7 @@ TOUCHING_N = 0.02  # below this the pad counts as in free air
 
 @dataclass(frozen=True)
 class Load:
-    """What a pad bears at one step: canonical wrench (4,) and where the block lies before it, in the tool frame."""
+    """Load of a pad at one step: canonical wrench (4,), and where the block lies before it, in the tool frame."""
 
     wrench: np.ndarray
     center_m: np.ndarray
@@ -29,7 +29,7 @@ class Load:
 
 
 class PadImages:
-    """What one finger's sensor shows in the scene, in its own frame, never flipped.
+    """One finger's sensor in the scene; images in its own frame, never flipped.
 
     ``follow`` looks at every control step, since rubber and cameras are late; ``image`` draws when it is asked.
 

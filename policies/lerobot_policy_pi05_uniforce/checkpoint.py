@@ -1,4 +1,4 @@
-"""What a checkpoint's JSON files ask for, checked before anything is built, opened or imported because of them."""
+"""Check a checkpoint's JSON files before anything is built, opened or imported because of them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LIMITS = {**dict.fromkeys(COUNTS, 4096), "tokenizer_max_length": 65536}
 TINY_LIMITS = {"width": 8192, "depth": 64, "mlp_dim": 65536}
 FROM_MARKERS = (*ENCODED, "descriptor", "marker_pair")
 MAX_SIDE = 4096  # of an image or a feature's axis
-# What LeRobot, draccus and torch raise over settings that fit nothing
+# raised by LeRobot, draccus and torch over settings that fit nothing
 MISFITS = (
     *(ValueError, TypeError, KeyError, AttributeError, IndexError, RuntimeError, ArithmeticError),
     *(OSError, ImportError, AssertionError, DraccusException, SafetensorError),

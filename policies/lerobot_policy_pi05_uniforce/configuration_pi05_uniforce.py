@@ -69,7 +69,7 @@ class TouchSettings:
 
 @dataclass
 class ActionSettings:
-    """What the network predicts, in which units, and within which bounds (action.py)."""
+    """The network's output: its form, its units and its bounds (action.py)."""
 
     form: str = _BY_SIZE  # "target_delta" (tiny) | "absolute" (base)
     # "flow": matching, as π0.5 | "regression": its last step alone, from zero noise, one step to sample (tiny)
@@ -96,7 +96,7 @@ class ActionSettings:
 
 @dataclass
 class AugmentSettings:
-    """What is drawn anew for every training sample; nothing of it runs at rollout."""
+    """Random changes of every training sample; nothing of it runs at rollout."""
 
     # lights and camera poses (augment.py); 0 = none, 1 = about as much as scenes of level touch differ; base 0
     camera_variation: float = _BY_SIZE
@@ -237,7 +237,7 @@ class PI05UniforceConfig(PI05Config):
 
     @property
     def touch_in_view(self) -> str:
-        """What a training view gives this policy to feel with: "newtons" are read in latents by its own head."""
+        """Input that a training view caches for this policy: "newtons" are read in latents by its own head."""
         return "latent" if self.touch.input in ENCODED else self.touch.input
 
     def finger_by_slot(self) -> dict[str, Finger]:

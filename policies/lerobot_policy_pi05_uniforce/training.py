@@ -1,4 +1,4 @@
-"""What a new policy takes from its training data, and what of it trains.
+"""Facts that a new policy takes from its training data, and the parameters that train.
 
 π0.5's action loss reads the VLM through the keys and values of every layer alone. The last layer's queries, output
 projection and MLP, and the VLM's final norm, therefore get no gradient. Frozen, they cost no optimiser state, and

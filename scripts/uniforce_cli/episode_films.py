@@ -21,7 +21,7 @@ HEAT_PX = 16  # a patch's side in a heat map, so that a viewer has something to 
 
 @dataclass(frozen=True)
 class Films:
-    """What every stream shows at some frames of an episode."""
+    """Every stream at some frames of an episode."""
 
     frames: tuple[int, ...]  # their numbers, rising from 0
     pictures: dict[str, tuple[bytes, ...]]  # stream → one WebP picture for each of these frames

@@ -1,4 +1,4 @@
-"""What is scored, and on which rig: the options of ``uniforce score``, which its processes read too."""
+"""Options of ``uniforce score``: the policy, the rig and the scenes. Its processes read them, too."""
 
 import re
 from dataclasses import dataclass, field, fields

@@ -26,7 +26,7 @@ PANEL_PX = 480
 
 @dataclass(frozen=True)
 class TouchView:
-    """What is shown of one sample."""
+    """Pictures and numbers shown of one sample."""
 
     label: str  # which sensor on which finger
     raw: np.ndarray  # (H, W, 3) uint8 RGB, or (16, 3) int64 counts above the reference

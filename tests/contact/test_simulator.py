@@ -1,4 +1,4 @@
-"""What the simulated sensors show: signs, mirror, symmetry, seeds, bad input."""
+"""Images of the simulated sensors: signs, mirror, symmetry, seeds, bad input."""
 
 from dataclasses import replace
 from functools import cache

@@ -1,4 +1,4 @@
-"""What a simulated finger wears: words for units, and what a unit shows."""
+"""Sensors of a simulated finger: words for units, and their images."""
 
 import numpy as np
 import pytest

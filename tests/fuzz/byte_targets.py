@@ -1,4 +1,4 @@
-"""What reads bytes from a device: each with a stream that is right, to be injured."""
+"""Parsers of bytes from a device: each with a stream that is right, to be injured."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

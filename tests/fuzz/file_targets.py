@@ -1,4 +1,4 @@
-"""What reads files that others wrote: each with a folder that is right, to be injured file by file."""
+"""Readers of files that others wrote: each with a folder that is right, to be injured file by file."""
 
 import json
 import logging

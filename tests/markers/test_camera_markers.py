@@ -90,7 +90,7 @@ def test_mask_covers_the_markers(gel):
 
 
 def test_one_canonicalizer_serves_different_gels(gel, dome):
-    """What was learnt from one look must not spoil the next."""
+    """A plan learnt from one frame must not spoil the next."""
     canon = Canonicalizer("gelsight")
     for scene in (gel(), dome(rings=6, rim="none"), gel(grid=(8, 8), shape="dot", dark=False), gel()):
         assert max(missed_and_false(scene.centres_px, canon.markers(scene.frame))) <= 2

@@ -1,4 +1,4 @@
-"""What makes a reference, and later frames held against it: nothing is invented, and what is lost is said."""
+"""References, and later frames held against them: nothing is invented, and losses are reported."""
 
 import warnings
 from dataclasses import replace

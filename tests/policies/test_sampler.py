@@ -1,7 +1,7 @@
 """The fast sampler against LeRobot's own loop: same weights, same noise, same actions.
 
-What CUDA graphs would replay runs uncaptured on the CPU. Nothing here proves that a GPU can capture it; the last test
-does, where there is one.
+The functions that CUDA graphs would replay run uncaptured on the CPU. Nothing here proves that a GPU can capture them;
+the last test does, where there is one.
 """
 
 import timeit

@@ -1,4 +1,4 @@
-"""What a command raises becomes one line and an exit code; what options declare is checked before the work begins."""
+"""An error of a command becomes one line and an exit code; options are checked before the work begins."""
 
 import os
 import signal

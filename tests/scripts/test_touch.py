@@ -128,7 +128,7 @@ def test_orientation_check(patch: str, rotation: int, code: int, capsys: pytest.
 
 
 class Still:
-    """What ``quarter_response`` needs of a finger."""
+    """A finger, as far as ``quarter_response`` needs one."""
 
     def __init__(self, sensor: str, reference: np.ndarray) -> None:
         self.canonicalizer = Canonicalizer(sensor)

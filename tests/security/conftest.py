@@ -1,4 +1,4 @@
-"""What the project's own source is, for tests that read all of it."""
+"""The project's own source, for tests that read all of it."""
 
 import shutil
 import tomllib

@@ -1,4 +1,4 @@
-"""What fuzzing found, and sizes no machine holds: each was an untyped error, or memory without end."""
+"""Faults that fuzzing found, and sizes no machine holds: each was an untyped error, or memory without end."""
 
 import json
 import time

@@ -1,4 +1,4 @@
-"""What listens, listens on loopback unless an option says otherwise."""
+"""Servers listen on loopback unless an option says otherwise."""
 
 import ast
 import ipaddress

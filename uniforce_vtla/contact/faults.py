@@ -1,4 +1,4 @@
-"""What goes wrong with a worn sensor, in physical doses: another pad, a moved camera, lost markers, a late stream.
+"""Faults of a sensor, in physical doses: another pad, a moved camera, lost markers, a late stream.
 
 Names after "+" in the words of a worn sensor: ``tactip:1+flicker=0.2``. Ids of RoboTactile's suite stand in
 ``benchmarks.stress`` where the fault is the same.

@@ -1,4 +1,4 @@
-"""What a sensor's camera sees: marker image → colour frame with its light, lens and noise.
+"""Raw frames of a sensor's camera: marker image → colour frame with its light, lens and noise.
 
 Only as true as testing a marker finder needs: polarity, uneven coloured light, vignetting, the TacTip's rim
 ring and lamp reflections (described in facts D; no frame was copied).

@@ -12,7 +12,7 @@ _PASSES = 6  # rounds of handing capped cells' excess to sticking ones; the resi
 
 @dataclass(frozen=True)
 class Traction:
-    """What the object does to the pad, on the cells any contact of the batch presses."""
+    """Traction of the object on the pad, on the cells that any contact of the batch presses."""
 
     cells: np.ndarray  # (K,) indices into the pad's cells
     press_N: np.ndarray  # (B, K) normal force on each

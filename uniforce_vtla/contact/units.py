@@ -11,7 +11,7 @@ from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
 
 @dataclass(frozen=True)
 class UnitVariation:
-    """What differs from unit to unit.
+    """Differences from unit to unit.
 
     What a reference image shows (layout, view) may vary freely; what it can't show (stiffness, gain) stays
     narrow, else an unseen unit's force scale can't be read from its picture.

@@ -1,4 +1,4 @@
-"""What units do beside the model: rubber creeps (markers lag behind the force), light on a camera changes."""
+"""Effects beside the contact model: rubber creeps (markers lag behind the force), light on a camera changes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a simulated finger wears: one unit of a sensor as a lab would find it, or the bare drawing."""
+"""The sensor on a simulated finger: one unit as a lab would find it, or the bare drawing."""
 
 import zlib
 from contextlib import suppress
@@ -58,7 +58,7 @@ class WornSensor:
 
 
 class WornView:
-    """What a worn unit shows of contacts: contact model, raw frame under its light, canonicalizer.
+    """Images of one unit's contacts: contact model, raw frame under its light, canonicalizer.
 
     Creep and lag depend on time: the caller, which follows the contact, applies them.
 

@@ -1,4 +1,4 @@
-"""What a finger wears, in the words that commands take.
+"""Words by which commands name the sensor on a finger.
 
 ``tactip`` is unit 1 of that sensor, ``tactip:7`` another one, ``tactip:any`` another one in every scene, and
 ``tactip:drawing`` the fast path: the marker image as the contact model draws it, without a frame.

@@ -18,7 +18,7 @@ CONTACT_N = 0.5  # of press: the eraser is on the board
 
 @dataclass(frozen=True)
 class EpisodeRow:
-    """What is kept of one episode in ``episodes.jsonl``."""
+    """Row of one episode in ``episodes.jsonl``."""
 
     seed: int
     outcome: str

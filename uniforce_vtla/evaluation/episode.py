@@ -1,4 +1,4 @@
-"""What happened in one episode: exclusive outcome, overlapping events, continuous numbers.
+"""Result of one episode: exclusive outcome, overlapping events, continuous numbers.
 
 Everything is computed from a trace of true (or, on hardware, estimated) quantities; nothing here knows an
 environment. Outcomes sum to n; events may overlap; a clean success is a success without an event.

@@ -14,7 +14,7 @@ from uniforce_vtla.evaluation.episode import EpisodeResult, EpisodeTrace, empty_
 
 
 class Environment(Protocol):
-    """What a rollout needs of an environment; ``WipeEnv`` is one."""
+    """An environment that can be rolled out; ``WipeEnv`` is one."""
 
     trace: EpisodeTrace
     task: str
@@ -33,7 +33,7 @@ class Environment(Protocol):
 
 
 class Controller(Protocol):
-    """What acts: a policy checkpoint behind its processors, or a script."""
+    """An actor: a policy checkpoint behind its processors, or a script."""
 
     def reset(self, env: Environment) -> None:
         """Forget the previous episode."""

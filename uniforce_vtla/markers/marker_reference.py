@@ -1,6 +1,6 @@
 """The markers of a free-air frame, remembered: later frames of that camera are held against them.
 
-What was lost needs no correspondence: it is counted. A marker of the current frame is an extra where no reference
+Lost markers need no correspondence: they are counted. A marker of the current frame is an extra where no reference
 marker lies within reach, where it stands between markers that hardly moved, or on a reflection that the reference
 showed. So a marker which the reference missed stays, as does a new reflection on a pattern in motion: a sheared dome's
 pin passes the place of its neighbour. A reflection may pass for a marker lost beside it.
@@ -69,8 +69,8 @@ class MarkerReference:
     def read(self, frame: np.ndarray, hold: MarkerHold | None = None) -> tuple[np.ndarray, MarkerMatch]:
         """Return the (480, 640) uint8 image in {0, 255} of a frame's markers, and how they match.
 
-        Other channels are tried where 20 % of the markers are lost. What ``hold`` then fills in is not lost. Warns once
-        at ``warn_share``.
+        Other channels are tried where 20 % of the markers are lost. Markers that ``hold`` then fills in are not lost.
+        Warns once at ``warn_share``.
 
         Raises ContractError: wrong dtype, or another shape than the reference's: its lens or crop may differ;
         SensorError: a dark frame, no markers, 25 % of the reference's lost, or more extras than those.

@@ -1,8 +1,8 @@
 """Free-air references: taken from several frames, refused where they can be known to be in contact, remembered.
 
-What can be known: a touch that moves or changes shows within the frames; a tared taxel pressed at the reference reads
-negative once released; taxels far from a stored resting level are loaded. What can't: a steady touch on a gel seen by
-a camera, or on taxels whose resting level is not stored. It looks like free air, and no check here claims otherwise.
+These checks find a touch that moves or changes within the frames, a tared taxel that was pressed at the reference
+(it reads negative once released), and taxels far from a stored resting level. They can't find a steady touch on a gel
+seen by a camera, or on taxels without a stored resting level: it looks like free air.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def refuse(wanted: str, came: str) -> None:
 
 
 class ReferenceMemory[Value]:
-    """What was computed of the latest references: a stream pairs every frame with the same one.
+    """Cache of values computed from the latest references: a stream pairs every frame with the same one.
 
     Args:
         most: references remembered; the oldest is forgotten.

@@ -1,4 +1,4 @@
-"""What a pad is made of, as far as simulating it needs; all of it physical.
+"""Materials of a pad, as far as simulating it needs; all of it physical.
 
 Anchors: the paper's gels are 25×25×4 mm and reach 12 N at 1.0 to 1.1 mm (GelSight, uSkin) and 4.6 mm (TacTip); a
 sphere on a bonded layer then needs E of .3 to 1 MPa. Real TacTips give 3.3 to 4.7 N/mm.

@@ -1,4 +1,4 @@
-"""What a tactile sensor is, as far as this project needs to know."""
+"""Description of a tactile sensor, as far as this project needs it."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -10,7 +10,7 @@ from uniforce_vtla.sensors.material import Material
 
 @dataclass(frozen=True, kw_only=True)
 class TaxelSignal:
-    """What a taxel's counts mean, measured by a uSkin's; x right, y up, z into the pad."""
+    """Meaning of a taxel's counts, relative to a uSkin's; x right, y up, z into the pad."""
 
     pitch_mm: tuple[float, float]  # (x, y) usual distance of neighbours: a taxel is drawn in a cell of this size
     worth: tuple[float, float, float] = (1.0, 1.0, 1.0)  # uSkin counts that one count of x, y, z is drawn as
@@ -54,7 +54,7 @@ class SensorSpec:
 
     @property
     def signal(self) -> Literal["camera", "taxel", "points"]:
-        """What the sensor delivers: "camera" (frames), "taxel" (counts) or "points" (displacements)."""
+        """Form of the raw signal: "camera" (frames), "taxel" (counts) or "points" (displacements)."""
         if self.points is not None:
             return "points"
         return "camera" if self.taxels is None else "taxel"

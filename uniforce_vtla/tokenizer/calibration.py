@@ -1,8 +1,8 @@
 """Label-free calibration: a sensor never pretrained on learns to give the known one's latents on the same grasps.
 
 Both fingers grasp an externally held object for two minutes, half the time small objects, half the time tools. Their
-forces are equal, so their latents should be. What differs depends on the place on the pad: one linear map of the whole
-pooled latent, ridge-regressed towards the identity in closed form, is fitted to the pairs. No force is ever measured.
+forces are equal, so their latents should be. The difference depends on the place on the pad: one linear map of the
+whole pooled latent, ridge-regressed towards the identity in closed form, is fitted to the pairs. No force is measured.
 It corrects what a reference image can't show: stiffness, thickness and gain.
 
 The map is used only if grasps that it wasn't fitted to are read better with it (``choose``). Otherwise one gain of the

@@ -14,7 +14,7 @@ from uniforce_vtla.errors import CheckpointError, ContractError, expected
 
 POOL = 4  # regions per side of a pooled map: what heads, calibrations and policies read
 
-# What only picks, joins, reshapes or moves numbers; everything else gives a plain tensor.
+# Functions that only pick, join, reshape or move numbers; every other one gives a plain tensor.
 PICKS = ("__getitem__", "unbind", "cat", "stack", "unsqueeze", "squeeze", "flatten", "unflatten")
 MOVES = ("reshape", "view", "expand", "contiguous", "clone", "detach", "to", "cpu", "cuda")
 KEEPS_ORIGIN = frozenset((*PICKS, *MOVES))

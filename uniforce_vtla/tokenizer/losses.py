@@ -1,4 +1,4 @@
-"""What pretraining minimises: four reconstructions, KL, equilibrium. No force label anywhere.
+"""Loss of pretraining: four reconstructions, KL, equilibrium. No force label anywhere.
 
 UniForce paper, section "Objective Function"; the paper gives no λ, ours are measured starts.
 """

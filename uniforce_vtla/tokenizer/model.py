@@ -32,7 +32,7 @@ class Posterior(NamedTuple):
 
 
 class ReferenceCache(NamedTuple):
-    """What the current frame needs of its reference, all with the reference's batch."""
+    """Tensors of a reference that encoding a current frame needs, all with the reference's batch."""
 
     image: torch.Tensor  # (B, 1, S, S) prepared reference
     halved: list[torch.Tensor]  # the same at every scale of the motion channels; empty without them

@@ -1,4 +1,4 @@
-"""What a policy can be given of touch without a tokenizer: a hand descriptor, or the marker images themselves.
+"""Touch for a policy without a tokenizer: a hand descriptor, or the marker images themselves.
 
 Controls of the benchmark: the first asks whether learning was needed, the second must fail when a sensor is swapped.
 Views and policies both come through here, so they can't disagree about a mirror or a size.

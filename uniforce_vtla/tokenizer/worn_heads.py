@@ -29,7 +29,7 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class WornSequences:
-    """What is drawn; units by number, none of which a benchmark wears."""
+    """Sequences to draw; units by number, none of which a benchmark wears."""
 
     first_unit: int = 500_000
     units: int = 80

@@ -75,7 +75,7 @@ def check_compression(force_N: np.ndarray, where: str) -> None:
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What to do where a trial isn't as the protocol promises, and how much to hold in memory."""
+    """Limits for trials that aren't as the protocol promises, and for memory."""
 
     reference: Literal["first", "quietest"] = "first"  # frame taken as free air; a trial begins before contact
     max_reference_force_N: float = 0.5  # |F| in it; drift of a tared cell, less than any labelled press
@@ -85,7 +85,7 @@ class ReadOptions:
 
 @dataclass(frozen=True)
 class GenForceConfig:
-    """What to read of a GenForce folder."""
+    """Selection of a GenForce folder."""
 
     sensors: tuple[str, ...] = ()  # kinds to read; empty for all found
     # unseen: sphere_s, triangle, pacman, cone, wave and torus; seen: every other indenter

@@ -26,7 +26,7 @@ HALF_WAY = 127  # grey level: a quality-100 JPEG of a binary image stays far on 
 
 @dataclass(frozen=True)
 class PairConfig:
-    """What to read of a folder of pairs."""
+    """Selection of a folder of pairs."""
 
     reference_index: int | None = None  # frame of free air where there is no reference.jpg; None refuses such a set
     indenters: tuple[str, ...] = ()  # names to read; empty for all

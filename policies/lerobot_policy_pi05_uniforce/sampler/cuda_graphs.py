@@ -72,7 +72,7 @@ class Pair(NamedTuple):
 
 
 class Sampler(Protocol):
-    """What is recorded: the ``FastSampler``."""
+    """The sampler that is recorded: a ``FastSampler``."""
 
     network: Any
     prepared: Prepared

@@ -1,7 +1,7 @@
 """Sample an action chunk as LeRobot's π0.5 does, without what it computes twice or for nothing.
 
-Same weights, same mathematics, another order of summation (equal within 1e-4 on actions; tests compare them). What is
-left out: cameras that are missing and text that is padding; the last VLM layer after its keys and values, which are not
+Same weights, same mathematics, another order of summation (equal within 1e-4 on actions; tests compare them). Left
+out: cameras that are missing and text that is padding; the last VLM layer after its keys and values, which are not
 read; copies of the prefix cache in every flow step; the norms' modulation, which depends on the flow time alone and is
 kept in a table per step; attention matrices, by torch's fused attention; masks, positions and rotations built again.
 """

@@ -164,14 +164,14 @@ def _normed(norm: nn.LayerNorm, x: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class StepTable:
-    """What a flow step needs besides the actions: ``layers`` holds (before attention, before MLP) per layer."""
+    """Modulations of one flow step: ``layers`` holds (before attention, before MLP) per layer."""
 
     layers: list[tuple[Modulation, Modulation]]
     last: Modulation
 
 
 class Prepared:
-    """What is prepared once per weights; made anew when a weight changed since the last call."""
+    """Tensors prepared once per weights; made anew when a weight changed since the last call."""
 
     def __init__(self, network: stock.PI05Pytorch) -> None:
         self._network = network

@@ -24,7 +24,7 @@ class ForceTokens(nn.Module):
     """Project each slot's touch input to K tokens; one projection for all slots, an embedding tells them apart.
 
     The input keeps its amplitude (amplitude is force): a fixed mean per number is taken off and a fixed spread per
-    channel divided out, both stored in the checkpoint, never its own. What is RMS-normalised is the outcome, after a
+    channel divided out, both stored in the checkpoint, never its own. Only the outcome is RMS-normalised, after a
     non-linearity, so that force tokens enter with the magnitude of an image patch; a learned gain takes it from there.
     Where ``config.whole_map``, every token also holds what one network makes of the slot's whole map: force is a sum
     over cells, which attention over single cells reads less exactly.

@@ -1,4 +1,4 @@
-"""What each touch slot gives the network: cached latents, or marker images encoded now, calibrated and watched."""
+"""The network's input of each touch slot: cached latents, or marker images encoded now, calibrated and watched."""
 
 from __future__ import annotations
 
@@ -136,8 +136,8 @@ class TouchInput:
     def gather(self, batch: dict[str, Tensor], device: torch.device, training: bool) -> tuple[list, list]:
         """Return the slots' tensors and masks, in slot order.
 
-        Raises, if ``on_sensor_loss`` is "error", RolloutError: a declared input is missing or not finite; SensorError: a
-        sensor's latents lie outside the range of healthy sensors of its kind.
+        Raises, if ``on_sensor_loss`` is "error", RolloutError: a declared input is missing or not finite; SensorError:
+        a sensor's latents lie outside the range of healthy sensors of its kind.
         """
         for monitor in self.monitors.values():
             monitor.active = not training

@@ -1,4 +1,4 @@
-"""What an action passes before it becomes a target: finite → workspace box → step → rate. NaN stops, the rest clamps.
+"""Guards of an action before it becomes a target: finite → workspace box → step → rate. NaN stops, the rest clamps.
 
 Behind it stand the check of what is sent (``state_check.SendCheck``), the tracker's clip (stiffness × clip bounds the
 force) and the robot's own reflex.

@@ -37,7 +37,7 @@ SPREAD_GRASPS = 4  # grasps the first guess of the spread is worth
 
 @dataclass(frozen=True)
 class GraspSignals:
-    """What a rig knows of one grasp so far, T frames."""
+    """One grasp so far, T frames, as the rig knows it."""
 
     left_N: np.ndarray  # (T, 3) estimated force on the left pad, canonical frame
     right_N: np.ndarray  # (T, 3) estimated force on the right pad

@@ -25,7 +25,7 @@ LIVE_EVERY = 5  # frames between two live scores
 
 @dataclass(frozen=True)
 class RecordingPlan:
-    """What to record."""
+    """Pairs to record."""
 
     pairs: int = 1000  # per indenter
     chunk: int = 50  # pairs saved at once; what a kill may cost
@@ -37,7 +37,7 @@ class RecordingPlan:
 
 @dataclass(frozen=True)
 class Status:
-    """What an operator sees."""
+    """Display for the operator."""
 
     indenter: int  # number of the current one, from 1
     name: str  # of the indenter
@@ -49,7 +49,7 @@ class Status:
 
 @dataclass
 class SessionReport:
-    """What became of the frames."""
+    """Counts of frames kept and left out."""
 
     outcomes: Counter[str] = field(default_factory=Counter)  # how many frames were kept, or why not
     kept: list[tuple[int, int]] = field(default_factory=list)  # (grasp, frame within it) of every kept pair

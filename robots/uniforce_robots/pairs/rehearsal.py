@@ -39,7 +39,7 @@ class Rehearsal:
 
 @dataclass(frozen=True)
 class GraspTruth:
-    """What only a simulator knows of a grasp: the pairs' true error (T,), and what went wrong."""
+    """Truth of a simulated grasp: the pairs' true error (T,), and the faults in it."""
 
     error: np.ndarray
     fault: str

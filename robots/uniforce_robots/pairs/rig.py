@@ -1,4 +1,4 @@
-"""What a pair recorder needs of a rig: frames of both fingers with the hand's motion; and the real rig.
+"""Rig of a pair recorder: frames of both fingers with the hand's motion; and the real one.
 
 The real one is a Franka led by hand with two tactile fingers; it has never run on hardware. The hand's velocity and
 acceleration come from its measured poses, by a polynomial through the last moments; the robot must be soft

@@ -18,7 +18,7 @@ from uniforce_vtla.errors import ContractError, expected
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """What still counts as slow."""
+    """Limits of slow motion."""
 
     speed_m_s: float = 0.15  # of the hand; at 30 Hz 0.15 m/s is 5 mm between two frames
     acceleration_m_s2: float = 1.0  # of the hand; 0.3 kg × 1 m/s² is 0.3 N, a tenth of a light grip

@@ -25,7 +25,7 @@ Store = EpisodeRecorder | StoreProcess
 
 @dataclass(frozen=True)
 class Parts:
-    """What an episode needs, shared by all of a session."""
+    """Parts that all episodes of a session share."""
 
     rig: Rig
     steering: Steering

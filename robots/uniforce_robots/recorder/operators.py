@@ -1,4 +1,4 @@
-"""What begins an episode and judges it, a person at the keys or a fixed rule; and what a person sees meanwhile."""
+"""Operators, who begin an episode and judge it: a person at the keys or a fixed rule; and the person's display."""
 
 import sys
 import time
@@ -25,7 +25,7 @@ class Phase(Enum):
 
 
 class Command(Enum):
-    """What an operator can order, by its key: a letter that LeRobot's and our keyboard teleoperators don't use."""
+    """Orders of an operator, by key: a letter that LeRobot's and our keyboard teleoperators don't use."""
 
     GO = "space"  # begin; pause; go on
     HOLD = "esc"  # hold, in every phase; also the end of a note that is dropped

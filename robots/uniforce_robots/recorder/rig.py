@@ -1,4 +1,4 @@
-"""What the loop needs of whatever is recorded, and what it sees at one tick: of a robot and of the scene alike.
+"""Rig that the recording loop drives, robot and scene alike, and its readings at one tick.
 
 All times of one rig are seconds on one clock: the host's monotonic one on a robot, the scene's own in simulation.
 """
@@ -40,13 +40,13 @@ class Observation:
 
     @property
     def samples(self) -> dict[str, Picture]:
-        """What was seen, by camera and finger."""
+        """Pictures by camera and finger."""
         return {**self.cameras, **{str(finger): touch for finger, touch in self.fingers.items()}}
 
 
 @dataclass(frozen=True)
 class RigFacts:
-    """What a rig delivers; known before it is connected."""
+    """Streams of a rig; known before it is connected."""
 
     name: str  # e.g. ``uniforce_franka`` or ``sim``
     fps: int  # ticks per second

@@ -19,7 +19,7 @@ FAULT, DISK_FULL, INTERRUPTED = 3, 4, 130  # exit codes
 
 @dataclass(frozen=True)
 class SessionSettings:
-    """What is recorded."""
+    """Settings of a recording session."""
 
     episodes: int = 50  # wanted in the dataset, those of earlier sessions included; aborted ones don't count
     prompts: tuple[str, ...] = ()  # instructions, one per episode in turn; empty takes the rig's own

@@ -50,7 +50,7 @@ def first_node(source: str) -> str:
 
 
 class FrameSource(SampleSource):
-    """What a camera and a stream share: frames (H, W, 3) uint8 RGB of the size asked for, stamped on arrival."""
+    """Base of a camera and a stream: frames (H, W, 3) uint8 RGB of the size asked for, stamped on arrival."""
 
     def __init__(self, config: CapturedCameraConfig) -> None:
         super().__init__(without_credentials(f"{config.label} ({config.source})"))

@@ -77,7 +77,7 @@ FRAMES_PER_S = 30  # of a camera at most, for that: a stream's real rate isn't k
 
 @dataclass(kw_only=True)
 class SampledCameraConfig(CameraConfig):
-    """What every camera read in the background has."""
+    """Settings of every camera that is read in the background."""
 
     fps: int | None = 30  # camera frames per second; for taxels the robot loop's, their own rate is measured
     source: str = ""  # where it is
@@ -104,7 +104,7 @@ class SampledCameraConfig(CameraConfig):
 
 @dataclass(kw_only=True)
 class CapturedCameraConfig(SampledCameraConfig):
-    """What every USB camera or MJPEG stream has.
+    """Settings of every USB camera or MJPEG stream.
 
     ``source`` is a device number, /dev/v4l/by-path/… (two C270s have no serial numbers), or http://…
     """
@@ -134,7 +134,7 @@ class CapturedCameraConfig(SampledCameraConfig):
 
 @dataclass(kw_only=True)
 class TactileFingerConfig(SampledCameraConfig):
-    """What every tactile finger has.
+    """Settings of every tactile finger.
 
     ``width`` and ``height`` become those of the delivered image, as LeRobot expects of a camera.
     """

@@ -1,6 +1,6 @@
 """Cameras read in the background, as LeRobot cameras: scene cameras, and tactile fingers whatever their sensor.
 
-device → ``SampleReader`` → for a finger: free-air reference, canonical marker image.  What a dataset stores comes from
+device → ``SampleReader`` → for a finger: free-air reference, canonical marker image.  A dataset stores data from
 here: the marker image as the sensor sees it (never mirrored), the raw signal beside it, the time it was taken and its
 age.  A sensor that is lost, stale or frozen is an error, never an old or empty image.
 """
@@ -134,7 +134,7 @@ class SampledCamera(Camera):
 
     @property
     def settings_read_back(self) -> dict[str, float]:
-        """What a camera's driver said its settings were when it was opened, for a dataset; else empty."""
+        """Settings that a camera's driver reported when it was opened, for a dataset; else empty."""
         return self._source.settings_read_back
 
     def _upright(self, sample: Sample) -> Sample:

@@ -41,7 +41,7 @@ class Stamped(NamedTuple):
 
 @dataclass
 class SourceCounts:
-    """What a source has received since it was made; reconnecting doesn't reset it."""
+    """Counts of a source since it was made; reconnecting doesn't reset them."""
 
     samples: int = 0  # whole samples delivered
     lost: int = 0  # begun and never whole, or left out for a newer one

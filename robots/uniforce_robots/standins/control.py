@@ -1,4 +1,4 @@
-"""What every stand-in shares: it keeps a rate, breaks on command, and obeys lines on its standard input."""
+"""Shared by every stand-in: it keeps a rate, breaks on command, and obeys lines on its standard input."""
 
 import os
 import select

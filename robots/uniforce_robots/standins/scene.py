@@ -1,4 +1,4 @@
-"""What touches a stand-in's pad: free air, then a ball that presses and leaves, over and over.
+"""Contacts of a stand-in's pad: free air, then a ball that presses and leaves, over and over.
 
 Signals come from the project's contact simulator, so that the chain device → canonicalizer → tokenizer can be checked.
 """

@@ -1,4 +1,4 @@
-"""What all our teleoperators share: five absolute axes out, a start on the measured pose, and one kind of error.
+"""Shared by all our teleoperators: five absolute axes out, a start on the measured pose, and one kind of error.
 
 The order of an episode: ``start_from(measured)``, then per tick ``send_feedback(measured)`` and ``get_action()``.
 

@@ -42,7 +42,7 @@ class TargetLimits:
 
 @dataclass(kw_only=True)
 class SteeringConfig(TeleoperatorConfig):
-    """What every device that moves a target has."""
+    """Settings of every device that moves a target."""
 
     limits: TargetLimits = field(default_factory=TargetLimits)  # how far and fast the target may move
 

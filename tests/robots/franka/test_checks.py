@@ -1,4 +1,4 @@
-"""What no robot can report is named; the last check before a pose is sent, alone and under the whole chain."""
+"""Impossible reports of a robot are named; the last check before a pose is sent, alone and under the whole chain."""
 
 import logging
 import multiprocessing

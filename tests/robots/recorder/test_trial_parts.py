@@ -1,4 +1,4 @@
-"""What the trials measure with, on cases whose answer is known."""
+"""Measures of the trials, on cases whose answer is known."""
 
 import json
 import math

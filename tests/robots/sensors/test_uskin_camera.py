@@ -37,7 +37,7 @@ def test_a_robot_lists_it_like_any_camera(slcan: StandIn):
 
 
 def test_device_to_latent():
-    """What comes out of the chain is what the canonicalizer and tokenizer make of the same counts."""
+    """The chain gives the same as canonicalizer and tokenizer on the same counts."""
     tokenizer = Tokenizer.random()
     trial = ScriptedSource(taxel_cycle(Scene(), 50))  # a second of free air, then a press
     with UniforceUskin(config(), trial) as camera:

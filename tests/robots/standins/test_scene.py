@@ -1,4 +1,4 @@
-"""What stand-ins show: free air first, then a press where it was asked for, as the contact simulator says."""
+"""Images of stand-ins: free air first, then a press where it was asked for, as the contact simulator says."""
 
 import numpy as np
 import pytest

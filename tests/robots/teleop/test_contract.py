@@ -1,4 +1,4 @@
-"""What every registered teleoperator promises."""
+"""Contract of every registered teleoperator."""
 
 import threading
 import time

@@ -1,4 +1,4 @@
-"""What the children share: JSON lines to and from the parent. A plain module: our package would load torch."""
+"""Shared by the children: JSON lines to and from the parent. A plain module: our package would load torch."""
 
 import importlib
 import json

@@ -189,7 +189,7 @@ STATE = struct.Struct(f"<Q{4 * STATE_FLOAT_COUNT}sBB{ERRORS}s{ERRORS}sBf")  # 13
 
 @dataclass(frozen=True)
 class RobotState:
-    """What the arm says of itself, once a millisecond. 4×4 matrices are column-major."""
+    """State of the arm, once a millisecond. 4×4 matrices are column-major."""
 
     message_id: int  # the robot's milliseconds; a command echoes it
     floats: np.ndarray  # (320,) float32, cut by ``STATE_SLICES``
@@ -221,7 +221,7 @@ COMMAND = struct.Struct("<Q304x??7d?")
 
 @dataclass(frozen=True)
 class RobotCommand:
-    """What a client wants for the next millisecond, under torque control."""
+    """Command of a client for the next millisecond, under torque control."""
 
     message_id: int
     tau_J_d: np.ndarray = field(default_factory=lambda: np.zeros(7))  # Nm, without gravity
@@ -240,7 +240,7 @@ HAND_STATE = struct.Struct("<IddBH")  # 23 bytes
 
 
 class HandState(NamedTuple):
-    """What the hand says of itself."""
+    """State of the hand."""
 
     message_id: int
     width_m: float
