@@ -33,19 +33,24 @@ def objective(
     ``copied`` among the parts is what the reference itself would score in all four branches: a model whose
     reconstructions sum to no less has learnt nothing.
     """
-    z = {"L": left.posterior.sample(), "R": right.posterior.sample()}
-    sides = {"L": left, "R": right}
-    # All four branches i → j in one pass of the decoder.
-    branches = [(i, j) for i in sides for j in sides]
-    drawn = decoder(torch.cat([sides[j].reference for _, j in branches]), torch.cat([z[i] for i, _ in branches]))
-    parts: dict[str, torch.Tensor] = {}
-    for (i, j), image in zip(branches, drawn.chunk(4), strict=True):
-        parts[f"recon_{i}{j}"] = reconstruction(image, sides[j], config)
+    z_left = left.posterior.sample()
+    z_right = right.posterior.sample()
+    # four branches, from whose latent to whose image, in one pass of the decoder
+    references = torch.cat([left.reference, right.reference, left.reference, right.reference])
+    drawn = decoder(references, torch.cat([z_left, z_left, z_right, z_right]))
+    left_left, left_right, right_left, right_right = drawn.chunk(4)  # (B, 1, S, S) each
+    parts = {
+        "recon_LL": reconstruction(left_left, left, config),
+        "recon_LR": reconstruction(left_right, right, config),
+        "recon_RL": reconstruction(right_left, left, config),
+        "recon_RR": reconstruction(right_right, right, config),
+    }
     recon = torch.stack(list(parts.values())).sum()
     parts["kl"] = kl(left.posterior) + kl(right.posterior)
-    parts["equilibrium"] = equilibrium(z["L"], z["R"], config, per_unit)
+    parts["equilibrium"] = equilibrium(z_left, z_right, config, per_unit)
     with torch.no_grad():
-        parts["copied"] = 2 * sum(reconstruction(s.reference, s, config) for s in (left, right))  # type: ignore
+        copied = reconstruction(left.reference, left, config) + reconstruction(right.reference, right, config)
+        parts["copied"] = 2 * copied
     pull = config.equilibrium_weight * min(1.0, (step + 1) / max(1, config.equilibrium_warmup_steps))
     return recon + config.kl_weight * parts["kl"] + pull * parts["equilibrium"], parts
 

@@ -176,29 +176,40 @@ class Pretraining:
 def pair_loss(
     model: ForceAutoencoder, pairs: Pairs, config: LossConfig, step: int
 ) -> tuple[torch.Tensor, dict[str, torch.Tensor], torch.Tensor]:
-    """Return loss, parts and the spread of the latent's mean over a batch."""
+    """Return loss, parts and the spread of the latent's mean over a batch of U units with n contacts each."""
     units = len(pairs.left_reference)
     per_unit = len(pairs.left_current) // units
     reference = torch.cat([pairs.left_reference, pairs.right_reference])  # (2U, 1, S, S)
     current = torch.cat([pairs.left_current, pairs.right_current])  # (2U·n, 1, S, S)
-    cache = model.encoder.encode_reference(reference).repeat(per_unit)  # each reference is encoded once
-    posterior = model.encoder.encode_current(cache, current)
-    spread = posterior.mean.std(dim=0).mean()
-    references = reference.repeat_interleave(per_unit, dim=0)
-    parts = (part.chunk(2) for part in (references, current, *posterior))  # left rows, right rows
-    left, right = (Side(before, after, Posterior(*q)) for before, after, *q in zip(*parts, strict=True))
-    return *objective(model.decoder, left, right, config, step, per_unit), spread
+    encoded = model.encoder.encode_reference(reference).repeat(per_unit)  # each reference once
+    posterior = model.encoder.encode_current(encoded, current)
+    left_reference = pairs.left_reference.repeat_interleave(per_unit, dim=0)  # (U·n, 1, S, S)
+    right_reference = pairs.right_reference.repeat_interleave(per_unit, dim=0)
+    left_mean, right_mean = posterior.mean.chunk(2)  # (U·n, P, L) each
+    left_log_variance, right_log_variance = posterior.log_variance.chunk(2)
+    left = Side(left_reference, pairs.left_current, Posterior(left_mean, left_log_variance))
+    right = Side(right_reference, pairs.right_current, Posterior(right_mean, right_log_variance))
+    loss, parts = objective(model.decoder, left, right, config, step, per_unit)
+    return loss, parts, posterior.mean.std(dim=0).mean()
 
 
 @torch.no_grad()
 def draw_strips(model: ForceAutoencoder, pairs: Pairs, path: Path) -> None:
     """Write a PNG of reconstructions, a row per pair: left reference, current, from z_L, from z_R; then the right's."""
     per_unit = len(pairs.left_current) // len(pairs.left_reference)
-    left, right = (r.repeat_interleave(per_unit, 0) for r in (pairs.left_reference, pairs.right_reference))
-    z_left, z_right = model(left, pairs.left_current).mean, model(right, pairs.right_current).mean
+    left = pairs.left_reference.repeat_interleave(per_unit, dim=0)
+    right = pairs.right_reference.repeat_interleave(per_unit, dim=0)
+    z_left = model(left, pairs.left_current).mean
+    z_right = model(right, pairs.right_current).mean
     columns = [
-        *(left, pairs.left_current, model.decoder(left, z_left), model.decoder(left, z_right)),
-        *(right, pairs.right_current, model.decoder(right, z_right), model.decoder(right, z_left)),
+        left,
+        pairs.left_current,
+        model.decoder(left, z_left),
+        model.decoder(left, z_right),
+        right,
+        pairs.right_current,
+        model.decoder(right, z_right),
+        model.decoder(right, z_left),
     ]
     rows = torch.cat(columns, dim=3)[:, 0]  # (B, S, 8·S)
     picture = (rows.clamp(0, 1) * 255).round().numpy().astype(np.uint8)
