@@ -4,7 +4,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -26,9 +26,12 @@ from benchmarks.real.uskin_grasps import find_uskin_grasps
 from uniforce_cli.boundary import command
 from uniforce_datasets.readers.gelsight_grasps import read_grasps
 from uniforce_vtla.errors import ContractError, DatasetError, expected
-from uniforce_vtla.options import Count, FolderPath, FolderPaths, OutFile, OutFolder, TokenizerFolder, split
+from uniforce_vtla.options import Count, FolderPath, FolderPaths, Names, OutFile, OutFolder, TokenizerFolder, split
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
+
+SETS = ("seen", "development", "sealed")
+Objects = Annotated[str, Names(SETS, many=True)]
 
 
 @dataclass
@@ -49,8 +52,9 @@ class RealCommand:
     grasps: FolderPath = ""  # of two GelSight Minis
     uskin: FolderPath = ""  # grasps of two uSkins
     eflesh: FolderPath = ""  # of the magnetic skin
-    # of grasps and skin: seen, by a trial once | development, all others but the sealed | sealed: score them once
-    objects: Literal["seen", "development", "sealed"] = "development"
+    # of grasps and skin, comma between them: seen, by a trial once | development, all others but the sealed | sealed:
+    # score them once
+    objects: Objects = "development"
     borrow: bool = False  # of the grasps: references of other films where a film shows contact only
     tokenizer: TokenizerFolder = ""  # empty = the shipped one
     seeds: Count = 3  # untrained tokenizers
@@ -94,17 +98,30 @@ def lines_of(found: dict[str, Any]) -> list[str]:
 
 
 def grasp_rows(config: RealCommand, tokenizer: Tokenizer) -> dict[str, Any]:
-    """Return reader → group of trials → agreement of the fingers on the chosen objects."""
+    """Return set of objects → reader → group of trials → agreement of the fingers."""
     trials = read_grasps(config.grasps)
-    named = {trial.object_name for trial in trials}
-    chosen = {"seen": {*SEEN}, "sealed": {*SEALED}, "development": named - {*SEEN, *SEALED}}[config.objects]
-    if not chosen & named:
+    wanted = split(config.objects)
+    named = {trial.object_name for trial in trials if set_of(trial.object_name) in wanted}
+    if not named:
         do = "Give docs/franka-servo/datasets of the whole repository."
-        raise DatasetError(expected(f"objects of {config.grasps}", sorted(chosen), sorted(named), do))
+        raise DatasetError(expected(f"objects of {config.grasps}", config.objects, "none of them", do))
     # trials of all objects serve to find free frames
-    grasps = (grasp for grasp in find_grasps(trials, config.borrow) if grasp.held in chosen)
+    grasps = (grasp for grasp in find_grasps(trials, config.borrow) if grasp.held in named)
     readings = read_grasps_by(grasps, grasp_readers(tokenizer, 0, Path(config.cache)))
-    return {name: by_group(of_reader) for name, of_reader in readings.items()}
+    found: dict[str, Any] = {}
+    for name in wanted:
+        found[name] = {
+            reader: by_group([reading for reading in of_reader if set_of(reading.held) == name])
+            for reader, of_reader in readings.items()
+        }
+    return found
+
+
+def set_of(held: str) -> str:
+    """Return which of ``SETS`` an object belongs to."""
+    if held in SEALED:
+        return "sealed"
+    return "seen" if held in SEEN else "development"
 
 
 def uskin_rows(config: RealCommand, tokenizer: Tokenizer) -> dict[str, Any]:
@@ -143,13 +160,15 @@ def main(config: RealCommand) -> None:
         content["tactip"] = tactip_rows(config, tokenizer, sets)
         print("\n".join(lines_of(content["tactip"])))
     if config.grasps:
-        content["grasps"] = {config.objects: grasp_rows(config, tokenizer)}
-        print("\n".join(grasp_lines(content["grasps"][config.objects])))
+        content["grasps"] = grasp_rows(config, tokenizer)
+        for name, found in content["grasps"].items():
+            print(name)
+            print("\n".join(grasp_lines(found)))
     if config.uskin:
         content["uskin"] = uskin_rows(config, tokenizer)
         print("\n".join(grasp_lines(content["uskin"])))
     if config.eflesh:
-        sealed = config.objects == "sealed"
+        sealed = "sealed" in split(config.objects)
         content["eflesh"] = eflesh_rows(Path(config.eflesh), tokenizer, config.seeds, config.frames, sealed)
         print("\n".join(eflesh_lines(content["eflesh"])))
     print(f"written to {write_json(Path(config.out), content | provenance())}")
