@@ -319,7 +319,7 @@ def measure(tokenizer: Tokenizer, faces: int, seed: int) -> dict[str, Any]:
         rng = np.random.default_rng(seed)
         known = held_tools_loaded(rng, 800, sheared)
         unseen = held_tools_loaded(rng, 300, sheared)
-        read = {
+        read: dict[str, Any] = {
             f"{noise_px:.2f} px a marker": fast.read_grip(known, unseen, rng, noise_px)
             for noise_px in (0.0, real_noise_px(), ContactOptions().noise_px)
         }
