@@ -131,3 +131,15 @@ def test_shipped_head_reads_another_sensor_and_beats_an_untrained_encoder(tokeni
     baseline = score(target.force_N, predict(head, encode_set(untrained, target)))
     assert np.mean(trained["r2"]) > np.mean(baseline["r2"]) + 0.1
     assert trained["r2"][2] > 0.3
+
+
+FROZEN_HASHES = {
+    "small": "dd01b5d6958d2f6f6a4fd28b1ea3e466941333613029f481c81589a855c9f816",
+    "nano": "042608e51cc8c3edefc09e8fe0ffcc9663e6b3c0228e85c724af5074ae363edd",
+}
+
+
+@pytest.mark.parametrize("size", FROZEN_HASHES)
+def test_the_shipped_tokenizers_are_the_frozen_ones(size: str) -> None:
+    """Policies, heads, views, calibrations and every published figure depend on these weights."""
+    assert Tokenizer.from_pretrained(size).hash == FROZEN_HASHES[size]
