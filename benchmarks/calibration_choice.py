@@ -25,7 +25,14 @@ from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.options import Count, FolderPath, OutFile, Seed, Text, TokenizerFolder, split
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
-from uniforce_vtla.tokenizer.calibration_choice import AXES, FORMS, choose, error_of_grasps, fit_form, newtons
+from uniforce_vtla.tokenizer.calibration_choice import (
+    AXES,
+    FORMS,
+    choose,
+    error_of_grasps,
+    fit_form,
+    newtons,
+)
 from uniforce_vtla.tokenizer.latent_map import FOLDS, folds, grasp_numbers
 
 NORMAL = (2,)  # axis
@@ -77,7 +84,9 @@ def compare(case: Case) -> dict[str, Any]:
         read["chosen"][judge] = read[choices[-1].form][judge]
     rows = np.flatnonzero(case.parts >= 0)
     grasps = grasp_numbers(case.grasps[rows], len(rows))
-    errors = {form: error_of_grasps(of[rows], known[rows], grasps, case.axes) for form, of in read.items()}
+    errors = {
+        form: error_of_grasps(of[rows], known[rows], grasps, case.axes) for form, of in read.items()
+    }
     error = {form: float(of.mean()) for form, of in errors.items()}
     return {
         "grasps": int(grasps.max()) + 1,
@@ -89,7 +98,9 @@ def compare(case: Case) -> dict[str, Any]:
 
 def simulated_case(config: ChoiceCommand, new: str, tokenizer: Tokenizer, head: ForceHead) -> Case:
     """Return simulated grasps of a unit beside the anchor: the second half judges."""
-    found = simulated_grasps(new, config.anchor, 2 * config.grasps, config.seed, pooled_latents(tokenizer))
+    found = simulated_grasps(
+        new, config.anchor, 2 * config.grasps, config.seed, pooled_latents(tokenizer)
+    )
     of_new, of_anchor = (z.as_subclass(torch.Tensor) for z in (found.new, found.anchor))
     numbers = np.array(found.numbers)
     return Case(of_new, of_anchor, numbers, np.where(numbers < config.grasps, -1, 0), head, AXES)
@@ -123,7 +134,9 @@ def real_cases(folder: str, tokenizer: Tokenizer, head: ForceHead) -> dict[str, 
 def _latents(tokenizer: Tokenizer, grasp: Grasp, finger: Finger) -> torch.Tensor:
     encode, current = pooled_latents(tokenizer), grasp.current[finger]
     parts = [current[first : first + BATCH] for first in range(0, len(current), BATCH)]
-    encoded = [encode(grasp.reference[finger], part, finger).as_subclass(torch.Tensor) for part in parts]
+    encoded = [
+        encode(grasp.reference[finger], part, finger).as_subclass(torch.Tensor) for part in parts
+    ]
     return torch.cat(encoded)  # (T, P, L)
 
 
@@ -148,7 +161,9 @@ def main(config: ChoiceCommand) -> None:
     never = sum(row["never_worse"] for row in found.values())
     what = "squared difference of newtons in units of the anchor's variance, on grasps without part in fit and choice"
     content = {"what": what, "cases": found, "never_worse_than_none": never, "of": len(found)}
-    where = write_json(Path(config.out), content | {"tokenizer_hash": tokenizer.hash} | provenance())
+    where = write_json(
+        Path(config.out), content | {"tokenizer_hash": tokenizer.hash} | provenance()
+    )
     print(f"never worse than none: {never} of {len(found)}; written to {where}")
 
 

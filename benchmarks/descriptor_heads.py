@@ -20,7 +20,13 @@ from lerobot_env_uniforce_wiping.episodes import walk
 from lerobot_env_uniforce_wiping.expert import TouchSettings
 from uniforce_cli.boundary import Level, command, one_thread
 from uniforce_vtla.contracts import FINGERS, Finger
-from uniforce_vtla.evaluation.episode import WIPING_PHASE, EpisodeTrace, ScoreLimits, press_events, score_episode
+from uniforce_vtla.evaluation.episode import (
+    WIPING_PHASE,
+    EpisodeTrace,
+    ScoreLimits,
+    press_events,
+    score_episode,
+)
 from uniforce_vtla.evaluation.finger_estimates import estimate_events
 from uniforce_vtla.keys import tactile_name
 from uniforce_vtla.options import Count, OutFile, OutFolder, Range, Seed
@@ -29,7 +35,8 @@ from uniforce_vtla.tokenizer.descriptor_head import DescriptorHead
 from uniforce_vtla.tokenizer.plain_touch import descriptors
 
 LEFT_SENSORS = ("gelsight", "uskin")  # the right finger wears the TacTip
-GRIP_RANGE_N, PRESS_RANGE_N = (4.0, 13.0), (4.0, 14.0)  # from sliding to too deep, from streaks to too hard
+# from sliding to too deep, from streaks to too hard
+GRIP_RANGE_N, PRESS_RANGE_N = (4.0, 13.0), (4.0, 14.0)
 
 
 Scenes = Annotated[int, Range(2, 10_000)]  # half of them on each rig
@@ -50,7 +57,8 @@ class DescriptorHeadsConfig:
     stretch: Count = 45
     steps: Count = 1600  # optimiser steps
     out: OutFolder = "outputs/descriptor_heads"  # folder of heads
-    results: OutFile = "outputs/descriptor_heads/descriptor_heads.json"  # error per sensor on unseen scenes
+    # error per sensor on unseen scenes
+    results: OutFile = "outputs/descriptor_heads/descriptor_heads.json"
 
 
 @dataclass(frozen=True)
@@ -111,7 +119,9 @@ def worn(episodes: list[EpisodeForces]) -> dict[str, list[tuple[np.ndarray, np.n
     return found
 
 
-def errors(head: DescriptorHead, wipes: list[tuple[np.ndarray, np.ndarray]]) -> dict[str, list[float]]:
+def errors(
+    head: DescriptorHead, wipes: list[tuple[np.ndarray, np.ndarray]]
+) -> dict[str, list[float]]:
     """Return R² and MAE per axis over whole episodes, each read from its first frame on."""
     said = np.concatenate([head.read(described) for described, _ in wipes])
     truth = np.concatenate([force_N for _, force_N in wipes])
@@ -127,19 +137,29 @@ def judge(heads: dict[str, DescriptorHead], episode: EpisodeForces) -> dict[str,
     wiping = trace.phase == WIPING_PHASE
     return {
         "slippage": [truth.slippage, bool(found.slippage or found.lost)],
-        "press_above_limit": [bool(press_events(trace.press_N, trace.time_s, ScoreLimits())), bool(found.excess_force)],
+        "press_above_limit": [
+            bool(press_events(trace.press_N, trace.time_s, ScoreLimits())),
+            bool(found.excess_force),
+        ],
         "slip_max_mm": float(trace.slip_mm.max()),
         "press_max_N": [float(trace.press_N.max()), float(found.press_N.max())],
         "in_band_share": [truth.metrics["in_band_share"], found.in_band_share],
-        "press_mae_N": float(np.abs(found.press_N - trace.press_N)[wiping].mean()) if wiping.any() else None,
+        "press_mae_N": float(np.abs(found.press_N - trace.press_N)[wiping].mean())
+        if wiping.any()
+        else None,
     }
 
 
 def make_heads(config: DescriptorHeadsConfig) -> dict[str, Any]:
     first = config.first_seed
     lessons = worn(list(described_episodes(config.level, range(first, first + config.scenes))))
-    heads = {s: DescriptorHead.fit(s, wipes, config.stretch, config.steps) for s, wipes in lessons.items()}
-    tests = list(described_episodes(config.level, range(first + 1000, first + 1000 + config.test_scenes)))
+    heads = {
+        s: DescriptorHead.fit(s, wipes, config.stretch, config.steps)
+        for s, wipes in lessons.items()
+    }
+    tests = list(
+        described_episodes(config.level, range(first + 1000, first + 1000 + config.test_scenes))
+    )
     for head in heads.values():
         head.save(Path(config.out))
     return {
@@ -160,15 +180,23 @@ def main(config: DescriptorHeadsConfig) -> None:
     report = make_heads(config)
     path = write_json(Path(config.results), report | provenance())
     for sensor, cell in report["sensors"].items():
-        print(f"{sensor:10s} R² {np.round(cell['r2'], 2)}  MAE {np.round(cell['mae_N'], 2)} N (fx, fy, fz)")
+        print(
+            f"{sensor:10s} R² {np.round(cell['r2'], 2)}  MAE {np.round(cell['mae_N'], 2)} N (fx, fy, fz)"
+        )
     for event in ("slippage", "press_above_limit"):
-        agree = sum(truth == said for truth, said in (episode[event] for episode in report["episodes"]))
+        agree = sum(
+            truth == said for truth, said in (episode[event] for episode in report["episodes"])
+        )
         print(f"{event}: estimate and truth agree in {agree} of {len(report['episodes'])} episodes")
     shares = np.array([episode["in_band_share"] for episode in report["episodes"]])
-    print(f"in-band share: estimate off by {np.abs(np.diff(shares, axis=1)).mean():.3f} in the mean")
+    print(
+        f"in-band share: estimate off by {np.abs(np.diff(shares, axis=1)).mean():.3f} in the mean"
+    )
     if wanted := LEVELS[config.level].in_band_share:
         agree = (np.diff(shares >= wanted, axis=1) == 0).sum()
-        print(f"share of {wanted:g} reached: estimate and truth agree in {agree} of {len(shares)} episodes")
+        print(
+            f"share of {wanted:g} reached: estimate and truth agree in {agree} of {len(shares)} episodes"
+        )
     print(f"heads in {report['heads']}; report in {path}")
 
 

@@ -31,7 +31,11 @@ class FieldComments(griffe.Extension):
     """Takes the comment of a class's field for its docstring."""
 
     def on_attribute_instance(self, *, node: Any, attr: griffe.Attribute, **_: Any) -> None:
-        if attr.docstring or not isinstance(node, ast.AnnAssign) or not isinstance(attr.filepath, Path):
+        if (
+            attr.docstring
+            or not isinstance(node, ast.AnnAssign)
+            or not isinstance(attr.filepath, Path)
+        ):
             return
         if text := comment_of(attr.filepath, node.lineno, node.end_lineno or node.lineno):
             attr.docstring = griffe.Docstring(text, lineno=node.lineno, parent=attr)

@@ -15,8 +15,10 @@ from uniforce_vtla.figure_file import save_figure
 from uniforce_vtla.markers.raster import overlay
 
 OUT = Path(__file__).parents[1] / "docs" / "pictures"
-FORCE_N = (3.0, -1.5, 8.0)  # fx, fy, fz of the object on the pad: strong enough for markers to move visibly
-Images = dict[str, tuple[np.ndarray, np.ndarray]]  # sensor → marker images (480, 640) in free air and pressed
+# fx, fy, fz of the object on the pad: strong enough for markers to move visibly
+FORCE_N = (3.0, -1.5, 8.0)
+# sensor → marker images (480, 640) in free air and pressed
+Images = dict[str, tuple[np.ndarray, np.ndarray]]
 
 
 def draw_markers(images: Images, path: Path) -> Path:
@@ -35,14 +37,20 @@ def draw_latents(images: Images, path: Path) -> Path:
     tokenizer, head = Tokenizer.from_pretrained(), ForceHead.from_pretrained("tactip")
     grid, numbers = tokenizer.config.grid, tokenizer.config.latent
     figure = Figure(figsize=(9.5, 1.75 * len(images)), layout="constrained")
-    for line, (name, pair) in zip(figure.subplots(len(images), numbers), images.items(), strict=True):
+    for line, (name, pair) in zip(
+        figure.subplots(len(images), numbers), images.items(), strict=True
+    ):
         z = tokenizer.encode(pair[0][None], np.stack(pair))  # (2, P, L)
         change = (z[1] - z[0]).numpy().reshape(grid, grid, numbers)
         for k, panel in enumerate(line):
-            panel.imshow(change[..., k], cmap="RdBu_r", vmin=-np.abs(change).max(), vmax=np.abs(change).max())
+            panel.imshow(
+                change[..., k], cmap="RdBu_r", vmin=-np.abs(change).max(), vmax=np.abs(change).max()
+            )
             panel.set(xticks=[], yticks=[], title=f"z{k}")
         line[0].set_ylabel(name)
-        line[-1].set_xlabel("read: " + ", ".join(f"{newton:.1f}" for newton in head(z)[1]) + " N", loc="right")
+        line[-1].set_xlabel(
+            "read: " + ", ".join(f"{newton:.1f}" for newton in head(z)[1]) + " N", loc="right"
+        )
     return save_figure(figure, path)
 
 
@@ -50,8 +58,12 @@ def main() -> None:
     """Press a ball on one unit of every sensor and draw what they show."""
     press = np.array([FORCE_N], np.float32), np.zeros(1, np.float32)
     contact = ContactState(gap_map("sphere", (0.0, 0.0), 0.0)[None], *press)
-    simulators = {name: TactileSimulator(name, options=ContactOptions().quiet()) for name in list_sensors()}
-    images = {name: (one.reference(), one.marker_images(contact)[0]) for name, one in simulators.items()}
+    simulators = {
+        name: TactileSimulator(name, options=ContactOptions().quiet()) for name in list_sensors()
+    }
+    images = {
+        name: (one.reference(), one.marker_images(contact)[0]) for name, one in simulators.items()
+    }
     print(draw_markers(images, OUT / "markers.png"), draw_latents(images, OUT / "latents.png"))
 
 

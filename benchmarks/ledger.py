@@ -18,7 +18,9 @@ class Ledger:
     ``shows`` is called with each finding as it comes: its list's name, its number in it from 1, itself.
     """
 
-    def __init__(self, folder: Path, shows: Callable[[str, int, dict[str, Any]], None] | None = None) -> None:
+    def __init__(
+        self, folder: Path, shows: Callable[[str, int, dict[str, Any]], None] | None = None
+    ) -> None:
         self._folder, self._shows = folder, shows
 
     def add(self, name: str, finding: dict[str, Any]) -> None:
@@ -30,7 +32,9 @@ class Ledger:
         return read_lines(self._folder / f"{name}.jsonl")
 
 
-def played(path: Path, episodes: Iterable[tuple[str, int, Any]], workers: int) -> list[dict[str, Any]]:
+def played(
+    path: Path, episodes: Iterable[tuple[str, int, Any]], workers: int
+) -> list[dict[str, Any]]:
     """Return the rows of the ledger ``path`` once it holds these episodes: cell, scene, and joblib's call for its Row.
 
     What it holds is not played again. Raises ContractError: another process adds to it now.
@@ -39,7 +43,12 @@ def played(path: Path, episodes: Iterable[tuple[str, int, Any]], workers: int) -
     with only_writer(path):
         done = {(row["cell"], row["seed"]) for row in ledger.read(path.stem)}
         jobs = [job for cell, seed, job in episodes if (cell, seed) not in done]
-        for row in tqdm(Parallel(workers, return_as="generator")(jobs), total=len(jobs), desc="episodes", disable=None):
+        for row in tqdm(
+            Parallel(workers, return_as="generator")(jobs),
+            total=len(jobs),
+            desc="episodes",
+            disable=None,
+        ):
             ledger.add(path.stem, asdict(row))
     return ledger.read(path.stem)
 

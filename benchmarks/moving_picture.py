@@ -32,7 +32,8 @@ class MovingPictureConfig:
     seed: int = 30_006  # the scene, the same for every sensor; one that both wipe clean
     level: str = "touch"  # locked level
     left_sensor: str = "gelsight"  # worn on the left finger
-    right_sensors: str = "tactip,uskin:2"  # worn on the right finger one after the other, comma between them
+    # worn on the right finger one after the other, comma between them
+    right_sensors: str = "tactip,uskin:2"
     swap: str = ""  # e.g. touch0:left
     every: int = 3  # of the frames, one per action chunk, this many make one
     out: str = "outputs/wipe.gif"  # at most 3 MB
@@ -63,7 +64,9 @@ def film(config: MovingPictureConfig, right_sensor: str) -> Film:
         return answer(observation, task)
 
     controller.chunk = watched  # type: ignore[method-assign]
-    return Film(right_sensor, seen, steps, roll_out(env, controller, config.seed), env.limits.band_N)
+    return Film(
+        right_sensor, seen, steps, roll_out(env, controller, config.seed), env.limits.band_N
+    )
 
 
 def draw_frames(shot: Film, config: MovingPictureConfig) -> list[Image.Image]:
@@ -71,7 +74,9 @@ def draw_frames(shot: Film, config: MovingPictureConfig) -> list[Image.Image]:
     trace = shot.rollout.trace
     time_s, press_N = np.asarray(trace.time_s), np.asarray(trace.press_N)
     figure = Figure(figsize=(5.6, 3.6), dpi=80, layout="constrained")
-    figure.suptitle(f"one policy, trained with a TacTip; now it feels with {shot.sensor}", fontsize=9)
+    figure.suptitle(
+        f"one policy, trained with a TacTip; now it feels with {shot.sensor}", fontsize=9
+    )
     canvas = FigureCanvasAgg(figure)
     places: dict[str, Axes] = figure.subplot_mosaic(
         [SHOWN, ["press"] * len(SHOWN)], height_ratios=[3, 2], width_ratios=[3, 4]
@@ -83,7 +88,9 @@ def draw_frames(shot: Film, config: MovingPictureConfig) -> list[Image.Image]:
         pictures[name] = places[name].imshow(shot.seen[0][name], cmap="gray")
     axes = places["press"]
     axes.axhspan(*shot.band_N, color="#2a9d8f", alpha=0.2, lw=0)
-    axes.set(xlim=(0, time_s[-1]), ylim=(0, max(12.0, press_N.max())), xlabel="s", ylabel="press, N")
+    axes.set(
+        xlim=(0, time_s[-1]), ylim=(0, max(12.0, press_N.max())), xlabel="s", ylabel="press, N"
+    )
     (line,) = axes.plot([], [], color="k", lw=1)
     frames = []
     for shown, step in list(zip(shot.seen, shot.steps, strict=True))[:: config.every]:
@@ -99,10 +106,19 @@ def write_gif(path: Path, frames: Sequence[Image.Image], frame_s: float) -> Path
     """Write the frames as an endless GIF; raises ContractError: more than ``MOST_BYTES``."""
     path.parent.mkdir(parents=True, exist_ok=True)
     first, *rest = (frame.quantize(64) for frame in frames)
-    first.save(path, save_all=True, append_images=rest, duration=round(1000 * frame_s), loop=0, optimize=True)
+    first.save(
+        path,
+        save_all=True,
+        append_images=rest,
+        duration=round(1000 * frame_s),
+        loop=0,
+        optimize=True,
+    )
     if path.stat().st_size > MOST_BYTES:
         came = f"{path.stat().st_size / 1e6:.1f} MB"
-        raise ContractError(expected(str(path), "at most 3 MB", came, "Keep fewer frames: every=2."))
+        raise ContractError(
+            expected(str(path), "at most 3 MB", came, "Keep fewer frames: every=2.")
+        )
     return path
 
 
@@ -113,7 +129,9 @@ def main(argv: list[str] | None = None) -> int:
     seconds = sum(float(shot.rollout.trace.time_s[-1]) for shot in shots)
     for shot in shots:
         result = shot.rollout.result
-        print(f"{shot.sensor}: {result.outcome}, {result.metrics['in_band_share']:.0%} of the way in band")
+        print(
+            f"{shot.sensor}: {result.outcome}, {result.metrics['in_band_share']:.0%} of the way in band"
+        )
     print(f"written to {write_gif(Path(config.out), frames, seconds / len(frames))}")
     return 0
 

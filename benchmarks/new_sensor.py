@@ -9,7 +9,14 @@ import cv2
 import numpy as np
 
 from benchmarks.probes.labelled_set import FROZEN, HEAD_TRAINING, SENSORS, draw_labelled
-from benchmarks.probes.zero_shot import POOL, Table, encode_set, learnt_row, shipped_cell, transfer_name
+from benchmarks.probes.zero_shot import (
+    POOL,
+    Table,
+    encode_set,
+    learnt_row,
+    shipped_cell,
+    transfer_name,
+)
 from benchmarks.speed.canonicalizer import canonicalizer_rate
 from uniforce_cli.boundary import Sensor, command, one_thread
 from uniforce_vtla.options import Count, OutFile
@@ -40,7 +47,9 @@ def new_sensor(config: NewSensorConfig) -> dict[str, Any]:
     side = tokenizer.config.side
     frozen = {sensor: draw_labelled(scored, sensor, side) for sensor in (name, *SENSORS)}
     rows = {
-        transfer_name(source, name): shipped_cell(ForceHead.from_pretrained(source), tokenizer, frozen[name])
+        transfer_name(source, name): shipped_cell(
+            ForceHead.from_pretrained(source), tokenizer, frozen[name]
+        )
         for source in SENSORS
     }
     own = Table({name: draw_labelled(lessons, name, side)}, frozen)
@@ -62,7 +71,9 @@ def main(config: NewSensorConfig) -> None:
     found = new_sensor(config)
     for transfer, cell in found["rows"].items():
         print(f"{transfer:16s} R² " + " ".join(f"{value:6.2f}" for value in cell["r2"]))
-    print(f"canonicalizer {found['canonicalize_hz']:.0f} Hz; {write_json(Path(config.out), found | provenance())}")
+    print(
+        f"canonicalizer {found['canonicalize_hz']:.0f} Hz; {write_json(Path(config.out), found | provenance())}"
+    )
 
 
 if __name__ == "__main__":

@@ -15,7 +15,8 @@ from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.sensors import get_sensor
 
 BAR = 0.95  # wanted precision and recall
-SEEN_SEEDS = 2000  # sessions with seeds below were looked at while the score was made; scored ones lie above
+# sessions with seeds below were looked at while the score was made; scored ones lie above
+SEEN_SEEDS = 2000
 
 
 ALL_INDENTERS = ",".join(PRETRAIN)
@@ -46,7 +47,10 @@ def measure(config: PairQualityConfig) -> dict[str, Any]:
     from uniforce_robots.pairs import pair_judge
     from uniforce_robots.pairs.rehearsal import Rehearsal
 
-    rigs = [tuple(get_sensor(name.strip()).name for name in rig.split("+")) for rig in split(config.rigs)]
+    rigs = [
+        tuple(get_sensor(name.strip()).name for name in rig.split("+"))
+        for rig in split(config.rigs)
+    ]
     indenters = tuple(split(config.indenters))
     if config.train:
         _train(sorted({sensor for rig in rigs for sensor in rig}))
@@ -62,7 +66,12 @@ def measure(config: PairQualityConfig) -> dict[str, Any]:
 
 
 def _train(sensors: list[str]) -> None:
-    from benchmarks.pairs.training import ForceTraining, save_finger_force, train_finger_force, training_contacts
+    from benchmarks.pairs.training import (
+        ForceTraining,
+        save_finger_force,
+        train_finger_force,
+        training_contacts,
+    )
 
     training = ForceTraining()
     for sensor in tqdm(sensors, desc="force readers", unit="sensor"):

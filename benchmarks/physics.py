@@ -49,7 +49,9 @@ def measure(command: PhysicsCommand) -> dict[str, Any]:
         "slip": slip,
         "creep": creep,
         "wear": lambda: wear(command.boards),
-        "time_step": lambda: solvers([SolverSettings(substeps=n) for n in SUBSTEPS], command.repeats),
+        "time_step": lambda: solvers(
+            [SolverSettings(substeps=n) for n in SUBSTEPS], command.repeats
+        ),
     }
     return {name: panel() for name, panel in tqdm(panels.items(), desc="physics")}
 
@@ -58,7 +60,11 @@ def indentation() -> dict[str, Any]:
     """Return force and depth of both pads over grips, and the largest error against force over stiffness."""
     force, depth = np.stack([rig.squeeze(width) for width in WIDTHS_m], axis=1)  # (widths, 2) each
     error = np.abs(depth * np.array([PadSettings().flat_N_mm, PadSettings().dome_N_mm]) / force - 1)
-    return {"force_N": force.tolist(), "depth_mm": depth.tolist(), "worst_relative_error": float(error.max())}
+    return {
+        "force_N": force.tolist(),
+        "depth_mm": depth.tolist(),
+        "worst_relative_error": float(error.max()),
+    }
 
 
 def slip() -> dict[str, Any]:
@@ -92,7 +98,9 @@ def wear(boards: int) -> dict[str, Any]:
 def solvers(settings: list[SolverSettings], repeats: int) -> dict[str, Any]:
     """Return press, ink and speed of the same strokes under each setting, timed in turns."""
     strokes: list[list[list[rig.Stroke]]] = [[[] for _ in DEPTHS_m] for _ in settings]
-    for _, (i, solver), (j, depth) in itertools.product(range(repeats), enumerate(settings), enumerate(DEPTHS_m)):
+    for _, (i, solver), (j, depth) in itertools.product(
+        range(repeats), enumerate(settings), enumerate(DEPTHS_m)
+    ):
         strokes[i][j].append(rig.stroke(depth, solver))
     found = []
     for solver, runs in zip(settings, strokes, strict=True):
@@ -131,7 +139,9 @@ def _indentation(axis: Axes, panel: dict[str, Any]) -> None:
     for i, (name, K, colour) in enumerate(shown):
         axis.plot(line, line / K, color=colour, lw=1, label=f"{name}: force / {K:g} N/mm")
         axis.plot(force[:, i], depth[:, i], "o", color=colour)
-    axis.set(xlabel="grip, N", ylabel="indentation, mm", title="a pad gives way as its stiffness says")
+    axis.set(
+        xlabel="grip, N", ylabel="indentation, mm", title="a pad gives way as its stiffness says"
+    )
 
 
 def _slip(axis: Axes, panel: dict[str, Any]) -> None:
@@ -141,16 +151,25 @@ def _slip(axis: Axes, panel: dict[str, Any]) -> None:
     axis.fill_between(line, 0.95 * line, 1.05 * line, color=GREY, alpha=0.2, label="± 5 %")
     axis.plot(line, line, color=GREY, lw=1)
     axis.plot(expected, measured, "o", color=BLUE)
-    axis.set(xlabel="2 μ grip, N", ylabel="load at which it slides, N", title="it slides where Coulomb says")
+    axis.set(
+        xlabel="2 μ grip, N",
+        ylabel="load at which it slides, N",
+        title="it slides where Coulomb says",
+    )
 
 
 def _creep(axis: Axes, panel: dict[str, Any]) -> None:
     share = 100 * np.array(panel["share"])
-    named = ("as shipped", "shipped_mm_s", BLUE), ("without the no-slip pass", "without_noslip_mm_s", RED)
+    named = (
+        ("as shipped", "shipped_mm_s", BLUE),
+        ("without the no-slip pass", "without_noslip_mm_s", RED),
+    )
     for name, key, colour in named:
         axis.semilogy(share, np.maximum(np.abs(panel[key]), 1e-5), "o-", color=colour, label=name)
     axis.axhline(0.01, color=GREY, ls="--", lw=1, label="0.01 mm/s asked for")
-    axis.set(xlabel="load, % of the slip load", ylabel="sinking, mm/s", title="what is held stays held")
+    axis.set(
+        xlabel="load, % of the slip load", ylabel="sinking, mm/s", title="what is held stays held"
+    )
 
 
 def _wear(axis: Axes, panel: dict[str, Any]) -> None:
@@ -160,7 +179,11 @@ def _wear(axis: Axes, panel: dict[str, Any]) -> None:
     axis.plot(press, middle, color=BLUE, label="median")
     axis.axhline(panel["residual_limit"], color=GREY, ls="--", lw=1, label="residual limit")
     axis.axvspan(panel["press_limit_N"], press.max(), color=RED, alpha=0.12, label="excess force")
-    axis.set(xlabel="press, N", ylabel="ink left, share", title="too light leaves ink, too strong is excess")
+    axis.set(
+        xlabel="press, N",
+        ylabel="ink left, share",
+        title="too light leaves ink, too strong is excess",
+    )
 
 
 def _time_step(axis: Axes, panel: dict[str, Any]) -> None:
@@ -171,16 +194,22 @@ def _time_step(axis: Axes, panel: dict[str, Any]) -> None:
     axis.set_xticks(rate, [f"{r:g}" for r in rate], fontsize=8)
     axis.minorticks_off()
     axis.axvline(SolverSettings().physics_hz, color=GREY, ls="--", lw=1, label="shipped")
-    axis.set(xlabel="physics steps per second", ylabel="press, N", title="finer steps change nothing")
+    axis.set(
+        xlabel="physics steps per second", ylabel="press, N", title="finer steps change nothing"
+    )
 
 
 @command(PhysicsCommand)
 def main(command: PhysicsCommand) -> None:
     panels = measure(command)
     what = "simulated; nothing hidden in the scene, GelSight left, TacTip right"
-    path = write_json(Path(command.results) / "physics.json", {"what": what, **panels} | provenance())
+    path = write_json(
+        Path(command.results) / "physics.json", {"what": what, **panels} | provenance()
+    )
     page = draw_page(panels, path.with_suffix(".png"))
-    print(f"indentation: within {100 * panels['indentation']['worst_relative_error']:.2f} % of force / stiffness")
+    print(
+        f"indentation: within {100 * panels['indentation']['worst_relative_error']:.2f} % of force / stiffness"
+    )
     print(f"slip load: within {100 * panels['slip']['worst_relative_error']:.1f} % of 2 μ F")
     print(f"numbers in {path}, figures in {page}")
 

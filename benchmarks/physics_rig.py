@@ -27,7 +27,9 @@ LOAD_STEP_N = 0.02  # added per control step while a load ramps up: 0.6 N/s, slo
 def quiet_scene(seed: int = 3, level: str = "easy", **changes: Any) -> SceneParams:
     """Return a scene with nothing hidden in the way of a measurement; ``changes`` are fields of SceneParams."""
     calm: dict[str, Any] = dict.fromkeys(("stiffness_scale", "gripper_gain", "letter_scale"), 1.0)
-    calm |= dict.fromkeys(("stiction_Nm", "gripper_dead_band_m", "board_turn_rad", "eraser_turn_rad"), 0.0)
+    calm |= dict.fromkeys(
+        ("stiction_Nm", "gripper_dead_band_m", "board_turn_rad", "eraser_turn_rad"), 0.0
+    )
     calm |= dict.fromkeys(("board_tilt_rad", "eraser_offset_m", "board_shift_m"), (0.0, 0.0))
     calm |= {"pad_friction": (0.8, 0.8), "start_offset_m": (0.0, 0.0, 0.0)}
     return replace(draw_scene(seed, level), **(calm | changes))

@@ -40,12 +40,14 @@ class BenchPolicyConfig:
 
     device: Device = "cpu"  # cpu (one thread) | cuda
     only: Cases = ""  # cases, comma between them; empty = all that fit the device
-    rounds: Count = 9  # stock and fast once each per round; medians and the median of the ratios are reported
+    # stock and fast once each per round; medians and the median of the ratios are reported
+    rounds: Count = 9
     steps: FlowSteps = 10  # flow steps
     # case on which two slots of touch are timed too, e.g. mid_3_cameras; "" = not. Calls and training steps of three
     # networks with their optimisers at once: 94 GB for base
     touch: Case = ""
-    training: Case = ""  # case of which 20 training steps are timed, gradient and tokenizer checked; "" = not
+    # case of which 20 training steps are timed, gradient and tokenizer checked; "" = not
+    training: Case = ""
     # "base" loads a synthetic checkpoint of the real size (9 GB of RAM, no disk); "" = not
     memory: Literal["", "base"] = ""
     out: OutFolder = "outputs/bench_policy"  # policy_latency.json

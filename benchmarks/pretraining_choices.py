@@ -25,12 +25,22 @@ from uniforce_vtla.tokenizer.force_head import ForceHead, HeadTrainingConfig, tr
 from uniforce_vtla.tokenizer.latent import POOL
 from uniforce_vtla.tokenizer.pair_cache import PairCache
 from uniforce_vtla.tokenizer.pretrain import Pretraining
-from uniforce_vtla.tokenizer.settings import LossConfig, PairCacheConfig, PretrainSettings, TokenizerConfig
+from uniforce_vtla.tokenizer.settings import (
+    LossConfig,
+    PairCacheConfig,
+    PretrainSettings,
+    TokenizerConfig,
+)
 
 SET = "fe_dev_v1"
-FULL = PairCacheConfig(family_share=0.6, free_look=True, marker_loss=0.02, flat_share=0.35, flat_torsion_arm_mm=9)
+FULL = PairCacheConfig(
+    family_share=0.6, free_look=True, marker_loss=0.02, flat_share=0.35, flat_torsion_arm_mm=9
+)
 PER_UNIT = LossConfig(
-    equilibrium="levels", equilibrium_scale="per_unit", equilibrium_weight=20, equilibrium_warmup_steps=600
+    equilibrium="levels",
+    equilibrium_scale="per_unit",
+    equilibrium_weight=20,
+    equilibrium_warmup_steps=600,
 )
 ABSOLUTE = replace(PER_UNIT, equilibrium_scale="absolute", equilibrium_weight=600)
 CHOICES: dict[str, tuple[PairCacheConfig, LossConfig]] = {
@@ -55,7 +65,8 @@ class PretrainingChoicesCommand:
     Example: python -m benchmarks.pretraining_choices real=cr_tactip/…/train_data,cr_tactip/…/val_data
     """
 
-    real: FolderPaths = ""  # two folders of one real TacTip: a readout is fitted on the first, scored on the second
+    # two folders of one real TacTip: a readout is fitted on the first, scored on the second
+    real: FolderPaths = ""
     choices: Text = ""  # names, comma between them; "" = all
     seeds: Count = 3
     steps: Count = 1500  # of each run; nano itself takes 2,600
@@ -82,11 +93,17 @@ def pretrained(config: PretrainingChoicesCommand, name: str, seed: int) -> Token
         pairs += f"_{data.misaligned_cells}_{data.imbalance}"
     model = TokenizerConfig(width=64, embed_hidden=128, warp=True)
     settings = PretrainSettings(model, loss, data, steps=config.steps, seed=seed, strips_every=0)
-    return Pretraining(settings, work / f"{slug}_{seed}", PairCache(work / pairs, settings.data)).run()
+    return Pretraining(
+        settings, work / f"{slug}_{seed}", PairCache(work / pairs, settings.data)
+    ).run()
 
 
 def measure(
-    config: PretrainingChoicesCommand, tokenizer: Tokenizer, seed: int, real: list[TactipSet], facts: dict[str, Any]
+    config: PretrainingChoicesCommand,
+    tokenizer: Tokenizer,
+    seed: int,
+    real: list[TactipSet],
+    facts: dict[str, Any],
 ) -> dict:
     table = draw_sets(REPORT_SETS[SET], tokenizer.config.side, Path(config.cache))
     check_frozen(facts, table.frozen)
@@ -101,8 +118,12 @@ def measure(
     }
     if real:
         labelled = table.training["tactip"]
-        model = train_head(encode_set(tokenizer, labelled), labelled.force_N, HeadTrainingConfig(), seed)
-        nothing_fitted = head_reading(tokenizer, ForceHead(model, "tactip", tokenizer.hash), real[1])
+        model = train_head(
+            encode_set(tokenizer, labelled), labelled.force_N, HeadTrainingConfig(), seed
+        )
+        nothing_fitted = head_reading(
+            tokenizer, ForceHead(model, "tactip", tokenizer.hash), real[1]
+        )
         found["real_head_shear_r"] = nothing_fitted["shear_r"]
         found["real_head_depth_rank"] = nothing_fitted["depth_rank"]
         features = latent_features(tokenizer)
@@ -123,9 +144,16 @@ def main(config: PretrainingChoicesCommand) -> None:
     names = split(config.choices) or list(CHOICES)
     for name in names:
         require_one_of("choice", name, list(CHOICES))
-    runs = [(name, seed) for seed in range(config.seeds) for name in names if f"{name}, seed {seed}" not in found]
+    runs = [
+        (name, seed)
+        for seed in range(config.seeds)
+        for name in names
+        if f"{name}, seed {seed}" not in found
+    ]
     for name, seed in tqdm(runs, desc="runs"):
-        found[f"{name}, seed {seed}"] = measure(config, pretrained(config, name, seed), seed, real, frozen)
+        found[f"{name}, seed {seed}"] = measure(
+            config, pretrained(config, name, seed), seed, real, frozen
+        )
         facts = {"set": SET, "steps": config.steps, "units": config.units, "runs": found}
         write_json(path, facts | provenance())
     for name in names:

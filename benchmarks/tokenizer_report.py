@@ -33,7 +33,16 @@ from benchmarks.probes.zero_shot import (
 from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.arguments import choose
 from uniforce_vtla.errors import DatasetError, expected
-from uniforce_vtla.options import CountOrZero, FileName, FolderPath, Names, OutFolder, Range, Text, TokenizerFolder
+from uniforce_vtla.options import (
+    CountOrZero,
+    FileName,
+    FolderPath,
+    Names,
+    OutFolder,
+    Range,
+    Text,
+    TokenizerFolder,
+)
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead
@@ -67,7 +76,8 @@ class TokenizerReportCommand:
     tokenizer: TokenizerFolder = ""  # checkpoint folder; empty = shipped
     # tables; of replay and only: where the table is read
     results: OutFolder = "outputs/tokenizer_report"
-    facts: FolderPath = "docs/results"  # the frozen sets' recipes and hashes; freeze writes into results
+    # the frozen sets' recipes and hashes; freeze writes into results
+    facts: FolderPath = "docs/results"
     # drawn sets, kept for the next run; delete it after changing contact/
     cache: OutFolder = "outputs/labelled"
     seeds: Heads = 3  # heads per cell
@@ -77,7 +87,8 @@ class TokenizerReportCommand:
     table: FileName = ""  # another name for the table's file; empty = the set's own
     # also the rows that train networks of their own: hours on two cores, one row at a time
     baselines: bool = False
-    only: Text = ""  # measure just these rows (comma between them), keep the others from the committed table
+    # measure just these rows (comma between them), keep the others from the committed table
+    only: Text = ""
     # only re-measure so many cells of the UniForce row, or of the shipped heads, and compare
     replay: CountOrZero = 0
 
@@ -88,7 +99,9 @@ def freeze(command: TokenizerReportCommand, report_set: ReportSet, side: int) ->
     return write_json(Path(command.results) / report_set.facts_file, facts | provenance())
 
 
-def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: Tokenizer) -> dict[str, Any]:
+def measure(
+    command: TokenizerReportCommand, report_set: ReportSet, tokenizer: Tokenizer
+) -> dict[str, Any]:
     """Return the table's content; every learnt row is trained here, on the source sensor alone."""
     facts = _facts(command, report_set)
     table = draw_sets(report_set, tokenizer.config.side, Path(command.cache))
@@ -100,19 +113,26 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
     makers: dict[str, Callable[[], Cells]] = {
         "UniForce": lambda: learnt_row(table, lambda s: encode_set(tokenizer, s), seeds, POOL),
         "hand descriptor": lambda: descriptor_row(table, seeds),
-        "random encoder": lambda: learnt_row(table, lambda s: encode_set(untrained, s), seeds, POOL),
+        "random encoder": lambda: learnt_row(
+            table, lambda s: encode_set(untrained, s), seeds, POOL
+        ),
         "mean": lambda: mean_row(table),
     }
     if command.baselines:
         makers |= trained(table, tokenizer, seeds)
     chosen = choose(makers, command.only)
-    _committed_table(command, report_set, facts)  # refuses one that does not fit before the work begins
+    # refuses one that does not fit before the work begins
+    _committed_table(command, report_set, facts)
     measured = {name: make() for name, make in tqdm(chosen.items(), desc="rows")}
     # once more: another row may have come in meanwhile
     committed = _committed_table(command, report_set, facts)
     rows = _still_true(committed, tokenizer) | measured
     # in the committed table's order, so that pictures keep theirs
-    rows = {name: rows[name] for name in dict.fromkeys([*committed.get("rows", {}), *rows]) if name in rows}
+    rows = {
+        name: rows[name]
+        for name in dict.fromkeys([*committed.get("rows", {}), *rows])
+        if name in rows
+    }
     origins = {name: by for name, by in committed.get("measured_by", {}).items() if name in rows}
     origin = provenance()
     content = {
@@ -121,7 +141,9 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
         "set_hash": facts["set_hash"],
         "seeds": seeds,
         "tokenizer_hash": tokenizer.hash,
-        "own_sensor_fz_mae_N": own_sensor_mae(rows["UniForce"], table.training) if "UniForce" in rows else None,
+        "own_sensor_fz_mae_N": own_sensor_mae(rows["UniForce"], table.training)
+        if "UniForce" in rows
+        else None,
         "summary": {name: summary(row) for name, row in rows.items()},
         "rows": rows,
         "measured_by": origins | dict.fromkeys(measured, origin),
@@ -162,11 +184,15 @@ def _facts(command: TokenizerReportCommand, report_set: ReportSet) -> dict[str, 
     path = Path(command.facts) / report_set.facts_file
     if not path.exists():
         do = f"Freeze it first: python -m benchmarks.tokenizer_report set={report_set.name} freeze=true"
-        raise DatasetError(expected(str(path), "the frozen set's recipe and hash", "no such file", do))
+        raise DatasetError(
+            expected(str(path), "the frozen set's recipe and hash", "no such file", do)
+        )
     return dict(json.loads(path.read_text()))
 
 
-def _committed_table(command: TokenizerReportCommand, report_set: ReportSet, facts: dict[str, Any]) -> dict[str, Any]:
+def _committed_table(
+    command: TokenizerReportCommand, report_set: ReportSet, facts: dict[str, Any]
+) -> dict[str, Any]:
     """Return the committed table whose rows ``only=`` keeps; empty where nothing is kept.
 
     Raises DatasetError: a table of another set or other seeds.
@@ -177,7 +203,9 @@ def _committed_table(command: TokenizerReportCommand, report_set: ReportSet, fac
     table = json.loads(path.read_text())
     came, wanted = (table["set_hash"], table["seeds"]), (facts["set_hash"], command.seeds)
     if came != wanted:
-        raise DatasetError(expected("committed table", wanted, came, "Measure all rows: leave out only=."))
+        raise DatasetError(
+            expected("committed table", wanted, came, "Measure all rows: leave out only=.")
+        )
     return dict(table)
 
 
@@ -187,7 +215,9 @@ def _still_true(table: dict[str, Any], tokenizer: Tokenizer) -> dict[str, Cells]
     if not rows or table["tokenizer_hash"] == tokenizer.hash:
         return rows
     gone = sorted(OF_THE_TOKENIZER & set(rows))
-    print(f"note: the table is of tokenizer {table['tokenizer_hash']}; rows dropped unless measured now: {gone}")
+    print(
+        f"note: the table is of tokenizer {table['tokenizer_hash']}; rows dropped unless measured now: {gone}"
+    )
     return {name: row for name, row in rows.items() if name not in OF_THE_TOKENIZER}
 
 
@@ -221,10 +251,16 @@ def replay(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: To
         again = learnt_row(table, lambda s: encode_set(tokenizer, s), committed["seeds"], POOL)
         names = [transfer_name(a, b) for a, b in table.transfers()[: command.replay]]
         again, before = {name: again[name] for name in names}, committed["rows"]["UniForce"]
-    return max(abs(x - y) for name in again for x, y in zip(again[name]["r2"], before[name]["r2"], strict=True))
+    return max(
+        abs(x - y)
+        for name in again
+        for x, y in zip(again[name]["r2"], before[name]["r2"], strict=True)
+    )
 
 
-def _say_if_redrawn(command: TokenizerReportCommand, report_set: ReportSet, frozen: dict[str, LabelledSet]) -> None:
+def _say_if_redrawn(
+    command: TokenizerReportCommand, report_set: ReportSet, frozen: dict[str, LabelledSet]
+) -> None:
     """Another CPU may round a marker's edge otherwise: the numbers must still agree, so go on, but say so."""
     try:
         check_frozen(_facts(command, report_set), frozen)
@@ -255,13 +291,21 @@ def _report(command: TokenizerReportCommand) -> str:
     return "\n".join([*lines, f"table: {path}"])
 
 
-def _latent_or_pictures(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: Tokenizer) -> str:
+def _latent_or_pictures(
+    command: TokenizerReportCommand, report_set: ReportSet, tokenizer: Tokenizer
+) -> str:
     results = Path(command.results)
     if command.question == "correlation":
         table = draw_sets(report_set, tokenizer.config.side, Path(command.cache))
-        found, name = latent_correlation(tokenizer, table) | {"set": report_set.name}, "latent_correlation.json"
+        found, name = (
+            latent_correlation(tokenizer, table) | {"set": report_set.name},
+            "latent_correlation.json",
+        )
     else:
-        found, name = reconstructions(tokenizer, PICTURED, results / "reconstruction.png"), "reconstruction.json"
+        found, name = (
+            reconstructions(tokenizer, PICTURED, results / "reconstruction.png"),
+            "reconstruction.json",
+        )
     found |= {"tokenizer_hash": tokenizer.hash}
     return f"written to {write_json(results / name, found | provenance())}"
 

@@ -69,7 +69,12 @@ def measure(config: WornReadingsCommand) -> dict[str, Any]:
         read = compare(head(calibration(found.latent)).numpy(), found)
         rows["calibrated"] = read | {"calibration": calibration.facts()}
         sensors[name] = rows
-    return {"level": config.level, "anchor": ANCHOR, "tokenizer_hash": tokenizer.hash, "sensors": sensors}
+    return {
+        "level": config.level,
+        "anchor": ANCHOR,
+        "tokenizer_hash": tokenizer.hash,
+        "sensors": sensors,
+    }
 
 
 @command(WornReadingsCommand)

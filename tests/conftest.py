@@ -13,7 +13,9 @@ import properties  # noqa: F401  (registers the profiles)
 from fair_clock import FairClock
 
 torch.set_num_threads(1)
-TINY = TokenizerConfig(side=32, patch=8, width=16, depth=2, decoder_depth=1, heads=2, embed_hidden=16)
+TINY = TokenizerConfig(
+    side=32, patch=8, width=16, depth=2, decoder_depth=1, heads=2, embed_hidden=16
+)
 
 
 @pytest.fixture
@@ -33,7 +35,12 @@ def dots() -> np.ndarray:
 
 
 # These hold no clock against what they test: whole programs, or calculations.
-PATIENT = ("test_lossy_recording.py", "test_recorder_trials.py", "test_command.py", "test_store_process.py")
+PATIENT = (
+    "test_lossy_recording.py",
+    "test_recorder_trials.py",
+    "test_command.py",
+    "test_store_process.py",
+)
 PATIENT += ("test_checks.py", "test_limits.py", "test_guards.py", "test_hand.py")
 PATIENT += ("test_fci_model.py", "test_fci_protocol.py")
 REALTIME = ("sensors", "recorder", "franka", "standins", "teleop")  # folders of tests/robots

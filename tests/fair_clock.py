@@ -20,8 +20,10 @@ import pytest
 from _pytest.runner import runtestprotocol
 
 NAP_S = 0.005
-LATE_S = 0.030  # beyond what a scheduler makes a sleeper wait while our own two or three threads compute
-STARVED_S, STARVED_SHARE = 0.060, 0.02  # of the test's time, both; the tests' deadlines start at 0.1 s
+# beyond what a scheduler makes a sleeper wait while our own two or three threads compute
+LATE_S = 0.030
+# of the test's time, both; the tests' deadlines start at 0.1 s
+STARVED_S, STARVED_SHARE = 0.060, 0.02
 TRIES = 4
 CALM_S = 1.0  # wait for so long without theft before another try …
 PATIENCE_S = 15.0  # … but not longer than this
@@ -61,7 +63,19 @@ class Witnesses:
             self._lost = mmap.mmap(shared.fileno(), 0)
         limits = (str(NAP_S), str(LATE_S))
         self.processes = [
-            subprocess.Popen([sys.executable, "-I", "-S", "-c", WITNESS, file.name, str(place), str(core), *limits])
+            subprocess.Popen(
+                [
+                    sys.executable,
+                    "-I",
+                    "-S",
+                    "-c",
+                    WITNESS,
+                    file.name,
+                    str(place),
+                    str(core),
+                    *limits,
+                ]
+            )
             for place, core in enumerate(cores)
         ]
         self._path = file.name
@@ -88,7 +102,9 @@ class FairClock:
         self.witnesses = witnesses
         self.again: list[str] = []
 
-    def pytest_runtest_protocol(self, item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
+    def pytest_runtest_protocol(
+        self, item: pytest.Item, nextitem: pytest.Item | None
+    ) -> bool | None:
         if not item.get_closest_marker("realtime"):
             return None
         self.witnesses = self.witnesses or Witnesses()

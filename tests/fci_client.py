@@ -22,9 +22,13 @@ def move(controller: int = p.EXTERNAL, generator: int = p.NO_GENERATOR) -> bytes
 
 
 def decode_state(datagram: bytes) -> p.RobotState:
-    number, body, generator, controller, *flags, mode, rate = p.unpack(p.STATE, datagram, "RobotState")
+    number, body, generator, controller, *flags, mode, rate = p.unpack(
+        p.STATE, datagram, "RobotState"
+    )
     bits = (frozenset(i for i, flag in enumerate(some) if flag) for some in flags)
-    return p.RobotState(number, np.frombuffer(body, "<f4").copy(), generator, controller, *bits, mode, rate)
+    return p.RobotState(
+        number, np.frombuffer(body, "<f4").copy(), generator, controller, *bits, mode, rate
+    )
 
 
 def decode_hand_state(datagram: bytes) -> p.HandState:
@@ -124,7 +128,10 @@ class RawArm(RawClient):
     def start(self) -> int:
         """Begin a torque motion, which the arm has to accept; return the request's id."""
         command_id, answer = self.move(), self.receive()
-        assert (answer.command_id, answer.payload) == (command_id, bytes([p.MoveStatus.MOTION_STARTED]))
+        assert (answer.command_id, answer.payload) == (
+            command_id,
+            bytes([p.MoveStatus.MOTION_STARTED]),
+        )
         return command_id
 
     def command(self, command: p.RobotCommand) -> None:
@@ -149,10 +156,14 @@ class RawHand(RawClient):
         self.greet(version)
 
     def status_of(self, command: int, payload: bytes = b"") -> int:
-        return int(p.unpack(struct.Struct("<H"), self.ask(command, payload), "answer of the hand")[0])
+        return int(
+            p.unpack(struct.Struct("<H"), self.ask(command, payload), "answer of the hand")[0]
+        )
 
 
-def wait_until(condition: Callable[[], bool], timeout_s: float = 10.0, what: str = "condition") -> float:
+def wait_until(
+    condition: Callable[[], bool], timeout_s: float = 10.0, what: str = "condition"
+) -> float:
     """Poll a condition; return the seconds it took, or raise TimeoutError."""
     start = time.monotonic()
     while not condition():

@@ -16,8 +16,19 @@ from websockets.sync.client import ClientConnection, connect
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 START_s, ANSWER_s = 60.0, 60.0  # a busy machine takes long
 # --no-sandbox: root has none; pages are the tests' own
-FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--remote-debugging-port=0")
-SILENT = ("--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync")
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-dev-shm-usage",
+    "--remote-debugging-port=0",
+)
+SILENT = (
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
 SILENT += ("--disable-quic",)  # nothing but the page is fetched
 
 
@@ -45,7 +56,9 @@ class Page:
     def call(self, method: str, **params: Any) -> dict[str, Any]:
         """Return the browser's answer to one method; complaints that come before it are kept."""
         number = next(self._numbers)
-        self._socket.send(json.dumps({"id": number, "method": method, "params": params} | self._session))
+        self._socket.send(
+            json.dumps({"id": number, "method": method, "params": params} | self._session)
+        )
         while True:
             said = json.loads(self._socket.recv(ANSWER_s))
             if said.get("id") == number:
@@ -56,7 +69,10 @@ class Page:
     def _hear(self, said: dict[str, Any]) -> None:
         method, params = said["method"], said["params"]
         level = params.get("entry", params).get("level") or params.get("type")
-        loud = method in ("Log.entryAdded", "Runtime.consoleAPICalled") and level in ("error", "warning")
+        loud = method in ("Log.entryAdded", "Runtime.consoleAPICalled") and level in (
+            "error",
+            "warning",
+        )
         if loud or method == "Runtime.exceptionThrown":
             self.complaints.append(json.dumps(params))
 
@@ -67,12 +83,16 @@ class Page:
         self.call("Emulation.setDeviceMetricsOverride", **size, deviceScaleFactor=1, mobile=False)
         self.call("Page.navigate", url=path.resolve().as_uri())
         end = time.monotonic() + ANSWER_s
-        while self.read("location.href + document.readyState") != f"{path.resolve().as_uri()}complete":
+        while (
+            self.read("location.href + document.readyState") != f"{path.resolve().as_uri()}complete"
+        ):
             assert time.monotonic() < end, f"{path} doesn't load"
             time.sleep(0.05)
 
     def read(self, expression: str) -> Any:
-        answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        answer = self.call(
+            "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
+        )
         assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")
 
@@ -88,7 +108,9 @@ class Page:
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
     def photograph(self, path: Path, whole: bool = False) -> Path:
-        path.write_bytes(b64decode(self.call("Page.captureScreenshot", captureBeyondViewport=whole)["data"]))
+        path.write_bytes(
+            b64decode(self.call("Page.captureScreenshot", captureBeyondViewport=whole)["data"])
+        )
         return path
 
 

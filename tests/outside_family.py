@@ -31,12 +31,16 @@ def outside(sensor: VirtualSensor, bounds: FamilyBounds | None = None) -> list[s
         found.append("visible: layout reaches beyond the image")
     return found + [
         f"hidden: {name} {value:.3g} (family {span[0]}–{span[1]})"
-        for name, (value, span) in _hidden_numbers(material, b, flat=spec.dome_radius_mm is None).items()
+        for name, (value, span) in _hidden_numbers(
+            material, b, flat=spec.dome_radius_mm is None
+        ).items()
         if not span[0] - 1e-9 <= value <= span[1] + 1e-9
     ]
 
 
-def _hidden_numbers(material: PadMaterial, b: FamilyBounds, flat: bool) -> dict[str, tuple[float, Span]]:
+def _hidden_numbers(
+    material: PadMaterial, b: FamilyBounds, flat: bool
+) -> dict[str, tuple[float, Span]]:
     """Return name → (the material's number, the family's range) of what no reference image shows."""
     skin = material.layers[0]
     young = skin.young_MPa * material.stiffness

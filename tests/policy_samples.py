@@ -19,8 +19,15 @@ OPEN = [0.6, 1.5]  # gates of two slots
 
 def small_config(cameras=("front", "wrist"), **settings):
     """Settings of a policy of two layers with cameras of 28 px, state and action of five axes."""
-    visual = {f"observation.images.{name}": PolicyFeature(FeatureType.VISUAL, (3, 28, 28)) for name in cameras}
-    small = {"size": "tiny", "image_resolution": (28, 28), "tiny": TinySettings(width=64, depth=2, mlp_dim=32)}
+    visual = {
+        f"observation.images.{name}": PolicyFeature(FeatureType.VISUAL, (3, 28, 28))
+        for name in cameras
+    }
+    small = {
+        "size": "tiny",
+        "image_resolution": (28, 28),
+        "tiny": TinySettings(width=64, depth=2, mlp_dim=32),
+    }
     return PI05UniforceConfig(
         device="cpu",
         input_features=visual | {"observation.state": PolicyFeature(FeatureType.STATE, (5,))},
@@ -63,7 +70,9 @@ def lerobots_own(policy, given, noise, steps=4, **rtc):
     """Sample with LeRobot's loop and LeRobot's layers: nothing of ours but the weights and the extra tokens."""
     *seen, felt = given
     with lerobots_layers(policy.model), policy.model.feeling(felt):
-        return stock.PI05Pytorch.sample_actions(policy.model, *seen, noise=noise, num_steps=steps, **rtc)
+        return stock.PI05Pytorch.sample_actions(
+            policy.model, *seen, noise=noise, num_steps=steps, **rtc
+        )
 
 
 def ours(policy, given, noise, steps=4, **rtc):

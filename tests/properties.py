@@ -2,8 +2,11 @@
 
 from hypothesis import settings
 
-settings.register_profile("fixed", derandomize=True, deadline=None)  # the same examples on every machine
-settings.register_profile("random", derandomize=False, deadline=None, max_examples=1000, print_blob=True)
+# the same examples on every machine
+settings.register_profile("fixed", derandomize=True, deadline=None)
+settings.register_profile(
+    "random", derandomize=False, deadline=None, max_examples=1000, print_blob=True
+)
 settings.load_profile("fixed")  # pytest's --hypothesis-profile comes later and wins
 
 

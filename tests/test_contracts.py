@@ -46,7 +46,9 @@ def test_a_pair_needs_equal_sizes_and_a_finger() -> None:
         (np.array([[0, 0, -1.0]]), np.zeros(1), "compression"),
     ],
 )
-def test_impossible_contacts_are_refused(force: np.ndarray, torsion: np.ndarray, reason: str) -> None:
+def test_impossible_contacts_are_refused(
+    force: np.ndarray, torsion: np.ndarray, reason: str
+) -> None:
     with pytest.raises(ContractError, match=reason):
         ContactState(np.zeros((1, 4, 4)), force, torsion)
 
@@ -58,7 +60,10 @@ def test_impossible_contacts_are_refused(force: np.ndarray, torsion: np.ndarray,
         ("rtsp://anna:p@ss@cam", "rtsp://***@cam"),
         ("http://anna:s3/cr'et@cam", "http://***@cam"),
         ('"source": "http://anna:s3cret@cam"', '"source": "http://***@cam"'),
-        ("http://cam/video?size=2&access_token=abc.def&x=1", "http://cam/video?size=2&access_token=***&x=1"),
+        (
+            "http://cam/video?size=2&access_token=abc.def&x=1",
+            "http://cam/video?size=2&access_token=***&x=1",
+        ),
         ("http://cam/video?Password=a b", "http://cam/video?Password=*** b"),
         ("http://cam/stream?u=anna&p=s3cret", "http://cam/stream?u=***&p=***"),
         ("http://cam/s3cret/stream?s3cret#s3cret.", "http://cam/***/stream?***#***."),
@@ -104,7 +109,9 @@ IMAGES: dict[str, Callable[[Tokenizer, np.ndarray], Any]] = {
     "objects": lambda t, dots: t.encode(dots[:1], dots.astype(object)),
     "NaN": lambda t, dots: t.encode(dots[:1], np.full((1, 96, 128), np.nan)),
     "a reference without a dark pixel": lambda t, dots: t.encode(np.full_like(dots[:1], 255), dots),
-    "a pair and a current": lambda t, dots: t.encode(MarkerPair(dots[0], dots[1], "left", "tactip"), dots),
+    "a pair and a current": lambda t, dots: t.encode(
+        MarkerPair(dots[0], dots[1], "left", "tactip"), dots
+    ),
     "one pixel": lambda t, dots: t.encode(dots[:1, 16:17, 16:17], dots[:1, 16:17, 16:17]),
     "decode: two references": lambda t, dots: t.decode(dots[:2], t.encode(dots[:1], dots)),
     "decode: too few patches": lambda t, dots: t.decode(dots[:1], t.encode(dots[:1], dots)[:, :5]),
@@ -123,7 +130,9 @@ COUNTS: dict[str, Callable[[], Any]] = {
     "uint64 beyond int64": lambda: uskin().marker_image(np.full((16, 3), 2**64 - 5, np.uint64)),
     "durations": lambda: uskin().marker_image(SCAN.astype("m8[s]")),
     "an all-zero reference": lambda: Canonicalizer("uskin").set_reference(0 * SCAN),
-    "a pair with an all-zero reference": lambda: Canonicalizer("uskin").pair(0 * SCAN, SCAN, "left"),
+    "a pair with an all-zero reference": lambda: Canonicalizer("uskin").pair(
+        0 * SCAN, SCAN, "left"
+    ),
     "a sensor that is a list": lambda: Canonicalizer(["uskin"]),  # type: ignore[arg-type]
     "a scale of nothing": lambda: TaxelScales(counts_per_pitch=0),
     "a scale that is NaN": lambda: TaxelScales(area_per_count_pt2=float("nan")),

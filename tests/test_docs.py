@@ -26,7 +26,8 @@ PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 MODULES = ("benchmarks", "uniforce_robots", "standins")  # of `python -m` in fenced code
 LEROBOT = Path(str(find_spec("lerobot").submodule_search_locations[0]))  # type: ignore[union-attr, index]
 POLICY = ROOT / "policies" / "lerobot_policy_pi05_uniforce"
-NO_FIELDS = {"policy", "env", "verify", "config_path", "resume", "policy.path"}  # of train: LeRobot's parser reads them
+# of train: LeRobot's parser reads them
+NO_FIELDS = {"policy", "env", "verify", "config_path", "resume", "policy.path"}
 
 
 def name_of(page: Path) -> str:
@@ -50,10 +51,20 @@ def command_lines(page: Path) -> list[list[str]]:
 @cache
 def fields(*places: Path) -> frozenset[str]:
     """Return the names of all fields of classes in files or folders; nothing is imported, LeRobot takes seconds."""
-    files = [file for place in places for file in ([place] if place.is_file() else place.rglob("*.py"))]
-    classes = [n for file in files for n in ast.walk(ast.parse(file.read_text())) if isinstance(n, ast.ClassDef)]
+    files = [
+        file for place in places for file in ([place] if place.is_file() else place.rglob("*.py"))
+    ]
+    classes = [
+        n
+        for file in files
+        for n in ast.walk(ast.parse(file.read_text()))
+        if isinstance(n, ast.ClassDef)
+    ]
     return frozenset(
-        n.target.id for c in classes for n in c.body if isinstance(n, ast.AnnAssign) and isinstance(n.target, ast.Name)
+        n.target.id
+        for c in classes
+        for n in c.body
+        if isinstance(n, ast.AnnAssign) and isinstance(n.target, ast.Name)
     )
 
 
@@ -90,7 +101,9 @@ def test_every_command_line_names_a_verb_and_options_that_it_has(page: Path) -> 
         verbs = words[0].split("|") if words else []
         assert not set(verbs) - {*VERBS, "--help"}, f"{name_of(page)}: uniforce {' '.join(words)}"
         if verbs and verbs[0] in VERBS:
-            wrong = check_words(verbs[0], [word for word in words[1:] if "=" in word or word.startswith("--")])
+            wrong = check_words(
+                verbs[0], [word for word in words[1:] if "=" in word or word.startswith("--")]
+            )
             assert not wrong, f"{name_of(page)}: uniforce {' '.join(words)}: {wrong}"
 
 
@@ -100,7 +113,9 @@ def test_every_module_and_target_named_exists(page: Path) -> None:
     for module in re.findall(r"python -m ([\w.]+)", fenced(page)):
         if module.partition(".")[0] in MODULES:
             path = Path(*module.split("."))
-            assert any((root / path).is_dir() or (root / f"{path}.py").is_file() for root in roots), module
+            assert any(
+                (root / path).is_dir() or (root / f"{path}.py").is_file() for root in roots
+            ), module
     targets = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
     assert set(re.findall(r"^make (\w+)", fenced(page), re.MULTILINE)) <= targets
 
@@ -111,7 +126,13 @@ def defined(path: Path) -> frozenset[str]:
     body = ast.parse(path.read_text()).body
     kinds = (ast.FunctionDef, ast.ClassDef)
     found = [node for node in body if isinstance(node, kinds)]
-    inner = [f"{c.name}.{n.name}" for c in found if isinstance(c, ast.ClassDef) for n in c.body if isinstance(n, kinds)]
+    inner = [
+        f"{c.name}.{n.name}"
+        for c in found
+        if isinstance(c, ast.ClassDef)
+        for n in c.body
+        if isinstance(n, kinds)
+    ]
     return frozenset([node.name for node in found] + inner)
 
 
@@ -138,7 +159,9 @@ def test_the_site_lists_every_page() -> None:
 
 
 def test_the_tutorial_names_every_fault() -> None:
-    rows = re.findall(r"^\| `(\w+)` \| (?:[^|]*) \| [^|]* \|$", (DOCS / "tutorial.md").read_text(), re.MULTILINE)
+    rows = re.findall(
+        r"^\| `(\w+)` \| (?:[^|]*) \| [^|]* \|$", (DOCS / "tutorial.md").read_text(), re.MULTILINE
+    )
     assert set(FAULTS) <= set(rows)
 
 
@@ -154,9 +177,22 @@ def test_readmes_python_runs_and_reads_the_press() -> None:
 
 def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     """Every link and anchor is checked; nothing is fetched."""
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path)]
+    command = [
+        sys.executable,
+        "-m",
+        "mkdocs",
+        "build",
+        "--strict",
+        "--quiet",
+        "--site-dir",
+        str(tmp_path),
+    ]
     built = subprocess.run(
-        command, cwd=ROOT, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"}, capture_output=True, text=True
+        command,
+        cwd=ROOT,
+        env=os.environ | {"NO_MKDOCS_2_WARNING": "1"},
+        capture_output=True,
+        text=True,
     )
     assert built.returncode == 0, built.stderr
     assert (tmp_path / "tutorial.html").is_file()

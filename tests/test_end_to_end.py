@@ -38,7 +38,12 @@ def checkpoint(demos: Path) -> Path:
     folder = demos.parent
     make_view(ViewConfig(roots=str(demos), out=str(folder / "view"), keep_failures=True))
     policy = ["policy=pi05_uniforce", "policy.size=tiny", "policy.device=cpu", *TINY]
-    data = ["dataset.repo_id=local/view", f"dataset.root={folder / 'view'}", "batch_size=2", "num_workers=0"]
+    data = [
+        "dataset.repo_id=local/view",
+        f"dataset.root={folder / 'view'}",
+        "batch_size=2",
+        "num_workers=0",
+    ]
     train([*policy, *data, "steps=2", "save_freq=2", f"output_dir={folder / 'train'}"])
     return folder / "train" / "checkpoints" / "last" / "pretrained_model"
 
@@ -58,8 +63,15 @@ def test_scores_with_the_trained_and_a_swapped_sensor(checkpoint: Path, tmp_path
     assert len(list(tmp_path.glob("*/seed_10000.mp4"))) == 2
 
 
-def lerobot_evaluated(monkeypatch: pytest.MonkeyPatch, out: Path, policy: Path, level: str, seed: int) -> bool:
-    flags = [f"policy.path={policy}", "policy.device=cpu", "env.type=uniforce_wiping", f"env.level={level}"]
+def lerobot_evaluated(
+    monkeypatch: pytest.MonkeyPatch, out: Path, policy: Path, level: str, seed: int
+) -> bool:
+    flags = [
+        f"policy.path={policy}",
+        "policy.device=cpu",
+        "env.type=uniforce_wiping",
+        f"env.level={level}",
+    ]
     flags += ["eval.n_episodes=1", "eval.batch_size=1", "eval.use_async_envs=false"]
     flags += [f"seed={seed}", f"output_dir={out}"]
     monkeypatch.setattr(sys, "argv", ["lerobot-eval", *(f"--{flag}" for flag in flags)])
@@ -70,17 +82,25 @@ def lerobot_evaluated(monkeypatch: pytest.MonkeyPatch, out: Path, policy: Path, 
     return bool(success)
 
 
-def test_lerobot_eval_agrees_with_our_score(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lerobot_eval_agrees_with_our_score(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The shipped policy wipes the board of the first scene in both commands."""
-    config = ScoreConfig(level="touch", rollouts=1, workers=1, videos=0, out=str(tmp_path / "score"))
+    config = ScoreConfig(
+        level="touch", rollouts=1, workers=1, videos=0, out=str(tmp_path / "score")
+    )
     (row,) = score(config).rows
-    assert lerobot_evaluated(monkeypatch, tmp_path / "eval", shipped_checkpoint(), "touch", row.seed)
+    assert lerobot_evaluated(
+        monkeypatch, tmp_path / "eval", shipped_checkpoint(), "touch", row.seed
+    )
     assert row.outcome == "success"
 
 
 def test_a_dataset_that_is_full_says_that_nothing_was_recorded(demos: Path) -> None:
     settings = RecordConfig(episodes=1, level="easy", root=str(demos), left_sensor="uskin:drawing")
-    with pytest.raises(ContractError, match=r"scene\.left_sensor 'gelsight:drawing' → 'uskin:drawing'"):
+    with pytest.raises(
+        ContractError, match=r"scene\.left_sensor 'gelsight:drawing' → 'uskin:drawing'"
+    ):
         record(settings)
     end = record(replace(settings, settings_changed="accept"))
     assert end.exit_code == 0 and end.message.startswith(f"nothing new, {demos} holds 1 or more")
@@ -103,5 +123,7 @@ def test_a_recording_is_scored_from_its_fingers_alone(demos: Path, tmp_path: Pat
 
 @pytest.mark.parametrize("friction", ["", "0.6", "a,b", "0,0.5"])
 def test_a_recording_without_known_friction_is_refused(friction, demos, tmp_path, capsys) -> None:
-    assert score_recording_main([f"root={demos}", f"pad_friction={friction}", f"out={tmp_path}"]) == 2
+    assert (
+        score_recording_main([f"root={demos}", f"pad_friction={friction}", f"out={tmp_path}"]) == 2
+    )
     assert "pad_friction" in capsys.readouterr().err

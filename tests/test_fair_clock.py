@@ -39,7 +39,12 @@ def pytest_configure(config):
 """
 
 
-def run(pytester: pytest.Pytester, lost: list[float], passes_at: int, mark: str = "@pytest.mark.realtime"):
+def run(
+    pytester: pytest.Pytester,
+    lost: list[float],
+    passes_at: int,
+    mark: str = "@pytest.mark.realtime",
+):
     pytester.makeconftest(CONFTEST.format(lost=lost))
     flaky = pytester.makepyfile(FLAKY.format(mark=mark, passes_at=passes_at))
     return pytester.inline_run(flaky, "-p", "no:cacheprovider")
@@ -64,11 +69,14 @@ def test_a_witness_sees_a_core_taken_away():
         ([0.0, 0.01], 2, "failed"),  # in calm: at once
         ([0.0, 0.5, 0.5, 0.5], 2, "passed"),  # while starved: runs again, with new fixtures
         ([0.0, 0.5, 0.5, 0.5], 9, "failed"),  # the second try was calm
-        ([0.3 * k for k in range(2 * TRIES)], 99, "failed"),  # a defect on a machine that is always starved
+        # a defect on a machine that is always starved
+        ([0.3 * k for k in range(2 * TRIES)], 99, "failed"),
         ([0.3 * k for k in range(2 * TRIES)], TRIES, "passed"),
     ],
 )
-def test_a_failure_counts_unless_the_machine_was_starved(pytester, lost, passes_at, outcome) -> None:
+def test_a_failure_counts_unless_the_machine_was_starved(
+    pytester, lost, passes_at, outcome
+) -> None:
     run(pytester, lost, passes_at).assertoutcome(**{outcome: 1})
 
 

@@ -24,7 +24,9 @@ def rewritten(name: str, change: Callable[[str], str]) -> Callable[[Path], objec
     return lambda folder: (folder / name).write_text(change((folder / name).read_text()))
 
 
-def test_what_was_written_is_accepted_in_silence(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_what_was_written_is_accepted_in_silence(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     check_hashes(folder, CheckpointError)
     assert not caplog.records and (folder / HASHES).stat().st_mode & 0o777 == 0o644
     (folder / "README.md").write_text(HEADER + "# another text, for people")
@@ -35,29 +37,42 @@ def test_what_was_written_is_accepted_in_silence(folder: Path, caplog: pytest.Lo
 @pytest.mark.parametrize(
     ("damage", "says"),
     [
-        (rewritten("config.json", lambda text: text.replace("1", "2")), r"config.json: SHA-256 \w{12}…, not"),
+        (
+            rewritten("config.json", lambda text: text.replace("1", "2")),
+            r"config.json: SHA-256 \w{12}…, not",
+        ),
         (rewritten("config.json", lambda text: text + " "), "config.json: 9 bytes, not 8"),
         (rewritten("README.md", lambda text: text.replace("apache", "Apache")), "README.md"),
         (lambda folder: (folder / "model.safetensors").unlink(), "model.safetensors: none"),
-        (lambda folder: (folder / "policy_x.json").write_text("{}"), "policy_x.json: without a hash"),
+        (
+            lambda folder: (folder / "policy_x.json").write_text("{}"),
+            "policy_x.json: without a hash",
+        ),
         (rewritten(HASHES, lambda _: "{}"), r"config.json: without a hash; model.safetensors"),
         (rewritten(HASHES, lambda text: text[:-9]), "JSON"),
         (rewritten(HASHES, lambda text: text.replace("config", "../config")), "file names"),
         (rewritten(HASHES, lambda text: text.replace('"bytes"', '"size"')), "bytes and sha256"),
         (rewritten(HASHES, lambda _: '{"a": 1}'), "bytes and sha256"),
         (rewritten(HASHES, lambda _: '{"a": {"sha256": "0"}}'), "bytes and sha256"),
-        (rewritten(HASHES, lambda _: '{"a": {"sha256": "0", "bytes": 1, "more": 1}}'), "bytes and sha256"),
+        (
+            rewritten(HASHES, lambda _: '{"a": {"sha256": "0", "bytes": 1, "more": 1}}'),
+            "bytes and sha256",
+        ),
         (rewritten(HASHES, lambda _: "\0"), "JSON"),
         (rewritten(HASHES, lambda text: json.dumps([text])), "a JSON object"),
     ],
 )
-def test_what_was_changed_is_named(folder: Path, damage: Callable[[Path], object], says: str) -> None:
+def test_what_was_changed_is_named(
+    folder: Path, damage: Callable[[Path], object], says: str
+) -> None:
     damage(folder)
     with pytest.raises(CheckpointError, match=says):
         check_hashes(folder, CheckpointError)
 
 
-def test_a_checkpoint_without_hashes_gets_one_line(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_checkpoint_without_hashes_gets_one_line(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     (folder / HASHES).unlink()
     with caplog.at_level(logging.WARNING):
         check_hashes(folder, CheckpointError)
@@ -65,7 +80,9 @@ def test_a_checkpoint_without_hashes_gets_one_line(folder: Path, caplog: pytest.
 
 
 @pytest.mark.parametrize(("verify", "refused"), [("full", True), ("quick", False), ("off", False)])
-def test_quick_trusts_large_files_of_the_right_size(folder: Path, verify: str, refused: bool) -> None:
+def test_quick_trusts_large_files_of_the_right_size(
+    folder: Path, verify: str, refused: bool
+) -> None:
     weights = folder / "model.safetensors"
     weights.write_bytes(bytes(QUICK_BELOW))
     write_hashes(folder)

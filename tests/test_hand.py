@@ -38,14 +38,17 @@ def bench() -> Bench:
     return Bench()
 
 
-OPEN, HALF, HELD = (HandReading(0.0, width_m, 0.08, held) for width_m, held in ((0.08, 0), (0.05, 0), (0.035, 1)))
+OPEN, HALF, HELD = (
+    HandReading(0.0, width_m, 0.08, held) for width_m, held in ((0.08, 0), (0.05, 0), (0.035, 1))
+)
 GRASP = SETTINGS.speed_m_s, SETTINGS.grip_force_N
 
 
 @pytest.mark.parametrize(
     "wish, reading, wanted",
     [
-        (0.06, OPEN, HandCommand(0.06, *GRASP)),  # a wrist may be there: closing has a bounded force from the start
+        # a wrist may be there: closing has a bounded force from the start
+        (0.06, OPEN, HandCommand(0.06, *GRASP)),
         (0.02, HALF, HandCommand(0.02, *GRASP)),
         (0.06, HALF, HandCommand(0.06, SETTINGS.speed_m_s)),
         (0.0485, HALF, None),
@@ -54,12 +57,16 @@ GRASP = SETTINGS.speed_m_s, SETTINGS.grip_force_N
         (0.04, HELD, HandCommand(0.04, SETTINGS.speed_m_s)),
     ],
 )
-def test_what_a_width_asks_for(wish: float, reading: HandReading, wanted: HandCommand | None) -> None:
+def test_what_a_width_asks_for(
+    wish: float, reading: HandReading, wanted: HandCommand | None
+) -> None:
     assert next_command(wish, reading.width_m, reading.is_grasped, SETTINGS) == wanted
 
 
 @pytest.mark.parametrize("object_m", [0.0, 0.055, 0.07])
-def test_fingers_that_close_stop_where_wished_and_bound_their_force_from_the_widest_on(object_m: float) -> None:
+def test_fingers_that_close_stop_where_wished_and_bound_their_force_from_the_widest_on(
+    object_m: float,
+) -> None:
     bench = Bench(moves=True)
     bench.client.object_m = object_m
     bench.hand.submit(0.05)
@@ -81,7 +88,9 @@ def test_a_wish_that_changes_on_the_way_is_obeyed_where_it_is_reached() -> None:
     bench.run(0.2)
     bench.hand.submit(0.06)
     bench.run(1.0)
-    assert bench.client.width_m == pytest.approx(0.06, abs=0.001), "past it already: stopped, and led back"
+    assert bench.client.width_m == pytest.approx(0.06, abs=0.001), (
+        "past it already: stopped, and led back"
+    )
 
 
 @pytest.mark.parametrize("how", ["stop", "halt"])
@@ -98,7 +107,9 @@ def test_a_stop_ends_the_fingers_way_and_forgets_what_was_wished(how: str) -> No
     bench.hand.submit(before_m)
     assert bench.run(1.0) == "" and len(bench.client.commands) == 1, "nor does a wish to stay"
     bench.hand.submit(0.06)
-    assert bench.run(2.0) == "" and bench.client.width_m == pytest.approx(0.06, abs=0.001), "a new wish does"
+    assert bench.run(2.0) == "" and bench.client.width_m == pytest.approx(0.06, abs=0.001), (
+        "a new wish does"
+    )
 
 
 def test_what_is_held_stays_held_over_a_stop() -> None:
@@ -162,7 +173,9 @@ def test_commands_never_overlap_and_the_newest_target_wins(bench: Bench) -> None
         bench.hand.submit(width)
         assert bench.run(0.02) == ""
     assert bench.run(0.3) == "" and not bench.hand.is_busy
-    assert [c.width_m for c in bench.client.commands] == [0.03, 0.07], "the ones in between were skipped"
+    assert [c.width_m for c in bench.client.commands] == [0.03, 0.07], (
+        "the ones in between were skipped"
+    )
     assert bench.client.overlaps == 0
 
 
@@ -178,7 +191,9 @@ def test_a_command_that_fails_is_tried_again_counted_and_not_fatal() -> None:
 
 
 @pytest.mark.parametrize("width", [None, float("nan"), float("inf"), -0.1, 0.5])
-def test_a_lost_hand_and_a_width_that_cannot_be_are_faults_for_good(bench: Bench, width: float | None):
+def test_a_lost_hand_and_a_width_that_cannot_be_are_faults_for_good(
+    bench: Bench, width: float | None
+):
     if width is None:
         bench.client.fault = RobotError("gone", "hand_connection")
     else:
@@ -230,7 +245,9 @@ def test_what_slips_out_is_a_fault_until_the_operators_word(bench: Bench) -> Non
     assert bench.run(1.0) == "" and len(bench.client.commands) == commands, "nothing is begun"
     bench.client.width_m = 0.08  # a person opened it and put the object back
     bench.hand.submit(0.02)
-    assert bench.run(1.0) == "" and len(bench.client.commands) == commands + 1, "the same wish, asked for anew"
+    assert bench.run(1.0) == "" and len(bench.client.commands) == commands + 1, (
+        "the same wish, asked for anew"
+    )
 
 
 def test_opening_on_purpose_loses_nothing(bench: Bench) -> None:

@@ -50,7 +50,9 @@ def foreign_imports(folder: Path, forbidden: set[str]) -> list[str]:
 
 
 def test_every_package_has_its_place() -> None:
-    packages = [file.parent for pattern in ("*", "*/*") for file in ROOT.glob(f"{pattern}/__init__.py")]
+    packages = [
+        file.parent for pattern in ("*", "*/*") for file in ROOT.glob(f"{pattern}/__init__.py")
+    ]
     found = {package.relative_to(ROOT) for package in packages}
     inner = {path for path in found if path.parent in found}
     assert {path.name for path in found - inner} == set(PACKAGES)
@@ -79,11 +81,15 @@ def test_the_arms_stand_in_knows_nothing_of_the_project() -> None:
     folder = ROOT / "robots" / ROBOTS / "standins" / "fci"
     assert not foreign_imports(folder, ours)
     robots = [line for line in foreign_imports(folder, {ROBOTS}) if standins not in line]
-    assert all(f"{ROBOTS}.standins." in line or line.endswith(f"{ROBOTS}.fr3") for line in robots), robots
+    assert all(
+        f"{ROBOTS}.standins." in line or line.endswith(f"{ROBOTS}.fr3") for line in robots
+    ), robots
 
 
 def test_the_arms_children_import_nothing_of_ours() -> None:
-    assert not foreign_imports(ROOT / "robots" / ROBOTS / "franka" / "children", {*PACKAGES, "lerobot"})
+    assert not foreign_imports(
+        ROOT / "robots" / ROBOTS / "franka" / "children", {*PACKAGES, "lerobot"}
+    )
 
 
 @pytest.mark.parametrize(
@@ -127,5 +133,9 @@ def test_no_folder_shadows_the_datasets_library() -> None:
 def test_a_command_of_the_benchmarks_does_its_work_when_it_is_run() -> None:
     """``python -m`` of a file that only defines its command ends with 0 and has done nothing."""
     texts = {file: file.read_text() for file in (ROOT / BENCHMARKS).rglob("*.py")}
-    commands = {str(file.relative_to(ROOT)): text for file, text in texts.items() if "@command(" in text}
-    assert commands and not [name for name, text in commands.items() if '__name__ == "__main__"' not in text]
+    commands = {
+        str(file.relative_to(ROOT)): text for file, text in texts.items() if "@command(" in text
+    }
+    assert commands and not [
+        name for name, text in commands.items() if '__name__ == "__main__"' not in text
+    ]

@@ -15,8 +15,13 @@ SHOWS = "plt.show()"
 
 def pictures(cell: dict) -> list[np.ndarray]:
     """Return what a cell shows, (H, W, 3) uint8 each."""
-    encoded = [out["data"]["image/png"] for out in cell["outputs"] if "image/png" in out.get("data", {})]
-    return [cv2.imdecode(np.frombuffer(base64.b64decode(text), np.uint8), cv2.IMREAD_COLOR) for text in encoded]
+    encoded = [
+        out["data"]["image/png"] for out in cell["outputs"] if "image/png" in out.get("data", {})
+    ]
+    return [
+        cv2.imdecode(np.frombuffer(base64.b64decode(text), np.uint8), cv2.IMREAD_COLOR)
+        for text in encoded
+    ]
 
 
 @pytest.mark.slow

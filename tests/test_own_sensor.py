@@ -40,7 +40,9 @@ def test_the_page_shows_the_file_and_it_is_short() -> None:
 
 def test_datasets_store_it_behind_the_others(known: None) -> None:
     others = list_sensors()[:-1]
-    assert "mygel" not in others and [sensor_index(name) for name in (*others, "mygel")] == [*range(len(others) + 1)]
+    assert "mygel" not in others and [sensor_index(name) for name in (*others, "mygel")] == [
+        *range(len(others) + 1)
+    ]
 
 
 def test_its_frames_come_back_as_its_drawing_and_force_is_read(known: None) -> None:
@@ -53,14 +55,18 @@ def test_its_frames_come_back_as_its_drawing_and_force_is_read(known: None) -> N
     assert len(centres_px) == len(places) and apart.min(axis=1).max() < 2.0  # px
     pair = canonicalizer.pair(free, touched, finger="left")
     assert canonicalizer.match is not None and np.mean(pair.reference != pair.current) > 0.01
-    read_N = ForceHead.from_pretrained("tactip")(Tokenizer.from_pretrained().encode(pair))[0].numpy()
+    read_N = ForceHead.from_pretrained("tactip")(Tokenizer.from_pretrained().encode(pair))[
+        0
+    ].numpy()
     assert (np.sign(read_N) == np.sign(FORCE_N)).all() and 2 < read_N[2] < 12
 
 
 def test_the_contact_model_moves_its_markers_with_the_force(known: None) -> None:
     simulator = TactileSimulator("mygel", options=ContactOptions().quiet())
     (moved_px, _), (rest_px, _) = (simulator.markers_px(pressed(fx, 0, 6)) for fx in (2.0, 0.0))
-    assert (moved_px - rest_px)[0, :, 0].mean() > 0.5 and abs((moved_px - rest_px)[0, :, 1].mean()) < 0.1
+    assert (moved_px - rest_px)[0, :, 0].mean() > 0.5 and abs(
+        (moved_px - rest_px)[0, :, 1].mean()
+    ) < 0.1
 
 
 def test_a_scene_wears_units_of_it(known: None) -> None:

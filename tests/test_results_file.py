@@ -21,7 +21,9 @@ def test_a_module_is_named_as_it_is_run_and_a_script_by_its_file(tmp_path: Path)
         (tmp_path / name).write_text(PRINTS)
 
     def command(*words: str) -> str:
-        ran = subprocess.run([sys.executable, *words, "seeds=3"], cwd=tmp_path, capture_output=True, check=True)
+        ran = subprocess.run(
+            [sys.executable, *words, "seeds=3"], cwd=tmp_path, capture_output=True, check=True
+        )
         return json.loads(ran.stdout)["command"]
 
     assert command("-m", "made") == "python -m made seeds=3"
@@ -30,14 +32,20 @@ def test_a_module_is_named_as_it_is_run_and_a_script_by_its_file(tmp_path: Path)
 
 
 def test_what_json_does_not_know_becomes_null(tmp_path: Path) -> None:
-    content = {"alarm_s": float("inf"), "rows": [{"recall": float("nan")}, (1.5, np.float64("-inf"))], "n": 3}
+    content = {
+        "alarm_s": float("inf"),
+        "rows": [{"recall": float("nan")}, (1.5, np.float64("-inf"))],
+        "n": 3,
+    }
     text = write_json(tmp_path / "found.json", content).read_text()
     assert json.loads(text, parse_constant=pytest.fail) == {
         "alarm_s": None, "rows": [{"recall": None}, [1.5, None]], "n": 3
     }  # fmt: skip
 
 
-def test_a_result_names_commit_device_and_whether_the_sources_were_changed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_result_names_commit_device_and_whether_the_sources_were_changed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     answers = {"rev-parse": "a" * 40, "status": " M uniforce_vtla/errors.py"}
     monkeypatch.setattr(results_file, "_git", lambda word, *_: answers[word])
     monkeypatch.setattr(results_file, "SOURCES", Path(__file__).parents[1])
@@ -45,7 +53,8 @@ def test_a_result_names_commit_device_and_whether_the_sources_were_changed(monke
     assert found == ("a" * 40, True)
     answers["status"] = ""
     assert results_file._checkout.__wrapped__() == ("a" * 40, False)
-    monkeypatch.setattr(results_file, "SOURCES", Path(__file__).parent)  # as in an installed package
+    # as in an installed package
+    monkeypatch.setattr(results_file, "SOURCES", Path(__file__).parent)
     assert results_file._checkout.__wrapped__() == (None, None)
     assert {"commit", "dirty", "device", "version", "machine"} <= provenance().keys()
     monkeypatch.setattr(torch.cuda, "is_initialized", lambda: True)

@@ -30,20 +30,28 @@ print(tuple(latent.shape), tuple(force_N.shape))
 def said(*command: str | Path, folder: Path) -> str:
     """Run a command that knows nothing of the checkout; return what it said."""
     env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    done = subprocess.run([*map(str, command)], cwd=folder, env=env, capture_output=True, text=True, timeout=600)
+    done = subprocess.run(
+        [*map(str, command)], cwd=folder, env=env, capture_output=True, text=True, timeout=600
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
 def build(target: str, source: Path, out: Path) -> Path:
     """Build a wheel or sdist with the backend itself: a front end would download it anew."""
-    subprocess.run([sys.executable, "-m", "hatchling", "build", "-t", target, "-d", out], cwd=source, check=True)
+    subprocess.run(
+        [sys.executable, "-m", "hatchling", "build", "-t", target, "-d", out],
+        cwd=source,
+        check=True,
+    )
     return next(out.glob("*.whl" if target == "wheel" else "*.tar.gz"))
 
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    pytest.importorskip("hatchling", reason="the build backend isn't installed: make setup brings it")
+    pytest.importorskip(
+        "hatchling", reason="the build backend isn't installed: make setup brings it"
+    )
     folder = tmp_path_factory.mktemp("wheel")
     with tarfile.open(build("sdist", ROOT, folder)) as sdist:
         sdist.extractall(folder / "sdist", filter="data")
@@ -53,14 +61,26 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_the_wheel_holds_every_file_of_its_packages_and_nothing_else(wheel: Path) -> None:
-    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
-    tracked = subprocess.check_output(["git", "ls-files", *settings["packages"]], cwd=ROOT, text=True).split("\n")
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"][
+        "targets"
+    ]["wheel"]
+    tracked = subprocess.check_output(
+        ["git", "ls-files", *settings["packages"]], cwd=ROOT, text=True
+    ).split("\n")
     folders = [str(Path(package).parent) for package in settings["packages"]]
-    wanted = {str(Path(n).relative_to(f)) for n in tracked if n for f in folders if f != "." and n.startswith(f"{f}/")}
+    wanted = {
+        str(Path(n).relative_to(f))
+        for n in tracked
+        if n
+        for f in folders
+        if f != "." and n.startswith(f"{f}/")
+    }
     wanted |= {name for name in tracked if name.startswith("uniforce_vtla/")}
     there = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
     assert there == wanted
-    assert {"model.safetensors", "episode_page.js", "model_card.md"} <= {Path(name).name for name in there}
+    assert {"model.safetensors", "episode_page.js", "model_card.md"} <= {
+        Path(name).name for name in there
+    }
 
 
 @pytest.mark.slow
@@ -68,8 +88,14 @@ def test_the_wheel_holds_every_file_of_its_packages_and_nothing_else(wheel: Path
 def test_it_runs_from_an_empty_environment_elsewhere(wheel: Path, tmp_path: Path) -> None:
     said(sys.executable, "-m", "venv", "env", folder=tmp_path)
     python = tmp_path / "env" / "bin" / "python"
-    said(python, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", wheel, folder=tmp_path)
-    ours = Path(said(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", folder=tmp_path).strip())
+    said(
+        python, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", wheel, folder=tmp_path
+    )
+    ours = Path(
+        said(
+            python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", folder=tmp_path
+        ).strip()
+    )
     # the dependencies that are installed already; a .pth in there, as of an editable install, isn't followed from here
     (ours / "dependencies.pth").write_text(sysconfig.get_path("purelib"))
     help_text = said(python.parent / "uniforce", "--help", folder=tmp_path)

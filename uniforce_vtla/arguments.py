@@ -23,9 +23,23 @@ import yaml
 from draccus.utils import DraccusException
 
 from uniforce_vtla.errors import ContractError, UniForceError, expected
-from uniforce_vtla.options import Existing, Writable, at_home, check_text, named_path, shortened, split
+from uniforce_vtla.options import (
+    Existing,
+    Writable,
+    at_home,
+    check_text,
+    named_path,
+    shortened,
+    split,
+)
 
-KINDS = {int: "a whole number", float: "a number", bool: "true | false", str: "text", Any: "a value"}
+KINDS = {
+    int: "a whole number",
+    float: "a number",
+    bool: "true | false",
+    str: "text",
+    Any: "a value",
+}
 
 
 @dataclass(frozen=True)
@@ -45,7 +59,9 @@ class Option:
         if get_origin(self.kind) is Literal:
             return " | ".join(str(value) or '""' for value in get_args(self.kind))
         kind = KINDS.get(self.kind) or f"a list like {self.default or '[…]'}"
-        return f"{kind}, {self.rule}" if self.rule and self.kind is not str else str(self.rule or kind)
+        return (
+            f"{kind}, {self.rule}" if self.rule and self.kind is not str else str(self.rule or kind)
+        )
 
 
 def options_of(config_class: type, prefix: str = "") -> dict[str, Option]:
@@ -86,7 +102,9 @@ def _comments(config_class: type) -> dict[str, str]:
     for node in ast.parse(code).body[0].body:  # type: ignore[attr-defined]
         last = node.end_lineno
         if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
-            comments[node.target.id] = " ".join(found[n] for n in range(earlier + 1, last + 1) if n in found)
+            comments[node.target.id] = " ".join(
+                found[n] for n in range(earlier + 1, last + 1) if n in found
+            )
         earlier = last
     return comments
 
@@ -140,7 +158,9 @@ def split_words(words: Iterable[str]) -> dict[str, str]:
     for word in words:
         name, equals, text = word.removeprefix("--").partition("=")
         if not equals or not name:
-            raise ContractError(expected("option", "key=value", shortened(word), "No space around the =."))
+            raise ContractError(
+                expected("option", "key=value", shortened(word), "No space around the =.")
+            )
         if name in given:
             raise ContractError(expected(name, "one value", "two", "Give it once."))
         given[name] = text
@@ -163,7 +183,9 @@ def read_value(option: Option, text: str) -> Any:
     """
     check_text(option.name, text)
     if not text and option.default != "":
-        raise ContractError(expected(option.name, option.wanted, "nothing", "Give a value, or leave it out."))
+        raise ContractError(
+            expected(option.name, option.wanted, "nothing", "Give a value, or leave it out.")
+        )
     if text == "null" and option.optional:
         return None
     if option.kind is str or isinstance(option.default, str):
@@ -191,11 +213,15 @@ def _read(option: Option, text: str) -> Any:
 
 def _is_list(value: Any, kinds: tuple[Any, ...]) -> bool:
     """Return whether it is a list of such entries: YAML takes ``a: b`` for a mapping, and ``yes`` for true."""
-    if not isinstance(value, list) or (Ellipsis not in kinds and len(kinds) > 1 and len(value) != len(kinds)):
+    if not isinstance(value, list) or (
+        Ellipsis not in kinds and len(kinds) > 1 and len(value) != len(kinds)
+    ):
         return False
     if kinds[0] in (int, float):
         return all(_is_number(entry) for entry in value)
-    return kinds[0] is not str or not any(isinstance(entry, dict | list | bool | None) for entry in value)
+    return kinds[0] is not str or not any(
+        isinstance(entry, dict | list | bool | None) for entry in value
+    )
 
 
 def _is_number(entry: Any) -> bool:
@@ -217,9 +243,13 @@ def _decode[ConfigT](config_class: type[ConfigT], nested: dict[str, Any]) -> Con
         if own is not None:
             raise own from error
         options, name = options_of(config_class), ".".join(error.key_path)
-        option = next((o for o in options.values() if name == o.name or name.startswith(f"{o.name}.")), None)
+        option = next(
+            (o for o in options.values() if name == o.name or name.startswith(f"{o.name}.")), None
+        )
         if option is None:
-            raise ContractError(expected(name or "settings", "known ones", error.message, "Correct it.")) from error
+            raise ContractError(
+                expected(name or "settings", "known ones", error.message, "Correct it.")
+            ) from error
         raise _wrong(option, reduce(getitem, option.name.split("."), nested)) from error
 
 
@@ -248,7 +278,9 @@ def read_yaml(path: Path) -> Any:
         return yaml.safe_load(content)
     except (ValueError, RecursionError, yaml.YAMLError) as error:
         do = "Save it as plain UTF-8 text, with the settings indented below their section."
-        raise ContractError(expected(str(path), "YAML or JSON in UTF-8", shortened(str(error), 200), do)) from error
+        raise ContractError(
+            expected(str(path), "YAML or JSON in UTF-8", shortened(str(error), 200), do)
+        ) from error
 
 
 def section(name: str, content: Any) -> dict[str, Any]:
@@ -273,7 +305,9 @@ def decode_file[ConfigT](config_class: type[ConfigT], name: str, content: Any) -
         if isinstance(reason, UniForceError):
             raise ContractError(_placed(path, str(reason))) from error
         came = str(getattr(reason, "message", reason)).rstrip(".")
-        raise ContractError(expected(path, "settings it has", came, "See docs/recording.md.")) from error
+        raise ContractError(
+            expected(path, "settings it has", came, "See docs/recording.md.")
+        ) from error
     return decoded
 
 
@@ -288,14 +322,25 @@ def _without_empty(name: str, content: Any, options: Mapping[str, Option]) -> di
     """Return a section without the empty ones in it; ContractError: nothing where an option needs a value."""
     kept = {}
     for key, value in section(name, content).items():
-        inner = {path.removeprefix(f"{key}."): o for path, o in options.items() if path.startswith(f"{key}.")}
+        inner = {
+            path.removeprefix(f"{key}."): o
+            for path, o in options.items()
+            if path.startswith(f"{key}.")
+        }
         option = options.get(key)
         if inner and value is not None:
             kept[key] = _without_empty(f"{name}.{key}", value, inner)
         elif option is not None and isinstance(value, dict) and get_origin(option.kind) is not dict:
             wanted, do = f"{option.wanted} for {name}.{key}", "It has no settings of its own."
-            raise ContractError(expected(f"{name}.{key}.{next(iter(value), '')}", wanted, "settings", do))
-        elif value is None and option is not None and not option.optional and get_origin(option.kind) is not dict:
+            raise ContractError(
+                expected(f"{name}.{key}.{next(iter(value), '')}", wanted, "settings", do)
+            )
+        elif (
+            value is None
+            and option is not None
+            and not option.optional
+            and get_origin(option.kind) is not dict
+        ):
             do = "Give a value, or leave it out."
             raise ContractError(expected(f"{name}.{key}", option.wanted, "nothing", do))
         elif value is not None or (option is not None and option.optional):
@@ -344,12 +389,16 @@ def numbers(name: str, text: str, count: int) -> np.ndarray:
             raise ValueError(text)
         return np.array([float(part) for part in parts])
     except ValueError as error:
-        raise ContractError(expected(name, f"{count} numbers", repr(text), "Commas between them.")) from error
+        raise ContractError(
+            expected(name, f"{count} numbers", repr(text), "Commas between them.")
+        ) from error
 
 
 def _preset(name: str, presets: Path) -> dict[str, Any]:
     """Return the settings of a preset; none where none is named."""
     known = sorted(p.stem for p in presets.glob("*.yaml"))
     if name and name not in known:  # nor does a name with slashes lead out of the folder
-        raise ContractError(expected("preset", " | ".join(known), shortened(name), "Name one, or give none."))
+        raise ContractError(
+            expected("preset", " | ".join(known), shortened(name), "Name one, or give none.")
+        )
     return yaml.safe_load((presets / f"{name}.yaml").read_text()) if name else {}

@@ -11,7 +11,16 @@ import numpy as np
 from uniforce_vtla.errors import DatasetError, expected
 
 DAMAGE = (
-    *(ValueError, TypeError, KeyError, EOFError, OSError, OverflowError, MemoryError, RecursionError),
+    *(
+        ValueError,
+        TypeError,
+        KeyError,
+        EOFError,
+        OSError,
+        OverflowError,
+        MemoryError,
+        RecursionError,
+    ),
     *(SyntaxError, tokenize.TokenError, zipfile.BadZipFile, zlib.error, NotImplementedError),
 )  # what numpy and zipfile raise over damaged files
 
@@ -44,9 +53,13 @@ def read_arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     """
     try:
         with zipfile.ZipFile(path) as archive:
-            packed = [entry for entry in archive.infolist() if entry.compress_type != zipfile.ZIP_STORED]
+            packed = [
+                entry for entry in archive.infolist() if entry.compress_type != zipfile.ZIP_STORED
+            ]
         if packed:
-            raise DatasetError(_broken(path, "arrays as numpy.savez stores them", "compressed ones"))
+            raise DatasetError(
+                _broken(path, "arrays as numpy.savez stores them", "compressed ones")
+            )
         with np.load(path, allow_pickle=False) as stored:
             return {name: stored[name] for name in names}
     except DAMAGE as error:

@@ -12,16 +12,20 @@ from uniforce_vtla.errors import ContractError, expected
 
 Finger = Literal["left", "right"]
 FINGERS: tuple[Finger, ...] = get_args(Finger)
-QUARTERS = ("top-left", "top-right", "bottom-left", "bottom-right")  # of a pad, as its marker image shows it
+# of a pad, as its marker image shows it
+QUARTERS = ("top-left", "top-right", "bottom-left", "bottom-right")
 
 MARKER_IMAGE_SHAPE = (480, 640)  # rows, columns: the size on disk and from devices
-TAXEL_SHAPE = (16, 3)  # of a uSkin 4×4, (x, y, z) counts; other taxels say theirs in their SensorSpec
+# of a uSkin 4×4, (x, y, z) counts; other taxels say theirs in their SensorSpec
+TAXEL_SHAPE = (16, 3)
 
 
 def check_finger(finger: str) -> Finger:
     """Return ``finger`` if it names one; raise ContractError otherwise."""
     if finger not in FINGERS:
-        raise ContractError(expected("finger", " or ".join(FINGERS), repr(finger), "Name the finger worn."))
+        raise ContractError(
+            expected("finger", " or ".join(FINGERS), repr(finger), "Name the finger worn.")
+        )
     return finger  # type: ignore[return-value]
 
 
@@ -31,7 +35,9 @@ def check_count(name: str, value: object, most: int, least: int = 1) -> int:
     Sizes come from files too: without a limit a damaged one asks for terabytes, or for layers without end.
     """
     if type(value) is not int or not least <= value <= most:
-        raise ContractError(expected(name, f"a whole number from {least} to {most}", repr(value)[:80], "Change it."))
+        raise ContractError(
+            expected(name, f"a whole number from {least} to {most}", repr(value)[:80], "Change it.")
+        )
     return value
 
 
@@ -42,9 +48,13 @@ def check_marker_image(image: np.ndarray, name: str = "marker image") -> np.ndar
     """
     if not isinstance(image, np.ndarray) or image.ndim != 2 or image.dtype != np.uint8:
         came = f"{getattr(image, 'dtype', type(image).__name__)} {getattr(image, 'shape', '')}"
-        raise ContractError(expected(name, "(H, W) uint8", came, "Take it from Canonicalizer.marker_image."))
+        raise ContractError(
+            expected(name, "(H, W) uint8", came, "Take it from Canonicalizer.marker_image.")
+        )
     if image.size == 0:
-        raise ContractError(expected(name, "a non-empty image", image.shape, "Check the sensor's frame."))
+        raise ContractError(
+            expected(name, "a non-empty image", image.shape, "Check the sensor's frame.")
+        )
     if np.any((image != 0) & (image != 255)):
         do = "Lossy video or resizing? Store it with crf 0."
         raise ContractError(expected(name, "only 0 and 255", "values between", do))
@@ -82,17 +92,25 @@ class ContactState:
     # (B, G, G) float32, the undeformed distance from the pad's tangent plane to the object at each cell of the pad
     # grid; 0 at the point that touches first, ``inf`` where there is no object
     gap_mm: np.ndarray
-    force_N: np.ndarray  # (B, 3) float32, force of the object on the pad: fx, fy shear, fz ≥ 0 compression
-    torsion_Nmm: np.ndarray  # (B,) float32, moment of the object on the pad about the inward normal z
+    # (B, 3) float32, force of the object on the pad: fx, fy shear, fz ≥ 0 compression
+    force_N: np.ndarray
+    # (B,) float32, moment of the object on the pad about the inward normal z
+    torsion_Nmm: np.ndarray
 
     def __post_init__(self) -> None:
         B = len(self.gap_mm)
         if self.gap_mm.ndim != 3 or self.gap_mm.shape[1] != self.gap_mm.shape[2]:
-            raise ContractError(expected("gap_mm", "(B, G, G)", self.gap_mm.shape, "Use contact.indenters."))
+            raise ContractError(
+                expected("gap_mm", "(B, G, G)", self.gap_mm.shape, "Use contact.indenters.")
+            )
         if self.force_N.shape != (B, 3) or self.torsion_Nmm.shape != (B,):
             came, do = f"{self.force_N.shape} and {self.torsion_Nmm.shape}", "One row per contact."
             raise ContractError(expected("force_N, torsion_Nmm", f"({B}, 3) and ({B},)", came, do))
         if not (np.isfinite(self.force_N).all() and np.isfinite(self.torsion_Nmm).all()):
-            raise ContractError(expected("contact force", "finite numbers", "NaN or inf", "Check the simulation."))
+            raise ContractError(
+                expected("contact force", "finite numbers", "NaN or inf", "Check the simulation.")
+            )
         if np.any(self.force_N[:, 2] < 0):
-            raise ContractError(expected("fz", "≥ 0 N (compression)", self.force_N[:, 2].min(), "Flip its sign."))
+            raise ContractError(
+                expected("fz", "≥ 0 N (compression)", self.force_N[:, 2].min(), "Flip its sign.")
+            )

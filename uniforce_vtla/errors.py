@@ -70,14 +70,20 @@ class TeleoperatorError(FaultError):
 # user:password@ of an address; a password may hold a slash or a quote
 LOGIN = re.compile(r"(?<=://)[^\s\"]*@")
 ADDRESS = re.compile(r"(?i)(\b[a-z][\w+.-]*://[^\s\"'<>/?#]*)((?:[^\s\"'<>\\]|\\(?!\"))*)")
-SHOWN_WORDS = re.compile(  # of an address' path: a key may stand there as well as behind a question mark
+# of an address' path: a key may stand there as well as behind a question mark
+SHOWN_WORDS = re.compile(
     r"\d{0,3}|api|axis-cgi|cams?|camera|cgi|cgi-bin|channel|feed|front|image|jpg|left|live|main|mjpe?g|path|raw|right|"
     r"snapshot|stream(ing)?|sub|tactile|v\d|video(\.cgi|\.mjpe?g|_feed)?|webcam|wrist"
 )
 SHOWN_SETTINGS = re.compile(  # behind its question mark
     r"action|camera|channel|codec|compression|fps|height|quality|rate|resolution|rotation|size|stream|video|width|x|y"
 )
-PUBLIC = ("https://huggingface.co/", "https://hf.co/", "https://github.com/", "https://ai.google.dev/")
+PUBLIC = (
+    "https://huggingface.co/",
+    "https://hf.co/",
+    "https://github.com/",
+    "https://ai.google.dev/",
+)
 
 
 def without_credentials(text: str) -> str:
@@ -127,7 +133,9 @@ def not_stored(what: str, wanted: str, error: BaseException, do: str) -> Dataset
     return DatasetError(expected(what, wanted, error, do))
 
 
-def require_one_of(what: str, value: object, known: Collection[object], do: str = "Name one.") -> None:
+def require_one_of(
+    what: str, value: object, known: Collection[object], do: str = "Name one."
+) -> None:
     """Check a choice; raise ContractError, which names all there are, for none of them."""
     if value not in known:
         raise ContractError(expected(what, " | ".join(map(str, known)), repr(value), do))

@@ -17,12 +17,16 @@ from uniforce_vtla.json_file import read_object
 
 logger = logging.getLogger(__name__)
 HASHES = "hashes.json"
-CARD = "README.md"  # of a card only the header that programs read is hashed: people may edit the text
+# of a card only the header that programs read is hashed: people may edit the text
+CARD = "README.md"
 HEADER = re.compile(rb"---\r?\n.*?\n---", re.DOTALL)
-QUICK_BELOW = 16 << 20  # bytes: verify=quick hashes a checkpoint's smaller files, and compares sizes of all
-LOADED = ("model.safetensors", "config.json", "adapter_*", "policy_*")  # what loaders of checkpoints open
+# bytes: verify=quick hashes a checkpoint's smaller files, and compares sizes of all
+QUICK_BELOW = 16 << 20
+# what loaders of checkpoints open
+LOADED = ("model.safetensors", "config.json", "adapter_*", "policy_*")
 
-Entry = dict[str, Any]  # "bytes" and "sha256" of a file; of a dataset's also the "episode" it belongs to
+# "bytes" and "sha256" of a file; of a dataset's also the "episode" it belongs to
+Entry = dict[str, Any]
 Entries = dict[str, Entry]  # by name relative to the folder
 
 
@@ -72,7 +76,9 @@ def read_hashes(folder: Path, error: type[UniForceError]) -> Entries | None:
     for name, entry in entries.items():
         if not _is_entry(name, entry):
             came, do = f"{name[:80]!r}: {entry!r}"[:200], "Copy the whole folder again."
-            raise error(expected(str(folder / HASHES), "file names with bytes and sha256", came, do))
+            raise error(
+                expected(str(folder / HASHES), "file names with bytes and sha256", came, do)
+            )
     return entries
 
 
@@ -121,7 +127,9 @@ def _is_loaded(name: str) -> bool:
 
 
 def differences(
-    wanted: Mapping[str, Sequence[Entry]], files: Mapping[str, Path], by_size: Callable[[Path], bool] | None = None
+    wanted: Mapping[str, Sequence[Entry]],
+    files: Mapping[str, Path],
+    by_size: Callable[[Path], bool] | None = None,
 ) -> list[tuple[str, str]]:
     """Return the name of each file that is not as it was saved, and what it is instead.
 
@@ -138,10 +146,14 @@ def differences(
             return f"unreadable: {error}"
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return [(name, came) for name, came in zip(wanted, pool.map(look, wanted), strict=True) if came]
+        return [
+            (name, came) for name, came in zip(wanted, pool.map(look, wanted), strict=True) if came
+        ]
 
 
-def _difference(path: Path | None, accepted: Sequence[Entry], by_size: Callable[[Path], bool] | None) -> str:
+def _difference(
+    path: Path | None, accepted: Sequence[Entry], by_size: Callable[[Path], bool] | None
+) -> str:
     if path is None:
         return "none"
     sizes = [entry["bytes"] for entry in accepted]
@@ -169,7 +181,12 @@ def _header(card: Path) -> bytes:
 
 def _is_entry(name: str, entry: Any) -> bool:
     parts = Path(name).parts
-    inside = bool(parts) and name == str(Path(*parts)) and ".." not in parts and not Path(name).is_absolute()
+    inside = (
+        bool(parts)
+        and name == str(Path(*parts))
+        and ".." not in parts
+        and not Path(name).is_absolute()
+    )
     known = isinstance(entry, dict) and entry.keys() - {"episode"} == {"bytes", "sha256"}
     kinds = (("bytes", int), ("sha256", str), ("episode", int))
     typed = known and all(type(entry[key]) is kind for key, kind in kinds if key in entry)

@@ -13,9 +13,11 @@ from typing import Protocol
 from uniforce_vtla.errors import RobotError, SensorError, expected
 
 log = logging.getLogger(__name__)
-GRACE_s = 0.5  # a command may take its travel at the set speed and this much more: the hand begins slowly
+# a command may take its travel at the set speed and this much more: the hand begins slowly
+GRACE_s = 0.5
 LOST_s = 0.3  # three readings without hold, by the hand's own word: what was grasped counts as lost
-SLIPPED_m = 0.004  # by which fingers close further than a grasp: it slips out, whatever the hand says
+# by which fingers close further than a grasp: it slips out, whatever the hand says
+SLIPPED_m = 0.004
 TRIES = 2  # of a command that did not succeed while its width is still wished
 WIDEST_m = 0.12  # no hand opens so far
 UNHOMED_m = 0.01  # a hand that was never homed gives no larger opening than this
@@ -85,7 +87,9 @@ class HandClient(Protocol):
         """Raise RobotError where the hand has closed the connection."""
 
 
-def next_command(wish_m: float, width_m: float, holds: bool, settings: HandRules) -> HandCommand | None:
+def next_command(
+    wish_m: float, width_m: float, holds: bool, settings: HandRules
+) -> HandCommand | None:
     """Return the command that brings the fingers from a width to a wished one, None where they are there.
 
     Closing by position would press with all the motor has, so every closing is a grasp with a bounded force. Fingers
@@ -105,7 +109,9 @@ def require_open(reading: HandReading, open_width_m: float) -> None:
     if reading.is_grasped or reading.width_m < open_width_m:
         came = "holding something" if reading.is_grasped else f"{reading.width_m * 1000:.0f} mm"
         do = "Open the gripper, then take the references again."
-        raise SensorError(expected("free air", f"fingers ≥ {open_width_m * 1000:.0f} mm apart", came, do))
+        raise SensorError(
+            expected("free air", f"fingers ≥ {open_width_m * 1000:.0f} mm apart", came, do)
+        )
 
 
 class Hand:
@@ -115,7 +121,10 @@ class Hand:
     """
 
     def __init__(
-        self, client: HandClient, settings: HandRules | None = None, clock: Callable[[], float] = time.monotonic
+        self,
+        client: HandClient,
+        settings: HandRules | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.settings = settings or HandRules()
         self.failed_commands = 0
@@ -137,10 +146,16 @@ class Hand:
         self._client.connect()
         self._take_reading()
         if self._reading is None:
-            raise RobotError("hand: expected a first reading, got none. Is the hand initialised?", "hand_connection")
+            raise RobotError(
+                "hand: expected a first reading, got none. Is the hand initialised?",
+                "hand_connection",
+            )
         widest_m = self._reading.max_width_m
         if widest_m < UNHOMED_m:
-            came, do = f"a largest opening of {1000 * widest_m:.0f} mm", "Home the hand in Desk, then connect again."
+            came, do = (
+                f"a largest opening of {1000 * widest_m:.0f} mm",
+                "Home the hand in Desk, then connect again.",
+            )
             raise RobotError(expected("hand", "one that was homed", came, do), "hand_state")
 
     @property
@@ -152,7 +167,9 @@ class Hand:
         if self._fault is not None:
             raise self._fault
         if self._reading is None:
-            raise RobotError("hand: expected start() first, got no reading. Connect the robot.", "ended")
+            raise RobotError(
+                "hand: expected start() first, got no reading. Connect the robot.", "ended"
+            )
         return self._reading
 
     def submit(self, width_m: float) -> None:
@@ -208,7 +225,10 @@ class Hand:
             raise self._fault
         self._client.refuse_closed()
         if self.is_busy and self._clock() > self._deadline_s:
-            came, do = f"an answer to {self._last or 'a stop'}", "Is something in its way? Free it, then connect again."
+            came, do = (
+                f"an answer to {self._last or 'a stop'}",
+                "Is something in its way? Free it, then connect again.",
+            )
             raise RobotError(expected("hand", came, "none in time", do), "hand_deadline")
         held_m, reading = self._held_m, self._reading
         if reading is None:
@@ -220,7 +240,9 @@ class Hand:
             raise RobotError(expected("hand", wanted, f"{age_s:.2f} s", do), "hand_stale")
         if held_m is not None and reading.time_s - self._held_s > LOST_s:
             do = "Put it back into the fingers, then call recover()."
-            raise RobotError(expected("hand", "what was grasped", "nothing any more", do), "grasp_lost")
+            raise RobotError(
+                expected("hand", "what was grasped", "nothing any more", do), "grasp_lost"
+            )
 
     def recover(self) -> None:
         """Forget a lost grasp on an operator's word, begin nothing; raises RobotError: anything else is wrong still."""
@@ -236,7 +258,9 @@ class Hand:
         widths = (reading.width_m, reading.max_width_m)
         if not all(-THINNEST_m <= width <= WIDEST_m for width in widths):  # NaN is not, either
             came, do = f"{widths[0]} of {widths[1]} m", "Home the hand, then connect again."
-            raise RobotError(expected("hand", f"widths of 0 to {WIDEST_m} m", came, do), "hand_state")
+            raise RobotError(
+                expected("hand", f"widths of 0 to {WIDEST_m} m", came, do), "hand_state"
+            )
         if self._holds and reading.is_grasped:
             self._held_m = reading.width_m if self._held_m is None else self._held_m
             if reading.width_m > self._held_m - SLIPPED_m:  # the hand's own word comes late
@@ -258,7 +282,9 @@ class Hand:
         wish_m, reading = self._wished(), self._reading
         if wish_m is None or reading is None:
             return
-        is_same = self._last is not None and abs(wish_m - self._last.width_m) < self.settings.hysteresis_m
+        is_same = (
+            self._last is not None and abs(wish_m - self._last.width_m) < self.settings.hysteresis_m
+        )
         if is_same and (self._succeeded or self._tries >= TRIES):
             return
         # from the width of what is held: fingers that close on nothing lost it, and opening them would hide that

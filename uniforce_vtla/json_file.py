@@ -6,7 +6,8 @@ from typing import Any
 
 from uniforce_vtla.errors import UniForceError, expected
 
-MAX_BYTES = 64 << 20  # a dataset's statistics with pictures in it stay far below; more is no settings file
+# a dataset's statistics with pictures in it stay far below; more is no settings file
+MAX_BYTES = 64 << 20
 
 
 def read_object(path: Path, failure: type[UniForceError]) -> dict[str, Any]:
@@ -16,11 +17,15 @@ def read_object(path: Path, failure: type[UniForceError]) -> dict[str, Any]:
     """
     try:
         if path.stat().st_size > MAX_BYTES:
-            raise failure(expected(str(path), f"at most {MAX_BYTES} bytes", "more", "Is this the right file?"))
+            raise failure(
+                expected(str(path), f"at most {MAX_BYTES} bytes", "more", "Is this the right file?")
+            )
         content = json.loads(path.read_bytes())
     except (ValueError, RecursionError, OSError) as error:
         do = "It is cut or damaged: restore it from a copy."
         raise failure(expected(str(path), "JSON", repr(error)[:200], do)) from error
     if not isinstance(content, dict):
-        raise failure(expected(str(path), "a JSON object", type(content).__name__, "Restore it from a copy."))
+        raise failure(
+            expected(str(path), "a JSON object", type(content).__name__, "Restore it from a copy.")
+        )
     return content

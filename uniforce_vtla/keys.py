@@ -11,7 +11,8 @@ ACTION = "action"
 TASK = "task"
 
 CAMERAS = ("front", "wrist")
-AXES = ("x.pos", "y.pos", "z.pos", "yaw.pos", "width.pos")  # m, m, m, rad, m in the robot base frame
+# m, m, m, rad, m in the robot base frame
+AXES = ("x.pos", "y.pos", "z.pos", "yaw.pos", "width.pos")
 SLOTS = ("touch0", "touch1")
 
 VIEW_MARKER = "uniforce_view.json"  # written last: a folder with it is a whole training view
@@ -105,7 +106,8 @@ PAIR_VELOCITY = "pair.velocity"  # (3,) m/s of the hand in its own frame, x = cl
 PAIR_ACCELERATION = "pair.acceleration"  # (3,) m/s² of the hand in its own frame
 PAIR_GRIP = "pair.grip"  # N, the gripper's own estimate
 PAIR_INDENTER = "pair.indenter"  # index into the recording's indenters
-PAIR_SESSION = "pair.session"  # counts reference captures: pairs of one number share their references
+# counts reference captures: pairs of one number share their references
+PAIR_SESSION = "pair.session"
 
 
 def pair_force_key(finger: Finger) -> str:
@@ -127,11 +129,29 @@ REQUESTED = "provenance.requested"
 # Why an episode was aborted. Append only: datasets store the index.
 ABORT_CAUSES = (
     "none",
-    *(f"{how}_{what}" for what in ("camera", "touch") for how in ("lost", "stale", "frozen", "bad")),
-    *(f"robot_{fault}" for fault in ("connection", "version", "reflex", "user_stop", "guiding", "action", "stale")),
-    *("robot_ended", "robot_backend", "robot_other", "teleop", "disk_full", "storage", "dropped_frame"),
+    *(
+        f"{how}_{what}"
+        for what in ("camera", "touch")
+        for how in ("lost", "stale", "frozen", "bad")
+    ),
+    *(
+        f"robot_{fault}"
+        for fault in ("connection", "version", "reflex", "user_stop", "guiding", "action", "stale")
+    ),
+    *(
+        "robot_ended",
+        "robot_backend",
+        "robot_other",
+        "teleop",
+        "disk_full",
+        "storage",
+        "dropped_frame",
+    ),
     *("interrupt", "other"),
-    *(f"robot_{fault}" for fault in ("bad_state", "jump", "speed", "force", "frozen", "guard", "sensor")),
+    *(
+        f"robot_{fault}"
+        for fault in ("bad_state", "jump", "speed", "force", "frozen", "guard", "sensor")
+    ),
     *(f"robot_{fault}" for fault in ("communication", "discontinuity", "limit")),
     *(f"robot_hand_{fault}" for fault in ("connection", "stale", "deadline", "state")),
     *("robot_grasp_lost", "late", "robot_tilt", "robot_frame"),

@@ -25,19 +25,29 @@ class Range:
 
     def __str__(self) -> str:
         high = f"{self.high:,.12g}"
-        return f"above {self.low:,.12g}, at most {high}" if self.above else f"{self.low:,.12g} … {high}"
+        return (
+            f"above {self.low:,.12g}, at most {high}"
+            if self.above
+            else f"{self.low:,.12g} … {high}"
+        )
 
     def holds(self, value: Any) -> bool:
         """Return whether a value is a finite number inside."""
         is_number = isinstance(value, Real) and not isinstance(value, bool)
         # a NaN is not between two numbers, either
-        return is_number and bool(self.low <= value <= self.high) and not (self.above and value == self.low)
+        return (
+            is_number
+            and bool(self.low <= value <= self.high)
+            and not (self.above and value == self.low)
+        )
 
     def check(self, name: str, value: Any) -> None:
         """Raise ContractError for a number outside; of a list, for each."""
         for number in value if isinstance(value, list | tuple) else [value]:
             if not self.holds(number):
-                raise ContractError(expected(name, str(self), number, "Give a number of this range."))
+                raise ContractError(
+                    expected(name, str(self), number, "Give a number of this range.")
+                )
 
 
 @dataclass(frozen=True)
@@ -53,7 +63,11 @@ class Names:
     def check(self, name: str, value: str | list[str]) -> None:
         """Raise ContractError for a name that isn't known."""
         words = split(value) if self.many and isinstance(value, str) else value
-        unknown = [word for word in ([words] if isinstance(words, str) else words) if word not in self.known]
+        unknown = [
+            word
+            for word in ([words] if isinstance(words, str) else words)
+            if word not in self.known
+        ]
         if unknown and value:
             raise ContractError(expected(name, str(self), ", ".join(unknown), "Choose of these."))
 
@@ -72,7 +86,9 @@ class Pattern:
     def check(self, name: str, value: str) -> None:
         """Raise ContractError for another form."""
         if value and not re.fullmatch(self.regex, value):
-            raise ContractError(expected(name, self.form, shortened(value), f"Write it like {self.example}."))
+            raise ContractError(
+                expected(name, self.form, shortened(value), f"Write it like {self.example}.")
+            )
 
 
 @dataclass(frozen=True)
@@ -95,12 +111,17 @@ def absolute(path: str | Path) -> Path:
     try:
         return Path(path).expanduser().absolute()
     except (RuntimeError, OSError) as error:  # OSError: the current folder was deleted
-        raise ContractError(expected(str(path), "a folder that leads somewhere", error, "Name another.")) from error
+        raise ContractError(
+            expected(str(path), "a folder that leads somewhere", error, "Name another.")
+        ) from error
 
 
 def at_home(text: str) -> str:
     """Return a path, or several with commas between, with ``~`` replaced by the home folder; the rest as it came."""
-    return ",".join(str(absolute(word.strip())) if word.strip().startswith("~") else word for word in text.split(","))
+    return ",".join(
+        str(absolute(word.strip())) if word.strip().startswith("~") else word
+        for word in text.split(",")
+    )
 
 
 @dataclass(frozen=True)
@@ -108,7 +129,8 @@ class Existing:
     """A file or folder that must be there; ``many``: several, commas between."""
 
     what: str  # what it is called in an error
-    marker: str = ""  # file that the folder must hold; empty = the path is a file itself, ``.`` = any folder
+    # file that the folder must hold; empty = the path is a file itself, ``.`` = any folder
+    marker: str = ""
     words: tuple[str, ...] = ()  # names that stand for something else than a path
     many: bool = False
     hub: bool = False  # whether a hub id (``name/model``) will do
@@ -127,7 +149,11 @@ class Existing:
         with named_path(name, str(self)):
             if self.hub and not path.exists():
                 return re.fullmatch(r"[\w-][\w.-]*/[\w-][\w.-]*", word) is not None
-            return (path / self.marker).is_dir() if self.marker == "." else (path / self.marker).is_file()
+            return (
+                (path / self.marker).is_dir()
+                if self.marker == "."
+                else (path / self.marker).is_file()
+            )
 
 
 @dataclass(frozen=True)
@@ -158,7 +184,9 @@ def named_path(name: str, wanted: str) -> Iterator[None]:
     except (OSError, ValueError) as error:  # ValueError: a zero byte in a path
         reason = shortened(getattr(error, "strerror", None) or str(error))
         path = shortened(str(getattr(error, "filename", None) or ""))
-        raise ContractError(expected(name, wanted, f"{reason} ({path})", "Name one that can be used.")) from error
+        raise ContractError(
+            expected(name, wanted, f"{reason} ({path})", "Name one that can be used.")
+        ) from error
 
 
 def try_to_write(folder: Path) -> None:
@@ -191,7 +219,11 @@ def check_text(name: str, value: str) -> None:
         came = f"{len(value):,} characters"
         raise ContractError(expected(name, f"at most {LONGEST:,} characters", came, "Shorten it."))
     if not all(letter.isprintable() for letter in value):
-        raise ContractError(expected(name, "printable text", shortened(repr(value)), "Leave out control characters."))
+        raise ContractError(
+            expected(
+                name, "printable text", shortened(repr(value)), "Leave out control characters."
+            )
+        )
 
 
 Count = Annotated[int, Range(1, 10_000_000)]
@@ -207,9 +239,15 @@ Positive = Annotated[float, Range(0, 1e6, above=True)]
 NotNegative = Annotated[float, Range(0, 1e6)]
 Text = Annotated[str, Plain()]
 Texts = Annotated[list[str], Plain()]
-FileName = Annotated[str, Pattern("a name without slashes", r"[\w+()×-][\w+()×. -]{0,99}", "my_table.json")]
-HubName = Annotated[str, Pattern("name/model", r"[\w-][\w.-]{0,95}/[\w-][\w.-]{0,95}", "your-name/wiping")]
-Slots = Annotated[str, Pattern("slot:finger pairs", r"\w+:(left|right)(,\s*\w+:(left|right))*", "touch0:left")]
+FileName = Annotated[
+    str, Pattern("a name without slashes", r"[\w+()×-][\w+()×. -]{0,99}", "my_table.json")
+]
+HubName = Annotated[
+    str, Pattern("name/model", r"[\w-][\w.-]{0,95}/[\w-][\w.-]{0,95}", "your-name/wiping")
+]
+Slots = Annotated[
+    str, Pattern("slot:finger pairs", r"\w+:(left|right)(,\s*\w+:(left|right))*", "touch0:left")
+]
 Numbers = Annotated[str, Pattern("numbers", r"-?\d*\.?\d+(\s*,\s*-?\d*\.?\d+)*", "0.6,0.7")]
 FilePath = Annotated[str, Existing("a file")]
 FolderPath = Annotated[str, Existing("a folder", ".")]
@@ -217,7 +255,11 @@ FolderPaths = Annotated[str, Existing("folders", ".", many=True)]
 Dataset = Annotated[str, Existing("a recorded dataset's folder", "meta/info.json")]
 Datasets = Annotated[str, Existing("recorded datasets' folders", "meta/info.json", many=True)]
 View = Annotated[str, Existing("a training view's folder", VIEW_MARKER)]
-TokenizerFolder = Annotated[str, Existing("a tokenizer's folder", "config.json", words=("small", "nano"))]
-Policies = Annotated[str, Existing("checkpoints' folders", "config.json", words=("shipped", "expert"), many=True)]
+TokenizerFolder = Annotated[
+    str, Existing("a tokenizer's folder", "config.json", words=("small", "nano"))
+]
+Policies = Annotated[
+    str, Existing("checkpoints' folders", "config.json", words=("shipped", "expert"), many=True)
+]
 OutFolder = Annotated[str, Writable()]
 OutFile = Annotated[str, Writable(folder=False)]

@@ -61,7 +61,9 @@ def _checkout() -> tuple[str | None, bool | None]:
 
 def _git(*words: str) -> str:
     call = ["git", "-C", str(SOURCES), *words]
-    return subprocess.run(call, capture_output=True, text=True, check=True, timeout=GIT_s).stdout.strip()
+    return subprocess.run(
+        call, capture_output=True, text=True, check=True, timeout=GIT_s
+    ).stdout.strip()
 
 
 def _device() -> str:
@@ -107,7 +109,9 @@ def only_writer(path: Path) -> FileLock:
         held.acquire(timeout=0)
     except Timeout as error:
         do = "Wait until it ends, or give another folder."
-        raise ContractError(expected(f"who writes {path}", "this process alone", "another one too", do)) from error
+        raise ContractError(
+            expected(f"who writes {path}", "this process alone", "another one too", do)
+        ) from error
     return held
 
 

@@ -29,7 +29,8 @@ class LastingText(io.TextIOBase):
             self._out.flush()
         except OSError:
             null = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(null, self._out.fileno())  # for what is still buffered, and for everybody else's words
+            # for what is still buffered, and for everybody else's words
+            os.dup2(null, self._out.fileno())
             os.close(null)
         return len(text)
 

@@ -18,7 +18,9 @@ class Pictures:
     reference: np.ndarray  # (n, S, S) uint8
     frames: np.ndarray  # (n, T, S, S) uint8
 
-    def tensors(self, rows: np.ndarray | slice, frames: slice = slice(None)) -> tuple[torch.Tensor, torch.Tensor]:
+    def tensors(
+        self, rows: np.ndarray | slice, frames: slice = slice(None)
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return references (B, 1, S, S) and frames (B, F, S, S), float32 in [0, 1]."""
         return _floats(self.reference[rows][:, None]), _floats(self.frames[rows][:, frames])
 
@@ -33,7 +35,9 @@ def pictures(labelled: LabelledSet) -> Pictures:
 def labels(labelled: LabelledSet) -> torch.Tensor:
     """Return a *source* set's forces, (n, T, 3) float32 N; ContractError: a force that isn't finite."""
     if not bool(np.isfinite(labelled.force_N).all()):
-        raise ContractError(expected("forces of the source", "finite", "NaN or inf", "Check the set."))
+        raise ContractError(
+            expected("forces of the source", "finite", "NaN or inf", "Check the set.")
+        )
     return torch.from_numpy(labelled.force_N).float()
 
 
@@ -50,7 +54,8 @@ def fitted_row(table: Table, fit: Fit, seeds: int) -> Cells:
     for source, labelled in table.training.items():
         for seed in range(seeds):
             predict = fit(labelled, seed)
-            for target, shown in table.frozen.items():  # its labels meet the prediction here and nowhere else
+            # its labels meet the prediction here and nowhere else
+            for target, shown in table.frozen.items():
                 found = score(shown.force_N, predict(pictures(shown)))
                 scores.setdefault(transfer_name(source, target), []).append(found)
     return mean_cells(scores)

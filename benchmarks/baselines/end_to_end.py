@@ -81,12 +81,17 @@ def predictor(model: EndToEnd, device: str, batch: int = 8) -> Predictor:
 
 
 def _loss(
-    model: EndToEnd, shown: Pictures, force_N: torch.Tensor, config: EndToEndConfig, rng: np.random.Generator
+    model: EndToEnd,
+    shown: Pictures,
+    force_N: torch.Tensor,
+    config: EndToEndConfig,
+    rng: np.random.Generator,
 ) -> torch.Tensor:
     n, length = shown.frames.shape[:2]
     count = int(rng.integers(1, length + 1))
     start = int(rng.integers(0, length - count + 1))
-    rows = rng.integers(n, size=max(2, config.frames_per_step // count))  # 2: batch norm needs company
+    # 2: batch norm needs company
+    rows = rng.integers(n, size=max(2, config.frames_per_step // count))
     reference, frames = shown.tensors(rows, slice(start, start + count))
     said = model(reference.to(config.device), frames.to(config.device))
     scale = model.head.force_scale
@@ -95,5 +100,8 @@ def _loss(
 
 
 def _groups(model: EndToEnd, config: EndToEndConfig) -> list[dict[str, object]]:
-    rates = {model.encoder: config.learning_rate * config.encoder_rate, model.head: config.learning_rate}
+    rates = {
+        model.encoder: config.learning_rate * config.encoder_rate,
+        model.head: config.learning_rate,
+    }
     return [{"params": list(part.parameters()), "lr": rate} for part, rate in rates.items()]

@@ -33,16 +33,28 @@ class TokenizerEncoder(nn.Module):
         return pool_latent(z, POOL).unflatten(0, frames.shape[:2])
 
 
-def finetuned_row(table: Table, tokenizer: Tokenizer, seeds: int, config: EndToEndConfig = TOGETHER) -> Cells:
+def finetuned_row(
+    table: Table, tokenizer: Tokenizer, seeds: int, config: EndToEndConfig = TOGETHER
+) -> Cells:
     """Return the row of encoders fine-tuned on each source sensor; ``tokenizer`` itself stays as it is."""
-    return fitted_row(table, lambda source, seed: fit_finetuned(source, tokenizer, table.head, config, seed), seeds)
+    return fitted_row(
+        table,
+        lambda source, seed: fit_finetuned(source, tokenizer, table.head, config, seed),
+        seeds,
+    )
 
 
 def fit_finetuned(
-    source: LabelledSet, tokenizer: Tokenizer, head: HeadTrainingConfig, config: EndToEndConfig, seed: int
+    source: LabelledSet,
+    tokenizer: Tokenizer,
+    head: HeadTrainingConfig,
+    config: EndToEndConfig,
+    seed: int,
 ) -> Predictor:
     """Return a predictor: head on frozen latents first, then both together."""
     z = encode_set(tokenizer, source)
-    model = EndToEnd(TokenizerEncoder(tokenizer), train_head(z, source.force_N, sized_head(head, z, POOL), seed))
+    model = EndToEnd(
+        TokenizerEncoder(tokenizer), train_head(z, source.force_N, sized_head(head, z, POOL), seed)
+    )
     train_end_to_end(model, pictures(source), labels(source), config, seed)
     return predictor(model, config.device)

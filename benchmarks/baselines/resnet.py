@@ -20,7 +20,8 @@ class ResNetConfig:
     """Sizes and training; ResNet-18's plan at a quarter of its width, so that a CPU can train nine of them."""
 
     width: int = 16  # channels of the first stage; ResNet-18 has 64
-    blocks: tuple[int, ...] = (2, 2, 2, 2)  # per stage; channels double and sides halve from stage to stage
+    # per stage; channels double and sides halve from stage to stage
+    blocks: tuple[int, ...] = (2, 2, 2, 2)
     training: EndToEndConfig = field(default_factory=EndToEndConfig)
 
 
@@ -38,7 +39,9 @@ class BasicBlock(nn.Module):
         )
         self.skip: nn.Module = nn.Identity()
         if stride != 1 or inputs != outputs:
-            self.skip = nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride, bias=False), nn.BatchNorm2d(outputs))
+            self.skip = nn.Sequential(
+                nn.Conv2d(inputs, outputs, 1, stride, bias=False), nn.BatchNorm2d(outputs)
+            )
 
     def forward(self, maps: torch.Tensor) -> torch.Tensor:
         """Return (B, outputs, H / stride, W / stride)."""
@@ -93,5 +96,6 @@ def build_resnet(config: ResNetConfig, side: int, force_N: torch.Tensor, seed: i
         torch.manual_seed(seed)
         encoder = ResNetEncoder(config)
         head = ForceRegressor(HeadConfig(channels=encoder.channels, grid=min(POOL, side // STRIDE)))
-    head.force_scale.copy_(force_N.flatten(0, 1).std(dim=0).clamp_min(1e-3))  # N; a flat axis must not divide
+    # N; a flat axis must not divide
+    head.force_scale.copy_(force_N.flatten(0, 1).std(dim=0).clamp_min(1e-3))
     return EndToEnd(encoder, head)

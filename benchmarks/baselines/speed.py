@@ -45,15 +45,24 @@ class T3Encoder(nn.Module):
         """Return (B, POOL², D) of grey images (B, S, S) in [0, 1]: resized, cropped, the tokens pooled as ours are."""
         side = self.config.image_size
         larger = round(RESIZE * side)
-        rgb = F.interpolate(images[:, None], (larger, larger), mode="bilinear", antialias=True).expand(-1, 3, -1, -1)
+        rgb = F.interpolate(
+            images[:, None], (larger, larger), mode="bilinear", antialias=True
+        ).expand(-1, 3, -1, -1)
         start = (larger - side) // 2
         inner = slice(start, start + side)
-        return F.adaptive_avg_pool2d(self.token_map(rgb[..., inner, inner]), POOL).flatten(2).transpose(1, 2)
+        return (
+            F.adaptive_avg_pool2d(self.token_map(rgb[..., inner, inner]), POOL)
+            .flatten(2)
+            .transpose(1, 2)
+        )
 
 
 @torch.no_grad()
 def speed_report(
-    tokenizer: Tokenizer, published: dict[str, T3Encoder] | None = None, rounds: int = 5, ours_per_round: int = 10
+    tokenizer: Tokenizer,
+    published: dict[str, T3Encoder] | None = None,
+    rounds: int = 5,
+    ours_per_round: int = 10,
 ) -> dict[str, Any]:
     """Return per encoder its size, ``ms_per_frame`` and ``cpu_ms_per_frame``, and both over ours.
 
@@ -65,12 +74,20 @@ def speed_report(
     one_thread()
     pairs = equilibrium_pairs(np.random.default_rng(0), 1, "gelsight", "tactip")
     reference, current = pairs.left_reference[:1], pairs.left_current[:1]
-    turns = {OURS: lambda: len([tokenizer.encode(reference, current) for _ in range(ours_per_round)])}
+    turns = {
+        OURS: lambda: len([tokenizer.encode(reference, current) for _ in range(ours_per_round)])
+    }
     turns |= {name: _turn(encoder.eval(), current) for name, encoder in published.items()}
     taken = in_turns(turns, rounds, per_frame_ms)
-    facts = {OURS: our_size(tokenizer)} | {name: size_facts(encoder) for name, encoder in published.items()}
+    facts = {OURS: our_size(tokenizer)} | {
+        name: size_facts(encoder) for name, encoder in published.items()
+    }
     encoders = {name: facts[name] | _timing(taken, name) for name in turns}
-    return {"what": "one marker image, one CPU thread, medians", "repeats": rounds, "encoders": encoders}
+    return {
+        "what": "one marker image, one CPU thread, medians",
+        "repeats": rounds,
+        "encoders": encoders,
+    }
 
 
 def our_size(tokenizer: Tokenizer) -> dict[str, Any]:

@@ -64,12 +64,17 @@ def main(config: ChartCommand) -> None:
         "scores": scores,
     }
     path = write_json(Path(config.out) / "chart_tokenizer.json", content | provenance())
-    title, score = "tokenizer on finite elements, one core", "zero-shot Fz R², mean and worst transfer"
+    title, score = (
+        "tokenizer on finite elements, one core",
+        "zero-shot Fz R², mean and worst transfer",
+    )
     draw_chart(shown[FINITE_ELEMENTS], path.with_suffix(".png"), title, "ms for two fingers", score)
     for name in SETS:
         for point in shown[name]:
             star = "*" if point.name in best[name] else " "
-            print(f"{star} {name:14} {point.name:18} {point.cost:6.2f} ms  R² {point.score:.3f}  worst {point.low:.3f}")
+            print(
+                f"{star} {name:14} {point.name:18} {point.cost:6.2f} ms  R² {point.score:.3f}  worst {point.low:.3f}"
+            )
     print(f"* on the front; written to {path}")
 
 

@@ -59,11 +59,15 @@ def images_per_s(sensors: dict[str, VirtualSensor], rounds: int) -> dict[str, fl
         calls, spent = repeated(call, TIMED_s)
         return BATCH * calls / spent
 
-    taken = in_turns({name: drawing(simulator) for name, simulator in simulators.items()}, rounds, rate)
+    taken = in_turns(
+        {name: drawing(simulator) for name, simulator in simulators.items()}, rounds, rate
+    )
     return {name: median(rates) for name, rates in taken.items()}
 
 
-def points(sensor: VirtualSensor, contacts: list[Contact], rounds: int) -> tuple[list[Point], dict[str, Any]]:
+def points(
+    sensor: VirtualSensor, contacts: list[Contact], rounds: int
+) -> tuple[list[Point], dict[str, Any]]:
     """Return a point per size of cells, and all that was compared.
 
     A point's score is what the motion of markers has in common with finite elements, 1 less the median relative
@@ -92,7 +96,9 @@ def main(config: ContactChartCommand) -> None:
         contacts = solve_contacts(np.random.default_rng(config.seed), sensor, config.contacts)
         shown, kept = points(sensor, contacts, config.rounds)
         picture = path.with_name(f"chart_contact_{name}.png")
-        sensors[name] = publish(shown, picture, f"{name}, simulated", cost, score) | {"compared": kept}
+        sensors[name] = publish(shown, picture, f"{name}, simulated", cost, score) | {
+            "compared": kept
+        }
     content = {"family": "contact", "sensors": sensors} | provenance()
     print(f"* on the front; written to {write_json(path, content)}")
 

@@ -17,7 +17,13 @@ from tqdm import tqdm
 
 from benchmarks.charts.front import Point, publish
 from benchmarks.ledger import update
-from benchmarks.pretraining_choices import CHOICES, PretrainingChoicesCommand, frozen_facts, measure, pretrained
+from benchmarks.pretraining_choices import (
+    CHOICES,
+    PretrainingChoicesCommand,
+    frozen_facts,
+    measure,
+    pretrained,
+)
 from uniforce_cli.boundary import command, one_thread
 from uniforce_cli.score import score_arms
 from uniforce_cli.score_settings import ScoreConfig
@@ -28,7 +34,8 @@ from uniforce_vtla.options import Count, Numbers, OutFolder, Seed, View, Workers
 from uniforce_vtla.results_file import write_json
 from uniforce_vtla.tokenizer.pair_cache import rigs
 
-SHIPPED_CHOICE = "latent's own unit"  # of pretraining_choices: how the shipped tokenizer's latents agree
+# of pretraining_choices: how the shipped tokenizer's latents agree
+SHIPPED_CHOICE = "latent's own unit"
 SHIPPED_DEMOS = 50
 RECIPE = (
     "policy=pi05_uniforce",
@@ -58,7 +65,8 @@ class DataChartCommand:
     workers: Workers = 2  # that roll out
     units: Numbers = "64,128,256,512"  # per rig, for each of which a tokenizer is pretrained
     tokenizer_steps: Count = 1000
-    out: OutFolder = "outputs/chart_data"  # demos_10/, units_64/, chart_data.json and a picture per part
+    # demos_10/, units_64/, chart_data.json and a picture per part
+    out: OutFolder = "outputs/chart_data"
 
 
 def chosen(episodes: Sequence[dict[str, Any]], count: int) -> list[int]:
@@ -78,7 +86,12 @@ def policy_of(config: DataChartCommand, episodes: list[int]) -> tuple[Path, floa
     checkpoint, took = folder / "checkpoints" / "last" / "pretrained_model", folder / "took.json"
     if not took.is_file():
         begun = time.monotonic()
-        settings = [*RECIPE, f"dataset.root={config.view}", f"dataset.episodes={episodes}", f"steps={config.steps}"]
+        settings = [
+            *RECIPE,
+            f"dataset.root={config.view}",
+            f"dataset.episodes={episodes}",
+            f"steps={config.steps}",
+        ]
         settings += [f"output_dir={folder}"]
         if checkpoint.is_dir():  # a killed run left it
             settings = ["resume=true", f"config_path={checkpoint / 'train_config.json'}"]
@@ -90,10 +103,14 @@ def policy_of(config: DataChartCommand, episodes: list[int]) -> tuple[Path, floa
 def demo_points(config: DataChartCommand) -> tuple[list[Point], dict[str, Any]]:
     """Return a point per number of demonstrations, over their minutes, and what else is worth keeping."""
     if not config.view:
-        raise ContractError(expected("view", "a training view's folder", "none", "Make one with uniforce view."))
+        raise ContractError(
+            expected("view", "a training view's folder", "none", "Make one with uniforce view.")
+        )
     facts = read_marker(Path(config.view))
     parts = [chosen(facts["episodes"], int(count)) for count in split(config.demos)]
-    minutes = [sum(facts["episodes"][k]["length"] for k in part) / facts["fps"] / 60 for part in parts]
+    minutes = [
+        sum(facts["episodes"][k]["length"] for k in part) / facts["fps"] / 60 for part in parts
+    ]
     trained = [policy_of(config, part) for part in tqdm(parts, desc="policies")]
     arms = [
         ScoreConfig(policy=str(checkpoint), arm=f"{len(part)} demos", rollouts=config.rollouts,
@@ -101,7 +118,9 @@ def demo_points(config: DataChartCommand) -> tuple[list[Point], dict[str, Any]]:
         for (checkpoint, _), part in zip(trained, parts, strict=True)
     ]  # fmt: skip
     points, kept = [], {}
-    for report, part, cost, (_, hours) in zip(score_arms(arms, config.workers), parts, minutes, trained, strict=True):
+    for report, part, cost, (_, hours) in zip(
+        score_arms(arms, config.workers), parts, minutes, trained, strict=True
+    ):
         clean = wilson(report.count("clean"), report.n)
         share, default = clean.k / clean.n, len(part) == SHIPPED_DEMOS
         points.append(Point(report.arm, cost, share, clean.low, clean.high, default))
@@ -120,7 +139,9 @@ def pair_points(config: DataChartCommand) -> tuple[list[Point], dict[str, Any]]:
         row = measure(run, pretrained(run, SHIPPED_CHOICE, seed=0), 0, [], frozen_facts(run))
         data = replace(CHOICES[SHIPPED_CHOICE][0], units=units)
         pairs = len(rigs(data)) * units * data.pairs_per_unit
-        points.append(Point(f"{units} units", pairs, row["fz_r2"], row["fz_r2_worst"], row["fz_r2"]))
+        points.append(
+            Point(f"{units} units", pairs, row["fz_r2"], row["fz_r2_worst"], row["fz_r2"])
+        )
         kept[f"{units} units"] = row
     return points, kept
 
@@ -136,7 +157,9 @@ def main(config: DataChartCommand) -> None:
         else ("pairs drawn", "zero-shot Fz R² on fe_dev_v1, mean and worst transfer")
     )
     path = Path(config.out) / "chart_data.json"
-    content = publish(points, path.with_name(f"chart_data_{config.part}.png"), "simulated", cost, score)
+    content = publish(
+        points, path.with_name(f"chart_data_{config.part}.png"), "simulated", cost, score
+    )
     print(f"* on the front; written to {update(path, config.part, content | {'rows': kept})}")
 
 

@@ -34,28 +34,54 @@ def _beats(other: Point, one: Point) -> bool:
     return no_worse and (other.cost < one.cost or other.score > one.score + TIE)
 
 
-def publish(points: Sequence[Point], path: Path, title: str, cost: str, score: str) -> dict[str, Any]:
+def publish(
+    points: Sequence[Point], path: Path, title: str, cost: str, score: str
+) -> dict[str, Any]:
     """Draw the chart into ``path`` and print its points, a star on the front; return what a result file says of it."""
     draw_chart(points, path, title, cost, score)
     best = front(points)
     for point in points:
         star = "*" if point.name in best else " "
-        print(f"{star} {point.name:10} {point.cost:8.2f} {cost}: {point.score:.3f} [{point.low:.3f}, {point.high:.3f}]")
-    return {"cost": cost, "score": score, "points": [asdict(point) for point in points], "pareto_front": best}
+        print(
+            f"{star} {point.name:10} {point.cost:8.2f} {cost}: {point.score:.3f} [{point.low:.3f}, {point.high:.3f}]"
+        )
+    return {
+        "cost": cost,
+        "score": score,
+        "points": [asdict(point) for point in points],
+        "pareto_front": best,
+    }
 
 
 def draw_chart(points: Sequence[Point], path: Path, title: str, cost: str, score: str) -> Path:
     """Draw points with their spans over cost, the front as a line and the default filled; return ``path``."""
     figure = Figure(figsize=(7, 4.5), layout="constrained")
     plot = figure.subplots()
-    best = sorted((point for point in points if point.name in front(points)), key=lambda point: point.cost)
-    plot.plot([p.cost for p in best], [p.score for p in best], color="0.7", zorder=0, label="Pareto front")
+    best = sorted(
+        (point for point in points if point.name in front(points)), key=lambda point: point.cost
+    )
+    plot.plot(
+        [p.cost for p in best], [p.score for p in best], color="0.7", zorder=0, label="Pareto front"
+    )
     for point in points:
         span = [[point.score - point.low], [point.high - point.score]]
         fill = "C0" if point.default else "white"
-        plot.errorbar(point.cost, point.score, yerr=span, marker="o", color="C0", markerfacecolor=fill, capsize=2)
+        plot.errorbar(
+            point.cost,
+            point.score,
+            yerr=span,
+            marker="o",
+            color="C0",
+            markerfacecolor=fill,
+            capsize=2,
+        )
         plot.annotate(
-            point.name, (point.cost, point.score), xytext=(3, 4), textcoords="offset points", fontsize=8, rotation=40
+            point.name,
+            (point.cost, point.score),
+            xytext=(3, 4),
+            textcoords="offset points",
+            fontsize=8,
+            rotation=40,
         )
     plot.set(title=title, xlabel=cost, ylabel=score, xscale="log")
     plot.grid(alpha=0.3)

@@ -37,7 +37,8 @@ class PolicyChartCommand:
     rollouts: Count = 24  # scenes
     first_seed: Seed = 20_000  # development
     workers: Workers = 2
-    out: OutFolder = "outputs/chart_policy"  # checkpoints, rows, chart_policy.json and .png; run it again to go on
+    # checkpoints, rows, chart_policy.json and .png; run it again to go on
+    out: OutFolder = "outputs/chart_policy"
 
 
 def executing(checkpoint: Path, steps: int, folder: Path) -> Path:
@@ -52,7 +53,9 @@ def executing(checkpoint: Path, steps: int, folder: Path) -> Path:
 
 def configured(config: PolicyChartCommand, steps: int) -> ScoreConfig:
     """Return how the checkpoints are scored that execute so many steps."""
-    sources = [shipped_checkpoint() if name == "shipped" else Path(name) for name in split(config.policy)]
+    sources = [
+        shipped_checkpoint() if name == "shipped" else Path(name) for name in split(config.policy)
+    ]
     folders = [
         executing(source, steps, Path(config.out) / "checkpoints" / f"{number}_{steps}")
         for number, source in enumerate(sources)
@@ -72,7 +75,14 @@ def point(report: ArmReport, steps: int, default: int) -> Point:
     """Return a point of the chart; a call of the policy is shared by the steps that it gives."""
     interval = wilson(sum(row.clean for row in report.rows), len(report.rows))
     cost = median(row.think_p50_ms for row in report.rows) / steps
-    return Point(f"{steps} of 16", cost, interval.k / interval.n, interval.low, interval.high, steps == default)
+    return Point(
+        f"{steps} of 16",
+        cost,
+        interval.k / interval.n,
+        interval.low,
+        interval.high,
+        steps == default,
+    )
 
 
 @command(PolicyChartCommand)
@@ -81,9 +91,14 @@ def main(config: PolicyChartCommand) -> None:
     reports = score_arms([configured(config, steps) for steps in EXECUTED], config.workers)
     first = shipped_checkpoint() if config.policy == "shipped" else Path(split(config.policy)[0])
     default = json.loads((first / "config.json").read_text())["n_action_steps"]
-    points = [point(report, steps, default) for report, steps in zip(reports, EXECUTED, strict=True)]
+    points = [
+        point(report, steps, default) for report, steps in zip(reports, EXECUTED, strict=True)
+    ]
     path, title = Path(config.out) / "chart_policy.json", "steps executed of a chunk, simulated"
-    cost, score = f"ms of one core per control step of {CONTROL_ms:.0f} ms", "clean, development scenes, 95 % interval"
+    cost, score = (
+        f"ms of one core per control step of {CONTROL_ms:.0f} ms",
+        "clean, development scenes, 95 % interval",
+    )
     content = {"family": "policy"} | publish(points, path.with_suffix(".png"), title, cost, score)
     content["rows"] = {report.arm: report.as_dict() for report in reports}
     print(f"* on the front; written to {write_json(path, content | provenance())}")

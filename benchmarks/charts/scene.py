@@ -59,15 +59,24 @@ def points(settings: list[dict[str, Any]], clean: dict[str, dict[str, Any]]) -> 
 def pressed(settings: list[dict[str, Any]]) -> dict[str, list[float]]:
     """Return time step → its presses over those of the finest, at three depths."""
     finest = np.array(settings[-1]["press_N"])
-    return {hertz(one["substeps"]): (np.array(one["press_N"]) / finest).round(4).tolist() for one in settings}
+    return {
+        hertz(one["substeps"]): (np.array(one["press_N"]) / finest).round(4).tolist()
+        for one in settings
+    }
 
 
 def roll(config: SceneChartCommand) -> list[dict[str, Any]]:
     """Return a row per time step, arm and scene; those of an earlier run are kept."""
     policies = tuple(split(config.policy))
-    arms = Arm("expert", acts="expert"), Arm("V+T", policies=policies), Arm("V", policies=policies, masked=True)
+    arms = (
+        Arm("expert", acts="expert"),
+        Arm("V+T", policies=policies),
+        Arm("V", policies=policies, masked=True),
+    )
     first, steps, episodes = config.first_seed, [int(n) for n in split(config.substeps)], []
-    for seed, arm, substeps in itertools.product(range(first, first + config.rollouts), arms, steps):
+    for seed, arm, substeps in itertools.product(
+        range(first, first + config.rollouts), arms, steps
+    ):
         cell, physics = f"{arm.name}, {hertz(substeps)}", Disturbance(substeps=substeps)
         job = delayed(disturbed)(arm, config.level, arm.sensor, physics, cell, seed, first)
         episodes.append((cell, seed, job))
@@ -88,13 +97,22 @@ def main(config: SceneChartCommand) -> None:
     """Entry of ``python -m benchmarks.charts.scene``."""
     settings = solvers([SolverSettings(n) for n in SUBSTEPS], config.repeats)["settings"]
     clean = ranked(roll(config))
-    shown, cost, score = points(settings, clean), "ms of a core per simulated second", "clean wipes of V+T"
-    path, title = Path(config.out) / "chart_scene.json", "time step of the scene, simulated, no pictures"
+    shown, cost, score = (
+        points(settings, clean),
+        "ms of a core per simulated second",
+        "clean wipes of V+T",
+    )
+    path, title = (
+        Path(config.out) / "chart_scene.json",
+        "time step of the scene, simulated, no pictures",
+    )
     content = {"family": "scene"} | publish(shown, path.with_suffix(".png"), title, cost, score)
     content |= {"level": config.level, "clean": clean, "press_over_finest": pressed(settings)}
     content["seeds"] = [config.first_seed, config.first_seed + config.rollouts - 1]
     for cell, share in clean.items():
-        print(f"{cell:18} clean {share['k']} of {share['n']} [{share['low']:.2f}, {share['high']:.2f}]")
+        print(
+            f"{cell:18} clean {share['k']} of {share['n']} [{share['low']:.2f}, {share['high']:.2f}]"
+        )
     print(f"* on the front; written to {write_json(path, content | provenance())}")
 
 

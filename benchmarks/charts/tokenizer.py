@@ -37,7 +37,9 @@ def running_in(tokenizer: Tokenizer, precision: str) -> Iterator[Tokenizer]:
     if precision == "int8":
         with warnings.catch_warnings():  # torch moves this to torchao, which is one dependency more
             warnings.simplefilter("ignore", DeprecationWarning)
-            rounded = torch.ao.quantization.quantize_dynamic(copy.deepcopy(whole), {nn.Linear}, dtype=torch.qint8)
+            rounded = torch.ao.quantization.quantize_dynamic(
+                copy.deepcopy(whole), {nn.Linear}, dtype=torch.qint8
+            )
         tokenizer.model.encoder = rounded
     try:
         with torch.autocast("cpu", torch.bfloat16, enabled=precision == "bfloat16"):
@@ -51,13 +53,19 @@ def latencies_ms(labelled: LabelledSet, rounds: int) -> dict[str, float]:
     calls: dict[str, Callable[[], None]] = {}
     for size in SIZES:
         for precision in PRECISIONS:
-            calls[name_of(size, precision)] = _looks(Tokenizer.from_pretrained(size), precision, labelled)
-        calls[f"{size}, no cache"] = _looks(Tokenizer.from_pretrained(size), "float32", labelled, cached=False)
+            calls[name_of(size, precision)] = _looks(
+                Tokenizer.from_pretrained(size), precision, labelled
+            )
+        calls[f"{size}, no cache"] = _looks(
+            Tokenizer.from_pretrained(size), "float32", labelled, cached=False
+        )
     taken = in_turns(calls, rounds, _seconds)
     return {name: 1000 * median(times) / CALLS for name, times in taken.items()}
 
 
-def _looks(tokenizer: Tokenizer, precision: str, labelled: LabelledSet, cached: bool = True) -> Callable[[], None]:
+def _looks(
+    tokenizer: Tokenizer, precision: str, labelled: LabelledSet, cached: bool = True
+) -> Callable[[], None]:
     """Return a call that encodes a frame of two fingers ``CALLS`` times."""
     frames = labelled.frames[: CALLS + 1].reshape(-1, *labelled.frames.shape[2:])[: CALLS + 1]
 
@@ -84,13 +92,21 @@ def accuracies(frozen: dict[str, LabelledSet]) -> dict[str, dict[str, Any]]:
     for size in SIZES:
         for precision in PRECISIONS:
             with running_in(Tokenizer.from_pretrained(size), precision) as tokenizer:
-                latents = {name: encode_set(tokenizer, labelled).to(torch.float32) for name, labelled in frozen.items()}
+                latents = {
+                    name: encode_set(tokenizer, labelled).to(torch.float32)
+                    for name, labelled in frozen.items()
+                }
             found[name_of(size, precision)] = _accuracy(latents, size, frozen)
     return found
 
 
-def _accuracy(latents: dict[str, torch.Tensor], size: str, frozen: dict[str, LabelledSet]) -> dict[str, Any]:
+def _accuracy(
+    latents: dict[str, torch.Tensor], size: str, frozen: dict[str, LabelledSet]
+) -> dict[str, Any]:
     pairs = [(source, target) for source in frozen for target in frozen if source != target]
     heads = {source: ForceHead.from_pretrained(source, size) for source in frozen}
-    cells = {transfer_name(a, b): score(frozen[b].force_N, heads[a].sequence(latents[b]).numpy()) for a, b in pairs}
+    cells = {
+        transfer_name(a, b): score(frozen[b].force_N, heads[a].sequence(latents[b]).numpy())
+        for a, b in pairs
+    }
     return summary(cells) | {"cells": {name: cell["r2"] for name, cell in cells.items()}}

@@ -45,7 +45,9 @@ def dome_slope() -> float:
     """Return the TacTip's stiffness in N/mm under a flat face between 3 and 6 N."""
     tactip = as_virtual("tactip")
     face = flat_face_gap(np.zeros((2, 2)), np.full((2, 2), 60.0), np.zeros(2), np.zeros((2, 2)))
-    depth = solve_pressure(build_pad(gel_of(tactip.spec, tactip.material)), face, np.array([3.0, 6.0])).depth_mm
+    depth = solve_pressure(
+        build_pad(gel_of(tactip.spec, tactip.material)), face, np.array([3.0, 6.0])
+    ).depth_mm
     return float(3 / (depth[1] - depth[0]))
 
 
@@ -74,14 +76,23 @@ def measure(contacts: int, seed: int) -> dict[str, Any]:
 
 def compare(sensor: VirtualSensor, n: int, seed: int, friction: float = 1.0) -> dict[str, Any]:
     """Return how well the fast model agrees with ``n`` contacts: correlation, slope, depth error."""
-    return agreement(sensor, solve_contacts(np.random.default_rng(seed), sensor, n, friction=friction), friction)
+    return agreement(
+        sensor, solve_contacts(np.random.default_rng(seed), sensor, n, friction=friction), friction
+    )
 
 
-def agreement(sensor: VirtualSensor, contacts: Sequence[Contact], friction: float = 1.0) -> dict[str, Any]:
+def agreement(
+    sensor: VirtualSensor, contacts: Sequence[Contact], friction: float = 1.0
+) -> dict[str, Any]:
     """Return how well the fast model of a sensor agrees with contacts solved on its finer mesh."""
-    simulator = TactileSimulator(sensor, options=replace(ContactOptions().quiet(), friction=friction))
+    simulator = TactileSimulator(
+        sensor, options=replace(ContactOptions().quiet(), friction=friction)
+    )
     points, scale = sensor.spec.layout_mm, 1 / sensor.material.stiffness
-    fine, fast = (PointMotion(i, points, scale) for i in (influence(fine_gel(sensor)), simulator.pad.influence))
+    fine, fast = (
+        PointMotion(i, points, scale)
+        for i in (influence(fine_gel(sensor)), simulator.pad.influence)
+    )
     rows: dict[str, list[tuple[str, float, float, float, float]]] = {"press": [], "shear": []}
     for contact in contacts:
         for kind, step in (("press", PRESS_STEPS - 1), ("shear", -1)):
@@ -94,7 +105,9 @@ def _agreement(
     contact: Contact, step: int, simulator: TactileSimulator, fine: PointMotion, fast: PointMotion
 ) -> tuple[str, float, float, float, float]:
     cells, every = contact.cells[step], np.arange(len(contact.cells[step].press_N))
-    truth = Traction(every, cells.press_N[None].astype(np.float32), cells.shear_N[None].astype(np.float32))
+    truth = Traction(
+        every, cells.press_N[None].astype(np.float32), cells.shear_N[None].astype(np.float32)
+    )
     force, torsion = contact.force_N[step][None], contact.torsion_Nmm[step][None]
     state = ContactState(contact.gap_mm[None], force, torsion)
     wanted, found = fine(truth)[0, :2].ravel(), fast(simulator.traction(state))[0, :2].ravel()

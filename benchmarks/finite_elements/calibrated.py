@@ -55,15 +55,26 @@ def grasp(unit: Unit, number: int, pairs: int) -> UnitGrasps:
 
 
 def encode(
-    tokenizer: Tokenizer, sensor: VirtualSensor, reference: np.ndarray, images: np.ndarray, right: bool = False
+    tokenizer: Tokenizer,
+    sensor: VirtualSensor,
+    reference: np.ndarray,
+    images: np.ndarray,
+    right: bool = False,
 ) -> Latent:
     """Return pooled latents (n, P, L) of full-size images."""
-    small = [shrink(to_nominal_scale(i, sensor.spec), tokenizer.config.side) for i in (reference[None], images)]
+    small = [
+        shrink(to_nominal_scale(i, sensor.spec), tokenizer.config.side)
+        for i in (reference[None], images)
+    ]
     return pool_latent(tokenizer.encode(*small, "right" if right else "left"), POOL)  # type: ignore[return-value]
 
 
 def calibrate_unit(
-    tokenizer: Tokenizer, head: ForceHead, sensors: tuple[VirtualSensor, VirtualSensor], grasps: UnitGrasps, number: int
+    tokenizer: Tokenizer,
+    head: ForceHead,
+    sensors: tuple[VirtualSensor, VirtualSensor],
+    grasps: UnitGrasps,
+    number: int,
 ) -> Calibration:
     """Return the calibration of unit ``number`` of the first of ``sensors`` against the second, its anchor."""
     sensor, anchor = sensors
@@ -72,7 +83,9 @@ def calibrate_unit(
     new = encode(tokenizer, sensor, grasps.reference, grasps.images)
     known = encode(tokenizer, anchor, other.reference(), seen, right=True)
     numbers = np.arange(len(new)) // len(STEPS)  # the steps of one contact are one grasp
-    return calibrate(new, known, grasps.classes, head, sensor.name, anchor.name, grasps=numbers.tolist())
+    return calibrate(
+        new, known, grasps.classes, head, sensor.name, anchor.name, grasps=numbers.tolist()
+    )
 
 
 def calibrated_cell(

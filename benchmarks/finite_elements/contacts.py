@@ -41,7 +41,9 @@ class _Object:
 
     def gap_mm(self, position_mm: np.ndarray) -> np.ndarray:
         if self.name == FLAT:
-            return flat_gap(self.center_mm, self.size, self.angle_rad, self.tilt_rad, position_mm)[0]
+            return flat_gap(self.center_mm, self.size, self.angle_rad, self.tilt_rad, position_mm)[
+                0
+            ]
         return indenter_gap([self.name], self.center_mm, self.angle_rad, self.size, position_mm)[0]
 
 
@@ -51,12 +53,20 @@ def fine_gel(sensor: VirtualSensor) -> Gel:
 
 
 def solve_contacts(
-    rng: np.random.Generator, sensor: VirtualSensor, n: int, flat_share: float = 0.3, friction: float = 1.0
+    rng: np.random.Generator,
+    sensor: VirtualSensor,
+    n: int,
+    flat_share: float = 0.3,
+    friction: float = 1.0,
 ) -> list[Contact]:
     """Return ``n`` contacts of all 18 indenters and held flat tools, 1 to 14 N, sheared up to slip."""
     gel = fine_gel(sensor)
     position = cell_centres_mm(gel)
-    dome = sagitta_mm(np.hypot(*position.T), gel.dome_radius_mm) if gel.dome_radius_mm else np.zeros(len(position))
+    dome = (
+        sagitta_mm(np.hypot(*position.T), gel.dome_radius_mm)
+        if gel.dome_radius_mm
+        else np.zeros(len(position))
+    )
     skin = influence(gel).skin / sensor.material.stiffness
     solver, normal = FrictionContact(skin, position, friction), skin[2, :, 2]
     return [_solved(rng, _drawn(rng, flat_share), solver, normal, position, dome) for _ in range(n)]
@@ -84,7 +94,9 @@ def _solved(
     gap = gap - gap.min()
     depth = _depth_of(rng.uniform(1, 14), gap, normal)
     # up to three times the slide at which a patch slips as a whole: friction's share of the depth, about
-    slide = rng.uniform(0, 1.0) * depth * np.array([np.cos(a := rng.uniform(-np.pi, np.pi)), np.sin(a)])
+    slide = (
+        rng.uniform(0, 1.0) * depth * np.array([np.cos(a := rng.uniform(-np.pi, np.pi)), np.sin(a)])
+    )
     turn = rng.uniform(-0.1, 0.1) * (rng.random() < 0.5)
     path = [Motion(float(depth * s)) for s in np.linspace(0.2, 1, PRESS_STEPS)]
     path += [
@@ -109,7 +121,9 @@ def _depth_of(fz_N: float, gap_mm: np.ndarray, normal: np.ndarray) -> float:
     """Return the depth at which an object without friction carries ``fz_N``."""
     near = (gap_mm < 3)[None].astype(np.float32)
     gap = np.minimum(gap_mm, 1e3)[None].astype(np.float32)
-    return fz_N * float(share_load(normal, gap / np.float32(fz_N), near / near.sum(), steps=60)[1][0])
+    return fz_N * float(
+        share_load(normal, gap / np.float32(fz_N), near / near.sum(), steps=60)[1][0]
+    )
 
 
 def _total(cells: CellForces, position_mm: np.ndarray) -> tuple[np.ndarray, float]:

@@ -187,14 +187,25 @@ class SimulatedGrip:
     def rows(self) -> dict[str, Any]:
         """Return dilation and rim under a straight plate by load, under a tilt, and near an edge."""
         straight = {f"{load:g} N": self._row((0.0, 0.0), 0.0, load) for load in LOADS_N}
-        tilted = {f"10 N, tilted by {tilt} rad": self._row((0.0, 0.0), tilt, 10.0) for tilt in (0.002, 0.005, 0.01)}
-        centre_mm = (GELSIGHT.slab.size_mm[0] - HELD_SIDES_mm[0]) / 2  # the plate ends where the pad does
-        ends = {f"10 N, ends {cut} mm before the rim": self._row((centre_mm - cut, 0.0), 0.0, 10.0) for cut in (2, 4)}
+        tilted = {
+            f"10 N, tilted by {tilt} rad": self._row((0.0, 0.0), tilt, 10.0)
+            for tilt in (0.002, 0.005, 0.01)
+        }
+        # the plate ends where the pad does
+        centre_mm = (GELSIGHT.slab.size_mm[0] - HELD_SIDES_mm[0]) / 2
+        ends = {
+            f"10 N, ends {cut} mm before the rim": self._row((centre_mm - cut, 0.0), 0.0, 10.0)
+            for cut in (2, 4)
+        }
         return straight | tilted | ends
 
-    def _row(self, center_mm: tuple[float, float], tilt_rad: float, load_N: float) -> dict[str, float]:
+    def _row(
+        self, center_mm: tuple[float, float], tilt_rad: float, load_N: float
+    ) -> dict[str, float]:
         tilts_rad = np.array([[tilt_rad, 0.0]])
-        gap = flat_face_gap(np.array([center_mm]), np.array([HELD_SIDES_mm]), np.zeros(1), tilts_rad)
+        gap = flat_face_gap(
+            np.array([center_mm]), np.array([HELD_SIDES_mm]), np.zeros(1), tilts_rad
+        )
         motion = self.motion_mm(_state(gap, np.array([[0, 0, load_N]]), np.zeros(1)))[0]
         x_mm = self.layout_mm[:, 0]
         left_mm = motion[x_mm == x_mm.min(), 0].mean()
@@ -220,7 +231,9 @@ class SimulatedGrip:
             "markers": _ridge_score(_rows(known_mm), known_N, _rows(unseen_mm), unseen_N),
         }
 
-    def _noisy_mm(self, contact: ContactState, rng: np.random.Generator, noise_px: float) -> np.ndarray:
+    def _noisy_mm(
+        self, contact: ContactState, rng: np.random.Generator, noise_px: float
+    ) -> np.ndarray:
         motion = self.motion_mm(contact)
         return motion + rng.standard_normal(motion.shape) * noise_px / CANONICAL_px_per_mm
 
@@ -253,14 +266,18 @@ def _rows(value: np.ndarray) -> np.ndarray:
     return value.reshape(len(value), -1)
 
 
-def _held_faces(rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _held_faces(
+    rng: np.random.Generator, n: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return centres, sizes, angles and tilts as ``held_tools`` draws them."""
     center_mm = np.column_stack([rng.uniform(-3, 3, n), rng.uniform(-5, 5, n)])
     tilt_rad = rng.uniform(-HELD_TILT_rad, HELD_TILT_rad, (n, 2))
     return center_mm, np.full((n, 2), HELD_SIDES_mm), rng.uniform(-0.05, 0.05, n), tilt_rad
 
 
-def _ridge_score(known: np.ndarray, known_N: np.ndarray, asked: np.ndarray, asked_N: np.ndarray) -> dict[str, float]:
+def _ridge_score(
+    known: np.ndarray, known_N: np.ndarray, asked: np.ndarray, asked_N: np.ndarray
+) -> dict[str, float]:
     """Return R² and mean error on (n, F) rows that a ridge of 1 on other, scaled rows didn't see."""
     mean = known.mean(axis=0)
     scale = known.std(axis=0)
@@ -270,10 +287,15 @@ def _ridge_score(known: np.ndarray, known_N: np.ndarray, asked: np.ndarray, aske
     penalty = np.eye(known.shape[1])
     weight = np.linalg.solve(known.T @ known + penalty, known.T @ (known_N - known_mean_N))
     error_N = asked @ weight + known_mean_N - asked_N
-    return {"r2": float(1 - (error_N**2).mean() / asked_N.var()), "error_N": float(np.abs(error_N).mean())}
+    return {
+        "r2": float(1 - (error_N**2).mean() / asked_N.var()),
+        "error_N": float(np.abs(error_N).mean()),
+    }
 
 
-def held_tools_solved(rng: np.random.Generator, n: int, sheared: bool, fast: SimulatedGrip) -> dict[str, float]:
+def held_tools_solved(
+    rng: np.random.Generator, n: int, sheared: bool, fast: SimulatedGrip
+) -> dict[str, float]:
     """Return how dilation follows grip: with friction solved step by step, and in the simulator."""
     body = GELSIGHT.gel(1.25)
     compliance = influence(body)
@@ -289,7 +311,9 @@ def held_tools_solved(rng: np.random.Generator, n: int, sheared: bool, fast: Sim
         slide_mm = SLIDE_mm * rng.random() * sheared * np.array([np.cos(way), np.sin(way)])
         turn_rad = rng.uniform(-TURN_rad, TURN_rad) * sheared
         path = [Motion(depth_mm * part) for part in (0.25, 0.5, 0.75, 1)]
-        path += [Motion(depth_mm, tuple(slide_mm * part), turn_rad * part) for part in (1 / 3, 2 / 3, 1)]
+        path += [
+            Motion(depth_mm, tuple(slide_mm * part), turn_rad * part) for part in (1 / 3, 2 / 3, 1)
+        ]
         state = solver.follow(gap - gap.min(), path)[-1]
         solved = respond(_traction(state))[0, :3].T
         force_N, torsion = transmitted(state.press_N[None], state.shear_N[None], position_mm)
@@ -308,7 +332,9 @@ def held_tools_solved(rng: np.random.Generator, n: int, sheared: bool, fast: Sim
 def measure(tokenizer: Tokenizer, faces: int, seed: int) -> dict[str, Any]:
     found: dict[str, Any] = {"real": REAL, "camera_mm": CAMERA_mm, "film_px_per_mm": FILM_px_per_mm}
     for name, gel in GELS.items():
-        found[name] = bounds(gel) | {f"walls free, friction {f:g}": with_friction(gel, f) for f in FRICTIONS}
+        found[name] = bounds(gel) | {
+            f"walls free, friction {f:g}": with_friction(gel, f) for f in FRICTIONS
+        }
     fast = SimulatedGrip()
     noise_mm = ContactOptions().noise_px / CANONICAL_px_per_mm
     found["simulator"] = {
@@ -325,7 +351,9 @@ def measure(tokenizer: Tokenizer, faces: int, seed: int) -> dict[str, Any]:
         }
         seen = latents_of(tokenizer, known, seed)
         asked = latents_of(tokenizer, unseen, seed + 1)
-        read["latents, 0.30 px a marker"] = _ridge_score(seen, known.force_N[:, 2], asked, unseen.force_N[:, 2])
+        read["latents, 0.30 px a marker"] = _ridge_score(
+            seen, known.force_N[:, 2], asked, unseen.force_N[:, 2]
+        )
         solved = held_tools_solved(rng, faces, sheared, fast)
         found["simulator"][f"held tools, {name}"] = {"read": read, "dilation": solved}
     return found

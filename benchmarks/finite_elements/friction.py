@@ -37,12 +37,19 @@ class FrictionContact:
 
     def __init__(self, skin: np.ndarray, position_mm: np.ndarray, friction: float = 1.0) -> None:
         """Take (3, C, 3, C) mm per newton, (C, 2) centres and Coulomb's coefficient."""
-        self._skin, self._position_mm, self._friction = skin.astype(np.float64), position_mm, friction
+        self._skin, self._position_mm, self._friction = (
+            skin.astype(np.float64),
+            position_mm,
+            friction,
+        )
 
     def follow(self, gap_mm: np.ndarray, path: list[Motion]) -> list[CellForces]:
         """Return the forces at each pose of ``path``; (C,) gaps, 0 where the object touches first, inf beyond it."""
-        near = np.flatnonzero(gap_mm < max(m.depth_mm for m in path) * 1.5 + 0.05)  # bulging gel may rise to it
-        part = _Part(self._skin[:, near][..., near], gap_mm[near], self._position_mm[near], self._friction)
+        # bulging gel may rise to it
+        near = np.flatnonzero(gap_mm < max(m.depth_mm for m in path) * 1.5 + 0.05)
+        part = _Part(
+            self._skin[:, near][..., near], gap_mm[near], self._position_mm[near], self._friction
+        )
         found = []
         for motion in path:
             press, shear = part.step(motion)
@@ -55,7 +62,9 @@ class FrictionContact:
 class _Part:
     """The cells an object can reach, and what they carried after the last step."""
 
-    def __init__(self, skin: np.ndarray, gap_mm: np.ndarray, position_mm: np.ndarray, friction: float) -> None:
+    def __init__(
+        self, skin: np.ndarray, gap_mm: np.ndarray, position_mm: np.ndarray, friction: float
+    ) -> None:
         n = len(gap_mm)
         self._normal = skin[2, :, 2]
         self._inward_by_shear = skin[2][:, :2].reshape(n, 2 * n)
@@ -74,7 +83,9 @@ class _Part:
         press, shear = press_before, shear_before
         for _ in range(_TURNS):
             last = press
-            press = self._pressed(motion.depth_mm - self._gap_mm - self._inward_by_shear @ shear, press)
+            press = self._pressed(
+                motion.depth_mm - self._gap_mm - self._inward_by_shear @ shear, press
+            )
             due = increment - self._sideways_by_press @ (press - press_before)
             shear = self._dragged(due, shear, shear_before, press)
             if np.abs(press - last).max() <= _CLOSE * max(press.max(), 1e-9):
@@ -104,7 +115,9 @@ class _Part:
             self._factored = (cells, cho_factor(self._normal[np.ix_(cells, cells)], lower=True))
         return self._factored[1]
 
-    def _dragged(self, due_mm: np.ndarray, shear: np.ndarray, before: np.ndarray, press: np.ndarray) -> np.ndarray:
+    def _dragged(
+        self, due_mm: np.ndarray, shear: np.ndarray, before: np.ndarray, press: np.ndarray
+    ) -> np.ndarray:
         """Return tangential forces that make the skin follow the object by ``due_mm``, as far as friction allows."""
         cells = np.flatnonzero(press > 0)
         found = np.zeros_like(shear)
@@ -112,7 +125,8 @@ class _Part:
             return found
         rows = np.concatenate([cells, len(press) + cells])
         sideways, limit = self._sideways[np.ix_(rows, rows)], self._friction * press[cells]
-        let_go = np.delete(np.arange(len(shear)), rows)  # what slipped out of contact still pulled before
+        # what slipped out of contact still pulled before
+        let_go = np.delete(np.arange(len(shear)), rows)
         due = due_mm[rows] + self._sideways[np.ix_(rows, let_go)] @ before[let_go]
         still_N = _STILL * limit.max()
         force = point = _capped(shear[rows], limit)

@@ -30,7 +30,15 @@ from uniforce_cli.boundary import command
 from uniforce_vtla.contact.virtual import as_virtual
 from uniforce_vtla.errors import DatasetError
 from uniforce_vtla.json_file import read_object
-from uniforce_vtla.options import Count, FilePath, FolderPath, Names, OutFile, OutFolder, TokenizerFolder
+from uniforce_vtla.options import (
+    Count,
+    FilePath,
+    FolderPath,
+    Names,
+    OutFile,
+    OutFolder,
+    TokenizerFolder,
+)
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 from uniforce_vtla.tokenizer.latent import POOL
@@ -60,14 +68,20 @@ class OutsideCommand:
 
 def measure(config: OutsideCommand) -> dict[str, Any]:
     """Return rows by transfer; the shipped heads read, nothing is trained on finite elements."""
-    report_set, tokenizer = REPORT_SETS[config.set], Tokenizer.from_pretrained(config.tokenizer or None)
+    report_set, tokenizer = (
+        REPORT_SETS[config.set],
+        Tokenizer.from_pretrained(config.tokenizer or None),
+    )
     table = draw_sets(report_set, tokenizer.config.side, Path(config.cache))
     facts = json.loads((Path(config.facts) / report_set.facts_file).read_text())
     check_frozen(facts, table.frozen)
     rows: dict[str, Cells] = {"zero_shot": {}, "calibrated": {}}
     grasps = {name: _grasps(config, name) for name in table.frozen}
     for source, target in table.transfers():
-        head, name = ForceHead.from_pretrained(source, config.tokenizer or None), transfer_name(source, target)
+        head, name = (
+            ForceHead.from_pretrained(source, config.tokenizer or None),
+            transfer_name(source, target),
+        )
         frozen = table.frozen[target]
         each = head(encode_set(tokenizer, frozen).flatten(0, 1)).numpy()
         rows["zero_shot"][name] = score(frozen.force_N.reshape(-1, 3), each)
@@ -78,7 +92,12 @@ def measure(config: OutsideCommand) -> dict[str, Any]:
         rows[f"random encoder {seed}"] = learnt_row(table, untrained, 1, POOL)
     rows["hand descriptor"] = descriptor_row(table, config.seeds)
     rows["mean"] = mean_row(table)
-    return {"set": facts["set"], "set_hash": facts["set_hash"], "tokenizer_hash": tokenizer.hash, **rows}
+    return {
+        "set": facts["set"],
+        "set_hash": facts["set_hash"],
+        "tokenizer_hash": tokenizer.hash,
+        **rows,
+    }
 
 
 def real_tactip(real: dict[str, Any]) -> dict[str, Any]:
@@ -102,7 +121,11 @@ def real_tactip(real: dict[str, Any]) -> dict[str, Any]:
 def beside(real: str, contact: str) -> dict[str, Any]:
     """Return the sections of other commands' results that stand in the same file."""
     found = {"real_tactip": real_tactip(read_object(Path(real), DatasetError))} if real else {}
-    return found | ({"contact_model": read_object(Path(contact), DatasetError)["contact_model"]} if contact else {})
+    return found | (
+        {"contact_model": read_object(Path(contact), DatasetError)["contact_model"]}
+        if contact
+        else {}
+    )
 
 
 def _grasps(config: OutsideCommand, sensor: str) -> list[UnitGrasps]:
@@ -114,7 +137,9 @@ def _grasps(config: OutsideCommand, sensor: str) -> list[UnitGrasps]:
 def summary(row: Cells) -> str:
     """Return the row's line: mean and worst over transfers between different sensors."""
     r2, r = across(row, "r2"), across(row, "abs_r")
-    line = f"R² Fz {r2[:, 2].mean():.2f} (worst {r2[:, 2].min():.2f}), shear {r2[:, :2].mean():.2f}; "
+    line = (
+        f"R² Fz {r2[:, 2].mean():.2f} (worst {r2[:, 2].min():.2f}), shear {r2[:, :2].mean():.2f}; "
+    )
     line += f"|r| Fz {r[:, 2].mean():.2f}, shear {r[:, :2].mean():.2f}"
     if "slope" in next(iter(row.values())):
         line += f"; slope shear {across(row, 'slope')[:, :2].mean():.2f}"

@@ -47,11 +47,15 @@ def bodies(sensor: VirtualSensor) -> list[VirtualSensor]:
     return [replace(sensor, material=_changed(sensor.material, *factors)) for factors in _SPREAD]
 
 
-def _changed(material: Material, thick: float, young: float, poisson: float, readout: float) -> Material:
+def _changed(
+    material: Material, thick: float, young: float, poisson: float, readout: float
+) -> Material:
     layers = tuple(
-        Layer(la.thickness_mm * thick, la.young_MPa * young, min(la.poisson * poisson, 0.49)) for la in material.layers
+        Layer(la.thickness_mm * thick, la.young_MPa * young, min(la.poisson * poisson, 0.49))
+        for la in material.layers
     )
-    depth = layers[0].thickness_mm if len(layers) > 1 else material.readout_mm * readout  # pins root in the skin
+    # pins root in the skin
+    depth = layers[0].thickness_mm if len(layers) > 1 else material.readout_mm * readout
     return replace(material, layers=layers, readout_mm=depth)
 
 
@@ -65,8 +69,12 @@ class Unit:
 
     def simulator(self) -> TactileSimulator:
         """Return it; the contacts were solved with the body's own stiffness, so the unit's is 1."""
-        fine = replace(self.body, material=replace(self.body.material, cell_mm=CELL_MM[self.body.like]))
-        return TactileSimulator(fine, replace(self.variation, stiffness=1.0), ContactOptions(), seed=self.seed)
+        fine = replace(
+            self.body, material=replace(self.body.material, cell_mm=CELL_MM[self.body.like])
+        )
+        return TactileSimulator(
+            fine, replace(self.variation, stiffness=1.0), ContactOptions(), seed=self.seed
+        )
 
 
 def units(settings: ElementSettings, sensor: VirtualSensor) -> list[Unit]:
@@ -90,15 +98,23 @@ def draw_elements(settings: ElementSettings, sensor: VirtualSensor, side: int) -
         before = simulator.reference()
         for contact in contacts:
             after, force = pictures(simulator, contact, settings.steps)
-            digest.update(np.packbits(before > 0).tobytes() + np.packbits(after > 0).tobytes() + force.tobytes())
+            digest.update(
+                np.packbits(before > 0).tobytes()
+                + np.packbits(after > 0).tobytes()
+                + force.tobytes()
+            )
             small = [to_nominal_scale(images, sensor.spec) for images in (before[None], after)]
-            rows.append((shrink(small[0], side)[0], shrink(small[1], side), describe(small[0][0], small[1])))
+            rows.append(
+                (shrink(small[0], side)[0], shrink(small[1], side), describe(small[0][0], small[1]))
+            )
             forces.append(force)
     reference, frames, descriptor = (np.stack(column) for column in zip(*rows, strict=True))
     return LabelledSet(reference, frames, descriptor, np.stack(forces), digest.hexdigest())
 
 
-def pictures(simulator: TactileSimulator, contact: Contact, steps: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+def pictures(
+    simulator: TactileSimulator, contact: Contact, steps: tuple[int, ...]
+) -> tuple[np.ndarray, np.ndarray]:
     """Return marker images (T, 480, 640) and forces (T, 3) of some steps of a contact."""
     cells = [contact.cells[k] for k in steps]
     press = np.stack([c.press_N for c in cells]).astype(np.float32)

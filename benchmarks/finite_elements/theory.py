@@ -13,8 +13,14 @@ _POISSON = 0.48
 def cell_centres_mm(gel: Gel) -> np.ndarray:
     """Return (C, 2) centres of the cells of a gel's skin, in the order of its influence matrices."""
     x, y = (cell_edges(length, gel.cell_mm) for length in gel.size_mm)
-    centre = np.stack(np.meshgrid((x[1:] + x[:-1]) / 2, (y[1:] + y[:-1]) / 2), axis=-1).reshape(-1, 2)
-    inside = np.hypot(*centre.T) <= gel.size_mm[0] / 2 if gel.dome_radius_mm else np.ones(len(centre), bool)
+    centre = np.stack(np.meshgrid((x[1:] + x[:-1]) / 2, (y[1:] + y[:-1]) / 2), axis=-1).reshape(
+        -1, 2
+    )
+    inside = (
+        np.hypot(*centre.T) <= gel.size_mm[0] / 2
+        if gel.dome_radius_mm
+        else np.ones(len(centre), bool)
+    )
     return centre[inside]
 
 
@@ -50,9 +56,15 @@ def cattaneo_mindlin(radius_mm: float = 6.0, friction: float = 0.5) -> dict[str,
     position, depth_mm = cell_centres_mm(gel), 0.35
     skin, gap_mm = compute_influence(gel, progress=False).skin, _sphere_mm(position, radius_mm)
     slides_mm = np.linspace(0.02, 0.16, 8)
-    stuck = FrictionContact(skin, position, 100.0).follow(gap_mm, [Motion(depth_mm), Motion(depth_mm, (0.02, 0.0))])
-    shear_MPa, contact_mm = 1 / (2 + 2 * _POISSON), _hertz_radius_mm(stuck[0].press_N.sum(), radius_mm)
-    whole = 0.02 / stuck[1].shear_N[0].sum() - (2 - _POISSON) / (8 * shear_MPa * contact_mm)  # mm per newton
+    stuck = FrictionContact(skin, position, 100.0).follow(
+        gap_mm, [Motion(depth_mm), Motion(depth_mm, (0.02, 0.0))]
+    )
+    shear_MPa, contact_mm = (
+        1 / (2 + 2 * _POISSON),
+        _hertz_radius_mm(stuck[0].press_N.sum(), radius_mm),
+    )
+    # mm per newton
+    whole = 0.02 / stuck[1].shear_N[0].sum() - (2 - _POISSON) / (8 * shear_MPa * contact_mm)
     path = [Motion(depth_mm), *(Motion(depth_mm, (float(s), 0.0)) for s in slides_mm)]
     found = {}
     for slide_mm, state in zip(
@@ -86,11 +98,15 @@ def force_balance() -> float:
     """Return the largest difference between what a cell is loaded with and what reaches the mount, per newton."""
     gel = Gel((12.0, 12.0), (Layer(4.0, 1.0),), 0.5)
     mesh = PadMesh(gel)
-    return float(max(np.abs(mesh.reaction(*cell) - np.eye(3)).max() for cell in ((5, 5), (2, 7), (0, 4))))
+    return float(
+        max(np.abs(mesh.reaction(*cell) - np.eye(3)).max() for cell in ((5, 5), (2, 7), (0, 4)))
+    )
 
 
 def _pressed(gel: Gel, gap_mm: np.ndarray, depths_mm: tuple[float, ...]) -> list[CellForces]:
-    solver = FrictionContact(compute_influence(gel, progress=False).skin, cell_centres_mm(gel), SMOOTH)
+    solver = FrictionContact(
+        compute_influence(gel, progress=False).skin, cell_centres_mm(gel), SMOOTH
+    )
     return solver.follow(gap_mm, [Motion(d) for d in depths_mm])
 
 
@@ -124,7 +140,9 @@ def _at_points(moved: Influence, gel: Gel, gap_mm: np.ndarray) -> np.ndarray:
 
     solver = FrictionContact(moved.skin, cell_centres_mm(gel), 1.0)
     depths = [float(d) for d in np.linspace(0.05, 1.6, 32)]
-    state = min(solver.follow(gap_mm, [Motion(d) for d in depths]), key=lambda s: abs(s.press_N.sum() - 6))
+    state = min(
+        solver.follow(gap_mm, [Motion(d) for d in depths]), key=lambda s: abs(s.press_N.sum() - 6)
+    )
     force = np.stack([*state.shear_N, state.press_N]) * 6 / state.press_N.sum()
     field = np.einsum("ayxbc,bc->yxa", moved.inside, force)
     axis = np.arange(-10, 10.1, 2.5)

@@ -26,7 +26,8 @@ from uniforce_vtla.evaluation.statistics import wilson
 from uniforce_vtla.options import Count, OutFile, OutFolder, Seed, Text, Workers
 from uniforce_vtla.results_file import provenance, write_json
 
-WANTED = BlindSettings(press_N=6.0, grip_N=8.5)  # forces as they are wanted: this script knows the stiffness
+# forces as they are wanted: this script knows the stiffness
+WANTED = BlindSettings(press_N=6.0, grip_N=8.5)
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,9 @@ class Gate:
 
     def holds(self, clean: float) -> bool:
         """Return whether the level may be used, as far as this script goes."""
-        return clean >= (self.at_least or 0.0) and clean <= (1.0 if self.at_most is None else self.at_most)
+        return clean >= (self.at_least or 0.0) and clean <= (
+            1.0 if self.at_most is None else self.at_most
+        )
 
 
 def _lag_identifying(fitted: Fitted, folder: Path) -> Script:
@@ -77,12 +80,20 @@ GATES: dict[str, Gate] = {
     "measured relative": Gate(partial(_blind, "measured relative"), at_most=0.15),
     "lag identifying": Gate(_lag_identifying, at_most=0.15),
     "harder each look": Gate(
-        lambda f, p: HarderEachLook(replace(f.set_points["measured press"], press_N=PRESSES_N[0]), MeasuredPress),
+        lambda f, p: HarderEachLook(
+            replace(f.set_points["measured press"], press_N=PRESSES_N[0]), MeasuredPress
+        ),
         at_most=0.15,
     ),
-    "plane known": _reads(lambda f, p: partial(PlaneKnown, f.plane_stiffness_N_m, f.plane_rest_m), at_most=0.15),
-    "observer of pose and commands": _reads(lambda f, p: partial(Observed, p / "observer.pt", False), at_most=0.15),
-    "observer that sees the ink": _reads(lambda f, p: partial(Observed, p / "observer_ink.pt", True), at_most=0.20),
+    "plane known": _reads(
+        lambda f, p: partial(PlaneKnown, f.plane_stiffness_N_m, f.plane_rest_m), at_most=0.15
+    ),
+    "observer of pose and commands": _reads(
+        lambda f, p: partial(Observed, p / "observer.pt", False), at_most=0.15
+    ),
+    "observer that sees the ink": _reads(
+        lambda f, p: partial(Observed, p / "observer_ink.pt", True), at_most=0.20
+    ),
     "frozen touch": _reads(lambda f, p: Frozen, at_most=0.20),
     "keeps depth": _always(partial(KeepingExpert, False), at_most=0.20),
     "keeps height": _always(partial(KeepingExpert, True), at_most=0.20),
@@ -109,23 +120,43 @@ class GatesCommand:
     out: OutFile = "outputs/gates.json"
 
 
-def _episode(level: str, gripper: str, name: str, seed: int, fitted: Fitted, folder: Path) -> dict[str, Any]:
+def _episode(
+    level: str, gripper: str, name: str, seed: int, fitted: Fitted, folder: Path
+) -> dict[str, Any]:
     env = WipeEnv(level=level, drawn=(), gripper=gripper)
     result = run_script(env, GATES[name].make(fitted, folder), seed)
     metrics = {key: round(float(value), 4) for key, value in result.metrics.items()}
-    return {"script": name, "seed": seed, "clean": result.clean, "outcome": result.outcome} | metrics
+    return {
+        "script": name,
+        "seed": seed,
+        "clean": result.clean,
+        "outcome": result.outcome,
+    } | metrics
 
 
 def run_all(config: GatesCommand, fitted: Fitted) -> list[dict[str, Any]]:
     """Return a row per script and scene; those of an earlier run are kept."""
     folder = Path(config.work)
     hand = "_hand" if config.gripper == "hand" else ""
-    ledger, own = Ledger(folder), f"{config.level}{hand}_{level_hash(get_level(config.level))}_{config.first_seed}"
+    ledger, own = (
+        Ledger(folder),
+        f"{config.level}{hand}_{level_hash(get_level(config.level))}_{config.first_seed}",
+    )
     done = {(row["script"], row["seed"]) for row in ledger.read(own)}
     seeds = range(config.first_seed, config.first_seed + config.episodes)
-    wanted = [(name, seed) for seed in seeds for name in choose(GATES, config.only) if (name, seed) not in done]
-    jobs = [delayed(_episode)(config.level, config.gripper, name, seed, fitted, folder) for name, seed in wanted]
-    for row in tqdm(Parallel(config.workers, return_as="generator")(jobs), total=len(jobs), desc="episodes"):
+    wanted = [
+        (name, seed)
+        for seed in seeds
+        for name in choose(GATES, config.only)
+        if (name, seed) not in done
+    ]
+    jobs = [
+        delayed(_episode)(config.level, config.gripper, name, seed, fitted, folder)
+        for name, seed in wanted
+    ]
+    for row in tqdm(
+        Parallel(config.workers, return_as="generator")(jobs), total=len(jobs), desc="episodes"
+    ):
         ledger.add(own, row)
     return [row for row in ledger.read(own) if row["seed"] in seeds]
 
@@ -161,7 +192,9 @@ def main(config: GatesCommand) -> None:
     scripts = summarise(run_all(config, fitted))
     for name, line in scripts.items():
         bar = f"≥ {line['at_least']}" if line["at_least"] is not None else f"≤ {line['at_most']}"
-        print(f"{name:32} {line['clean']:3}/{line['n']}  {bar:7} {'holds' if line['holds'] else 'DOES NOT HOLD'}")
+        print(
+            f"{name:32} {line['clean']:3}/{line['n']}  {bar:7} {'holds' if line['holds'] else 'DOES NOT HOLD'}"
+        )
     content = {
         "level": config.level,
         "gripper": config.gripper,

@@ -113,12 +113,17 @@ class BlindScript:
     """A script with the expert's own sequence and layout, without touch; ``style`` makes its regulator."""
 
     def __init__(
-        self, settings: BlindSettings, style: Callable[[Layout, BlindSettings], Regulator] = OpenLoopRegulator
+        self,
+        settings: BlindSettings,
+        style: Callable[[Layout, BlindSettings], Regulator] = OpenLoopRegulator,
     ) -> None:
         self._settings, self._style = settings, style
 
     def reset(self, env: WipeEnv) -> None:
-        regulator, start = self._style(env.level.layout, self._settings), env.state.astype(np.float64)
+        regulator, start = (
+            self._style(env.level.layout, self._settings),
+            env.state.astype(np.float64),
+        )
         self._sequence = WipeSequence(env.level, regulator, start, lambda: look_back(env))
 
     @property

@@ -84,8 +84,15 @@ def main(config: DroppedToolCommand) -> int:
     one_thread()
     hows: list[How] = ["pulled" if number % 2 else "slips" for number in range(config.drops)]
     hows += [""] * config.wipes
-    jobs = [delayed(episode)(config.level, config.first_seed + number, how) for number, how in enumerate(hows)]
-    rows = list(tqdm(Parallel(config.workers, return_as="generator")(jobs), total=len(jobs), desc="episodes"))
+    jobs = [
+        delayed(episode)(config.level, config.first_seed + number, how)
+        for number, how in enumerate(hows)
+    ]
+    rows = list(
+        tqdm(
+            Parallel(config.workers, return_as="generator")(jobs), total=len(jobs), desc="episodes"
+        )
+    )
     drops = [row for row in rows if row["how"]]
     noticed = [row for row in drops if row["said"] == "grasp_lost" and row["after_s"] is not None]
     false_alarms = [row for row in rows if not row["how"] and row["said"]]
@@ -98,7 +105,9 @@ def main(config: DroppedToolCommand) -> int:
         "false_alarms": len(false_alarms),
         "missed": [row for row in drops if row not in noticed],
     }
-    print(f"{len(noticed)} of {len(drops)} noticed, after {worst_s} s at most; {len(false_alarms)} false alarms")
+    print(
+        f"{len(noticed)} of {len(drops)} noticed, after {worst_s} s at most; {len(false_alarms)} false alarms"
+    )
     print(f"written to {update(Path(config.out), 'dropped_tool', found)}")
     return int(len(noticed) < len(drops) or bool(false_alarms))
 

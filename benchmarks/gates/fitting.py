@@ -11,7 +11,13 @@ import torch
 from joblib import Parallel, delayed
 from tqdm import tqdm
 
-from benchmarks.gates.blind import BlindScript, BlindSettings, MeasuredPress, MeasuredRelative, OpenLoopRegulator
+from benchmarks.gates.blind import (
+    BlindScript,
+    BlindSettings,
+    MeasuredPress,
+    MeasuredRelative,
+    OpenLoopRegulator,
+)
 from benchmarks.gates.observer import seen, train_observer
 from benchmarks.gates.readings import sunk_m
 from benchmarks.gates.scripts import LagIdentifying, LagLaw
@@ -21,7 +27,8 @@ from lerobot_env_uniforce_wiping.expert import AGAINST_PULL, TouchSettings, Wipe
 from lerobot_env_uniforce_wiping.levels import Layout
 from lerobot_env_uniforce_wiping.sequence import Regulator
 
-PRESS_N = (4.0, 8.5)  # wanted presses of the episodes that are learnt from, so that press differs from one to the next
+# wanted presses of the episodes that are learnt from, so that press differs from one to the next
+PRESS_N = (4.0, 8.5)
 
 
 # what scripts without touch may choose from, at nominal stiffness: a nominal width yields, so it needs more grip
@@ -46,28 +53,48 @@ class Fitted:
     observer_ink_r2: float
 
 
-def fit(level: str, gripper: str, episodes: int, swept: int, first_seed: int, workers: int, folder: Path) -> Fitted:
+def fit(
+    level: str, gripper: str, episodes: int, swept: int, first_seed: int, workers: int, folder: Path
+) -> Fitted:
     """Return what the scripts learn on ``episodes`` scenes, set points on ``swept`` of them; ``folder`` keeps it."""
     path = folder / "fitted.json"
     if path.is_file():
         stored = json.loads(path.read_text())
-        points = {style: BlindSettings(**point) for style, point in stored.pop("set_points").items()}
-        return Fitted(points, LagLaw(**stored.pop("arm")), LagLaw(**stored.pop("gripper")), **stored)
+        points = {
+            style: BlindSettings(**point) for style, point in stored.pop("set_points").items()
+        }
+        return Fitted(
+            points, LagLaw(**stored.pop("arm")), LagLaw(**stored.pop("gripper")), **stored
+        )
     folder.mkdir(parents=True, exist_ok=True)
-    jobs = [delayed(_observe)(level, gripper, seed) for seed in range(first_seed, first_seed + episodes)]
-    found = list(tqdm(Parallel(workers, return_as="generator")(jobs), total=len(jobs), desc="scenes to learn from"))
+    jobs = [
+        delayed(_observe)(level, gripper, seed) for seed in range(first_seed, first_seed + episodes)
+    ]
+    found = list(
+        tqdm(
+            Parallel(workers, return_as="generator")(jobs),
+            total=len(jobs),
+            desc="scenes to learn from",
+        )
+    )
     set_points = _sweep(level, gripper, range(first_seed, first_seed + swept), workers)
     stiffness, rest = _line(found)
     r2 = {}
     for name, ink in (("observer", False), ("observer_ink", True)):
         data = [
-            (f.seen if ink else np.where(np.arange(11) == 10, 0, f.seen).astype(np.float32), f.press_N) for f in found
+            (
+                f.seen if ink else np.where(np.arange(11) == 10, 0, f.seen).astype(np.float32),
+                f.press_N,
+            )
+            for f in found
         ]
         model, r2[name] = train_observer(data)
         torch.save(model.state_dict(), folder / f"{name}.pt")
     arm_law = _law([(f.lag_s[0], f.scale[0]) for f in found if f.lag_s[0]])
     gripper_law = _law([(f.lag_s[1], f.scale[1]) for f in found if f.lag_s[1]])
-    fitted = Fitted(set_points, arm_law, gripper_law, stiffness, rest, r2["observer"], r2["observer_ink"])
+    fitted = Fitted(
+        set_points, arm_law, gripper_law, stiffness, rest, r2["observer"], r2["observer_ink"]
+    )
     path.write_text(json.dumps(asdict(fitted)))
     return fitted
 
@@ -79,15 +106,27 @@ def _sweep(level: str, gripper: str, seeds: range, workers: int) -> dict[str, Bl
         for style, (_, grips) in STYLES.items()
         for press, grip in itertools.product(PRESSES_N, grips)
     ]
-    jobs = [delayed(_try)(level, gripper, style, settings, seed) for style, settings in tried for seed in seeds]
-    found = list(tqdm(Parallel(workers, return_as="generator")(jobs), total=len(jobs), desc="set points"))
+    jobs = [
+        delayed(_try)(level, gripper, style, settings, seed)
+        for style, settings in tried
+        for seed in seeds
+    ]
+    found = list(
+        tqdm(Parallel(workers, return_as="generator")(jobs), total=len(jobs), desc="set points")
+    )
     scores = np.array(found).reshape(len(tried), len(seeds), 2).mean(axis=1)
     ranked = sorted(zip(scores.tolist(), tried, strict=True), key=lambda pair: pair[0])
     return {style: settings for _, (style, settings) in ranked}  # the best comes last and stays
 
 
-def _try(level: str, gripper: str, style: str, settings: BlindSettings, seed: int) -> tuple[float, float]:
-    result = run_script(WipeEnv(level=level, drawn=(), gripper=gripper), BlindScript(settings, STYLES[style][0]), seed)
+def _try(
+    level: str, gripper: str, style: str, settings: BlindSettings, seed: int
+) -> tuple[float, float]:
+    result = run_script(
+        WipeEnv(level=level, drawn=(), gripper=gripper),
+        BlindScript(settings, STYLES[style][0]),
+        seed,
+    )
     return float(result.clean), result.metrics["in_band_share"]
 
 
@@ -131,7 +170,9 @@ def _observe(level: str, gripper: str, seed: int) -> Observation:
 
 def _line(found: list[Observation]) -> tuple[float, float]:
     """Return stiffness N/m and rest m of press = stiffness · (rest + sunk), while it presses."""
-    sunk, press = (np.concatenate([getattr(f, name) for f in found]) for name in ("sunk_m", "press_N"))
+    sunk, press = (
+        np.concatenate([getattr(f, name) for f in found]) for name in ("sunk_m", "press_N")
+    )
     pressing = (press > 0.5) & np.isfinite(sunk)
     # by their spreads: least squares would flatten the line by the board's unevenness, and regulate too weakly
     stiffness = press[pressing].std() / sunk[pressing].std()

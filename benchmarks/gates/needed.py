@@ -60,13 +60,21 @@ class NeededCommand:
 
 def cells() -> list[tuple[str, float]]:
     """Return operator and factor of each cell; the level itself is in both axes."""
-    return [(operator, round(value / usual, 4)) for operator, usual, values in AXES.values() for value in values]
+    return [
+        (operator, round(value / usual, 4))
+        for operator, usual, values in AXES.values()
+        for value in values
+    ]
 
 
-def _script(name: str, operator: str, factor: float, seed: int, fitted: Fitted, folder: Path) -> Row:
+def _script(
+    name: str, operator: str, factor: float, seed: int, fitted: Fitted, folder: Path
+) -> Row:
     worker_process()
     env = DisturbedEnv(SCENE_OPERATORS[operator].disturb(factor), level=LEVEL, drawn=())
-    return row_of(_cell(name, operator, factor), env, run_script(env, GATES[name].make(fitted, folder), seed))
+    return row_of(
+        _cell(name, operator, factor), env, run_script(env, GATES[name].make(fitted, folder), seed)
+    )
 
 
 def _cell(name: str, operator: str, factor: float) -> str:
@@ -76,15 +84,27 @@ def _cell(name: str, operator: str, factor: float) -> str:
 def roll(config: NeededCommand, fitted: Fitted) -> list[dict[str, Any]]:
     """Return a row per actor, cell and scene; those of an earlier run are kept."""
     folder, first = Path(config.work), config.first_seed
-    arms = [Arm(n, policies=tuple(split(given))) for n, given in (("V+T", config.policy), ("V", config.blind)) if given]
+    arms = [
+        Arm(n, policies=tuple(split(given)))
+        for n, given in (("V+T", config.policy), ("V", config.blind))
+        if given
+    ]
     episodes = []
-    for seed, (operator, factor) in itertools.product(range(first, first + config.episodes), cells()):
+    for seed, (operator, factor) in itertools.product(
+        range(first, first + config.episodes), cells()
+    ):
         for name in SCRIPTS:
             job = delayed(_script)(name, operator, factor, seed, fitted, folder)
             episodes.append((_cell(name, operator, factor), seed, job))
         for arm in arms:
             cell = _cell(arm.name, operator, factor)
-            episodes.append((cell, seed, delayed(play)(arm, LEVEL, arm.sensor, operator, factor, cell, seed, first)))
+            episodes.append(
+                (
+                    cell,
+                    seed,
+                    delayed(play)(arm, LEVEL, arm.sensor, operator, factor, cell, seed, first),
+                )
+            )
     return played(folder / f"needed_{first}.jsonl", episodes, config.workers)
 
 
@@ -100,7 +120,11 @@ def curves(rows: list[dict[str, Any]], seeds: range) -> dict[str, dict[str, dict
         for actor in (*SCRIPTS, "V+T", "V"):
             own = [counted.get(actor + name, []) for name in names]
             if any(own):
-                line = {"values": list(values), "clean": [sum(c) for c in own], "n": [len(c) for c in own]}
+                line = {
+                    "values": list(values),
+                    "clean": [sum(c) for c in own],
+                    "n": [len(c) for c in own],
+                }
                 found.setdefault(axis, {})[actor] = line
     return found
 
@@ -116,7 +140,9 @@ def draw(found: dict[str, dict[str, dict[str, Any]]], path: Path) -> Path:
         panel.axvline(AXES[axis][1], color="0.5", linestyle=":")
         panel.set(xlabel=f"{axis} (dotted: the level)", ylim=(-0.03, 1.03))
     panels[0].axvspan(0, REAL_ARM_N, color="0.95", zorder=0)
-    panels[0].set(ylabel="clean, simulated", title="grey: unknown forces up to those published of a real arm")
+    panels[0].set(
+        ylabel="clean, simulated", title="grey: unknown forces up to those published of a real arm"
+    )
     panels[-1].legend(fontsize=7)
     return save_figure(figure, path)
 
@@ -125,14 +151,27 @@ def draw(found: dict[str, dict[str, dict[str, Any]]], path: Path) -> Path:
 def main(config: NeededCommand) -> None:
     """Entry of ``python -m benchmarks.gates.needed``."""
     learnt = BLOCKS["what scripts of the gates learn from"].start
-    fitted = fit(LEVEL, "servo", config.learn_from, config.sweep_on, learnt, config.workers, Path(config.work))
+    fitted = fit(
+        LEVEL,
+        "servo",
+        config.learn_from,
+        config.sweep_on,
+        learnt,
+        config.workers,
+        Path(config.work),
+    )
     seeds = range(config.first_seed, config.first_seed + config.episodes)
     found = curves(roll(config, fitted), seeds)
     for axis, lines in found.items():
         for actor, line in lines.items():
             said = "  ".join(f"{v:g}: {k}/{n}" for v, k, n in zip(*line.values(), strict=True))
             print(f"{axis:22} {actor:16} {said}")
-    content = {"level": LEVEL, "level_hash": level_hash(LEVELS[LEVEL]), "seeds": [seeds[0], seeds[-1]], "axes": found}
+    content = {
+        "level": LEVEL,
+        "level_hash": level_hash(LEVELS[LEVEL]),
+        "seeds": [seeds[0], seeds[-1]],
+        "axes": found,
+    }
     path = write_json(Path(config.out), content | provenance())
     print(f"written to {path} and {draw(found, path.with_suffix('.png'))}")
 

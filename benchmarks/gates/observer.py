@@ -18,7 +18,9 @@ HELD_OUT = 0.1  # of the episodes, for the R² that is reported
 def seen(env: WipeEnv, ink: bool) -> np.ndarray:
     """Return (11,): the measured pose, how far the command is from it, and the ink that is left (0 without)."""
     state = env.state.astype(np.float64)
-    return np.array([*state, *(env.sim.target - state), env.sim.ink.residual if ink else 0.0], np.float32)
+    return np.array(
+        [*state, *(env.sim.target - state), env.sim.ink.residual if ink else 0.0], np.float32
+    )
 
 
 class PressObserver(nn.Module):
@@ -31,13 +33,17 @@ class PressObserver(nn.Module):
         self.gru = nn.GRU(len(mean), HIDDEN, batch_first=True)
         self.head = nn.Linear(HIDDEN, 1)
 
-    def forward(self, x: torch.Tensor, state: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
+    def forward(
+        self, x: torch.Tensor, state: torch.Tensor | None = None
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return (B, T) N and the next state, given (B, T, 11)."""
         out, state = self.gru((x - self.mean) / self.spread, state)
         return self.head(out)[..., 0], state
 
 
-def train_observer(episodes: list[tuple[np.ndarray, np.ndarray]], seed: int = 0) -> tuple[PressObserver, float]:
+def train_observer(
+    episodes: list[tuple[np.ndarray, np.ndarray]], seed: int = 0
+) -> tuple[PressObserver, float]:
     """Return an observer trained on (T, 11), (T,) N per episode, and its R² over the episodes it was not shown."""
     torch.manual_seed(seed)
     rng, held = np.random.default_rng(seed), max(1, round(HELD_OUT * len(episodes)))
@@ -48,7 +54,9 @@ def train_observer(episodes: list[tuple[np.ndarray, np.ndarray]], seed: int = 0)
     steps = EPOCHS * len(shown) * 6 // BATCH
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
     for _ in tqdm(range(steps), desc="observer of press", leave=False):
-        x, y = (torch.from_numpy(np.stack(part)) for part in zip(*_windows(rng, shown), strict=True))
+        x, y = (
+            torch.from_numpy(np.stack(part)) for part in zip(*_windows(rng, shown), strict=True)
+        )
         error = ((model(x)[0] - y) ** 2).mean()
         optimizer.zero_grad()
         error.backward()

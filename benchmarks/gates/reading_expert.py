@@ -74,7 +74,8 @@ class ReadingExpertCommand:
     first_seed: Seed = BLOCKS["reading expert"].start  # of them
     only: Text = ""  # readers, comma between them; all when empty
     workers: Workers = 2
-    work: OutFolder = "outputs/reading_expert"  # calibrations, and episodes so far: run it again to go on
+    # calibrations, and episodes so far: run it again to go on
+    work: OutFolder = "outputs/reading_expert"
     out: OutFile = "outputs/reading_expert.json"  # the result file; its key is the gripper's name
 
 
@@ -114,11 +115,19 @@ def play(name: str, level: str, gripper: str, seed: int, turn: int, work: Path) 
     worker_process()
     reader = READERS[name]
     if not reader.worn:
-        return _played(name, WipeEnv(level, drawn=(), gripper=gripper), WipeExpert("right"), seed, "")
+        return _played(
+            name, WipeEnv(level, drawn=(), gripper=gripper), WipeExpert("right"), seed, ""
+        )
     worn = reader.worn[turn % len(reader.worn)]
     fitted = calibration(worn, reader.fit, work) if reader.fit else None
     expert = ReadsWorn("right", *_models(), fitted)
-    return _played(name, WipeEnv(level, right_sensor=worn, drawn=("right",), gripper=gripper), expert, seed, worn)
+    return _played(
+        name,
+        WipeEnv(level, right_sensor=worn, drawn=("right",), gripper=gripper),
+        expert,
+        seed,
+        worn,
+    )
 
 
 def _played(name: str, env: WipeEnv, script: Script, seed: int, worn: str) -> Row:
@@ -127,7 +136,15 @@ def _played(name: str, env: WipeEnv, script: Script, seed: int, worn: str) -> Ro
     except SensorError as error:
         return Row(name, seed, worn, False, f"aborted: {error}", 0.0, 0.0)
     press_N = float(result.metrics.get("press_mean_N", np.nan))
-    return Row(name, seed, worn, result.clean, result.outcome, float(result.metrics["in_band_share"]), press_N)
+    return Row(
+        name,
+        seed,
+        worn,
+        result.clean,
+        result.outcome,
+        float(result.metrics["in_band_share"]),
+        press_N,
+    )
 
 
 def summary(rows: list[dict[str, Any]], seeds: range) -> dict[str, Any]:
@@ -173,7 +190,9 @@ def main(config: ReadingExpertCommand) -> None:
     found = summary(played(ledger, _episodes(config, seeds), config.workers), seeds)
     for name, line in found.items():
         low, high = line["wilson95"]
-        print(f"{name:36} {line['clean']:3}/{line['n']} [{low:.2f}, {high:.2f}]  in band {line['in_band_share']:.2f}")
+        print(
+            f"{name:36} {line['clean']:3}/{line['n']} [{low:.2f}, {high:.2f}]  in band {line['in_band_share']:.2f}"
+        )
     content = {"level": config.level, "seeds": [seeds[0], seeds[-1]], "readers": found}
     print(f"written to {update(Path(config.out), config.gripper, content)}")
 

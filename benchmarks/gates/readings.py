@@ -10,7 +10,8 @@ from lerobot_env_uniforce_wiping.expert import Contact, WipeExpert
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ
 from uniforce_vtla.contracts import Finger
 
-Change = Callable[[Contact, WipeEnv, str], Contact]  # what is read, the scene and the phase → what is believed
+# what is read, the scene and the phase → what is believed
+Change = Callable[[Contact, WipeEnv, str], Contact]
 FEELS_s = 0.5  # of wiping, before touch freezes
 
 
@@ -80,10 +81,13 @@ class PlaneKnown:
         self._grasp_m = np.nan
 
     def __call__(self, read: Contact, env: WipeEnv, phase: str) -> Contact:
-        if phase in ("descend", "close"):  # the eraser stands on the table: how high on it the hand holds it
+        # the eraser stands on the table: how high on it the hand holds it
+        if phase in ("descend", "close"):
             self._grasp_m = env.state[2]
             return read
-        return replace(read, press_N=self._stiffness_N_m * (self._rest_m + sunk_m(env, self._grasp_m)))
+        return replace(
+            read, press_N=self._stiffness_N_m * (self._rest_m + sunk_m(env, self._grasp_m))
+        )
 
 
 def sunk_m(env: WipeEnv, grasp_m: float) -> float:
@@ -91,5 +95,7 @@ def sunk_m(env: WipeEnv, grasp_m: float) -> float:
     scene, x, y, z = env.scene, *env.state[:3].astype(np.float64)
     centre = np.add(env.level.layout.board_center_m, scene.board_shift_m)
     tilt_x, tilt_y = scene.board_tilt_rad
-    plane_m = scene.board_height_m + (y - centre[1]) * np.tan(tilt_x) - (x - centre[0]) * np.tan(tilt_y)
+    plane_m = (
+        scene.board_height_m + (y - centre[1]) * np.tan(tilt_x) - (x - centre[0]) * np.tan(tilt_y)
+    )
     return float(plane_m + grasp_m - z)

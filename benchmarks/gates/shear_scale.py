@@ -88,7 +88,9 @@ def play(worn: str, level: str, gripper: str, seed: int) -> Row:
         if step % EVERY or now_N[2] < GRIPPED_N:
             continue
         try:
-            shear = {finger: float(head(encode_now(env, finger, tokenizer))[0, 1]) for finger in FINGERS}
+            shear = {
+                finger: float(head(encode_now(env, finger, tokenizer))[0, 1]) for finger in FINGERS
+            }
         except SensorError:
             refused += 1
             continue
@@ -121,7 +123,9 @@ def shares(slopes: np.ndarray) -> dict[str, float]:
 
 def gain_beside(rows: list[dict[str, Any]]) -> float | None:
     """Return a unit's gain from wipes beside the anchor, None where they don't give one."""
-    read_N, anchor_N = (np.concatenate([row[name] for row in rows]) for name in ("read_N", "anchor_N"))
+    read_N, anchor_N = (
+        np.concatenate([row[name] for row in rows]) for name in ("read_N", "anchor_N")
+    )
     try:
         return shear_gain(read_N, anchor_N)
     except ContractError:
@@ -133,8 +137,12 @@ def scored(rows: list[dict[str, Any]], weighed: float | None) -> dict[str, Any]:
     in_order = sorted(rows, key=lambda row: row["seed"])
     half = len(in_order) // 2
     gains = dict(zip(SCALED, (1.0, weighed, gain_beside(in_order[:half])), strict=True))
-    lines = np.array([line(np.array(row["read_N"]), np.array(row["truth_N"])) for row in in_order])  # (scenes, 2)
-    found: dict[str, Any] = {"slopes": lines[:, 0].tolist(), "refused": sum(row["refused"] for row in rows)}
+    # (scenes, 2)
+    lines = np.array([line(np.array(row["read_N"]), np.array(row["truth_N"])) for row in in_order])
+    found: dict[str, Any] = {
+        "slopes": lines[:, 0].tolist(),
+        "refused": sum(row["refused"] for row in rows),
+    }
     for name, gain in gains.items():
         if gain is not None:
             slope, offset_N = gain * lines[half:].mean(axis=0)
@@ -144,7 +152,10 @@ def scored(rows: list[dict[str, Any]], weighed: float | None) -> dict[str, Any]:
 
 def table(units: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the figures of a kind over its units."""
-    found: dict[str, Any] = {"units": len(units), "of_slopes": shares(np.array([unit["slopes"] for unit in units]))}
+    found: dict[str, Any] = {
+        "units": len(units),
+        "of_slopes": shares(np.array([unit["slopes"] for unit in units])),
+    }
     for name in SCALED:
         scaled = [unit[name] for unit in units if name in unit]
         found[name] = {"units": len(scaled)} | (_figures(scaled) if scaled else {})
@@ -176,7 +187,9 @@ def in_words(one: dict[str, Any]) -> str:
 def weighed_gain(worn: str) -> float | None:
     """Return the gain of a simulated weighing through the tool, None where it is refused."""
     try:
-        return weigh_sensor(CalibrateCommand(worn, loads_N="3,6,9", through="tool"), _models()[0]).gain
+        return weigh_sensor(
+            CalibrateCommand(worn, loads_N="3,6,9", through="tool"), _models()[0]
+        ).gain
     except (ContractError, SensorError):
         return None
 
@@ -189,10 +202,14 @@ def main(config: ShearScaleCommand) -> None:
         came = f"{config.units} and {config.scenes}"
         wanted = f"two or more and {FEWEST_SCENES} or more"
         raise ContractError(
-            expected("units and scenes", wanted, came, "Half of the scenes scale, the others are scored.")
+            expected(
+                "units and scenes", wanted, came, "Half of the scenes scale, the others are scored."
+            )
         )
     kinds = choose(dict.fromkeys(KINDS), config.only)
-    units = {kind: [f"{kind}:{FIRST_UNIT + number}" for number in range(config.units)] for kind in kinds}
+    units = {
+        kind: [f"{kind}:{FIRST_UNIT + number}" for number in range(config.units)] for kind in kinds
+    }
     seeds = range(config.first_seed, config.first_seed + config.scenes)
 
     def episodes() -> Iterator[tuple[str, int, Any]]:
@@ -201,16 +218,25 @@ def main(config: ShearScaleCommand) -> None:
                 yield worn, seed, delayed(play)(worn, config.level, config.gripper, seed)
 
     rows = defaultdict[str, list[dict[str, Any]]](list)
-    for row in played(Path(config.work) / f"{config.level}_{config.gripper}.jsonl", episodes(), config.workers):
+    for row in played(
+        Path(config.work) / f"{config.level}_{config.gripper}.jsonl", episodes(), config.workers
+    ):
         if row["seed"] in seeds:
             rows[row["cell"]].append(row)
-    by_unit = {worn: scored(rows[worn], weighed_gain(worn)) for kind in kinds for worn in units[kind]}
+    by_unit = {
+        worn: scored(rows[worn], weighed_gain(worn)) for kind in kinds for worn in units[kind]
+    }
     found = {kind: table([by_unit[worn] for worn in units[kind]]) for kind in kinds}
     for kind, figures in found.items():
         for name in SCALED:
             print(f"{kind:9} {name:26} {in_words(figures[name])}")
         print(f"{kind:9} spread of slopes: {figures['of_slopes']}")
-    content = {"level": config.level, "gripper": config.gripper, "scenes": [seeds[0], seeds[-1]], "kinds": found}
+    content = {
+        "level": config.level,
+        "gripper": config.gripper,
+        "scenes": [seeds[0], seeds[-1]],
+        "kinds": found,
+    }
     content["by_unit"] = by_unit
     print(f"written to {update(Path(config.out), 'shear_scale', content)}")
 

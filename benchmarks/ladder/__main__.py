@@ -22,7 +22,16 @@ from uniforce_vtla.evaluation.comparison import better
 from uniforce_vtla.evaluation.pictures import draw_arms
 from uniforce_vtla.evaluation.statistics import wilson
 from uniforce_vtla.json_file import read_object
-from uniforce_vtla.options import CountOrZero, FilePath, FolderPath, OutFile, OutFolder, Seed, Text, Workers
+from uniforce_vtla.options import (
+    CountOrZero,
+    FilePath,
+    FolderPath,
+    OutFile,
+    OutFolder,
+    Seed,
+    Text,
+    Workers,
+)
 from uniforce_vtla.results_file import provenance, write_json
 
 DEMONSTRATED = {"left_sensor": "gelsight", "right_sensor": "tactip"}
@@ -48,8 +57,10 @@ class LadderCommand:
 
     part: Literal["grip", "ladder", "left_out", "weighed", "controls", "arms"] = "ladder"
     checkpoints: FolderPath = "outputs/arms"  # ARM/seed0, ARM/seed1, …
-    calibrations: FolderPath = ""  # of `uniforce calibrate`: shipped/uskin-2, …; "" = those rows wait
-    rows: Text = ""  # names between commas: score these alone, the others wait; "" = all of the part
+    # of `uniforce calibrate`: shipped/uskin-2, …; "" = those rows wait
+    calibrations: FolderPath = ""
+    # names between commas: score these alone, the others wait; "" = all of the part
+    rows: Text = ""
     level: Level = "touch"
     rollouts: CountOrZero = 0  # per sensor worn; 0 = as planned
     first_seed: Seed = 0  # 0 = the plan's own block: score it once
@@ -63,9 +74,19 @@ class LadderCommand:
 
 def score_config(entry: Entry, worn: str, **settings: Any) -> ScoreConfig:
     """Return how a row is scored with one of its sensors; ``settings`` are further fields of ``ScoreConfig``."""
-    fingers: dict[str, Any] = DEMONSTRATED | {f"{entry.finger}_sensor": worn, "control": entry.control}
+    fingers: dict[str, Any] = DEMONSTRATED | {
+        f"{entry.finger}_sensor": worn,
+        "control": entry.control,
+    }
     return ScoreConfig(
-        **{"arm": entry.name, "swap": entry.swap, "grip": entry.grip, "videos": 0, **fingers, **settings}
+        **{
+            "arm": entry.name,
+            "swap": entry.swap,
+            "grip": entry.grip,
+            "videos": 0,
+            **fingers,
+            **settings,
+        }
     )
 
 
@@ -85,20 +106,29 @@ def configured(config: LadderCommand, entry: Entry) -> list[ScoreConfig]:
     for number, worn in enumerate(entry.worn):
         calibration = {f"{entry.finger}_calibration": str(maps[number])} if maps else {}
         scenes = {"level": config.level, "first_seed": first + number * share, "rollouts": share}
-        parts.append(score_config(entry, worn, policy=policy, out=config.work, **scenes, **calibration))
+        parts.append(
+            score_config(entry, worn, policy=policy, out=config.work, **scenes, **calibration)
+        )
     return parts
 
 
-def joined(configs: Sequence[ScoreConfig], parts: Sequence[ArmReport]) -> dict[str, tuple[ArmReport, list[str]]]:
+def joined(
+    configs: Sequence[ScoreConfig], parts: Sequence[ArmReport]
+) -> dict[str, tuple[ArmReport, list[str]]]:
     """Return each row's report over its parts, and clean k/n of each training seed: they take turns."""
     found: dict[str, tuple[list[EpisodeRow], dict[str, list[bool]]]] = {}
     for config, part in zip(configs, parts, strict=True):
-        rows, by_policy = found.setdefault(config.arm, ([], {policy: [] for policy in config.policies}))
+        rows, by_policy = found.setdefault(
+            config.arm, ([], {policy: [] for policy in config.policies})
+        )
         rows += part.rows
         for row in part.rows:
             by_policy[config.policy_of(row.seed)].append(row.clean)
     return {
-        name: (ArmReport(name, rows), [f"{sum(clean)}/{len(clean)}" for clean in by_policy.values()])
+        name: (
+            ArmReport(name, rows),
+            [f"{sum(clean)}/{len(clean)}" for clean in by_policy.values()],
+        )
         for name, (rows, by_policy) in found.items()
     }
 
@@ -129,7 +159,9 @@ def added(found: dict[str, Any], earlier: dict[str, Any]) -> dict[str, Any]:
     level = ("level", "level_hash")
     if came := {key: earlier[key] for key in level if earlier[key] != found[key]}:
         wanted = {key: found[key] for key in came}
-        raise ContractError(expected("level of the earlier report", wanted, came, "Score them on one level."))
+        raise ContractError(
+            expected("level of the earlier report", wanted, came, "Score them on one level.")
+        )
     rows = {section: earlier[section] | found[section] for section in ROWS}
     return earlier | rows | {"scored_by": earlier["scored_by"] + found["scored_by"]}
 
@@ -140,7 +172,9 @@ def _report(file: str, keys: Sequence[str]) -> dict[str, Any] | None:
         return None
     found = read_object(Path(file), ContractError)
     if missing := [key for key in keys if key not in found]:
-        raise ContractError(expected(file, f"a result with {list(keys)}", f"no {missing}", "Is it another file?"))
+        raise ContractError(
+            expected(file, f"a result with {list(keys)}", f"no {missing}", "Is it another file?")
+        )
     return found
 
 
@@ -152,7 +186,11 @@ def add_best_blind(found: dict[str, Any], gates: dict[str, Any]) -> None:
     scored, with_touch = [gates["level_hash"], *gates["seeds"]], found["arms"]["V+T"]
     wanted = [found["level_hash"], *with_touch["seeds"]]
     if scored != wanted:
-        raise ContractError(expected("level and scenes of the blind", wanted, scored, "Run them on the arms' scenes."))
+        raise ContractError(
+            expected(
+                "level and scenes of the blind", wanted, scored, "Run them on the arms' scenes."
+            )
+        )
     blind = gates["must_fail"]
     name = max(blind, key=lambda name: blind[name]["clean"])
     found["arms"]["best blind"] = {"script": name, "seeds": gates["seeds"], **blind[name]}
@@ -197,12 +235,17 @@ def main(config: LadderCommand) -> None:
         raise CheckpointError(expected(config.checkpoints, "checkpoints of the plan", came, do))
     for entry, parts in planned:
         if not parts:
-            print(f"not scored: {entry.name} (no {entry.checkpoints} or no calibration of {entry.worn} there)")
+            print(
+                f"not scored: {entry.name} (no {entry.checkpoints} or no calibration of {entry.worn} there)"
+            )
     for one in configs:
         check_policies(one)
     found = joined(configs, score_arms(configs, config.workers))
     reports = {name: report for name, (report, _) in found.items()}
-    rows = {name: report.as_dict() | {"clean_by_training_seed": seeds} for name, (report, seeds) in found.items()}
+    rows = {
+        name: report.as_dict() | {"clean_by_training_seed": seeds}
+        for name, (report, seeds) in found.items()
+    }
     content = filed(config.part, config.level, rows)
     if earlier is not None:
         content = added(content, earlier)
@@ -212,13 +255,19 @@ def main(config: LadderCommand) -> None:
     print(table(list(reports.values())))
     for name, row in rows.items():
         seeds = " ".join(row["clean_by_training_seed"])
-        print(f"{name:28} {wilson(row['clean'], row['n'])}  share {row['in_band_share']:.2f}  training seeds {seeds}")
+        print(
+            f"{name:28} {wilson(row['clean'], row['n'])}  share {row['in_band_share']:.2f}  training seeds {seeds}"
+        )
     for claim in content["within"]:
         said = f"{100 * claim['difference']:+.0f} points, bound {100 * claim['lower']:+.0f}"
-        print(f"{' against '.join(claim['arms'])}: {said}, {'within' if claim['holds'] else 'NOT within'}")
+        print(
+            f"{' against '.join(claim['arms'])}: {said}, {'within' if claim['holds'] else 'NOT within'}"
+        )
     path = write_json(Path(config.out), content | provenance())
     figure = path.with_name(f"{path.stem}_{config.part}.png")
-    draw_arms(list(reports.values()), figure, title=f"{config.part}, level {config.level}, simulated")
+    draw_arms(
+        list(reports.values()), figure, title=f"{config.part}, level {config.level}, simulated"
+    )
     print(f"written to {path} and {figure}")
 
 

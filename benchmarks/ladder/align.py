@@ -42,7 +42,9 @@ def described(reference: np.ndarray, current: np.ndarray, finger: Finger) -> Lat
 @command(AlignCommand)
 def main(config: AlignCommand) -> None:
     one_thread()
-    tokenizer = Tokenizer.from_pretrained(config.tokenizer or None) if config.feature == "latent" else None
+    tokenizer = (
+        Tokenizer.from_pretrained(config.tokenizer or None) if config.feature == "latent" else None
+    )
     encode = pooled_latents(tokenizer) if tokenizer else described
     made_for = tokenizer.hash if tokenizer else config.feature
     grasps = simulated_grasps(config.new, config.anchor, config.grasps, config.seed, encode)
@@ -52,7 +54,9 @@ def main(config: AlignCommand) -> None:
     left = float((fitted(new) - anchor).square().mean() / (new - anchor).square().mean())
     found = Calibration(fitted, made_for, "", config.new, config.anchor, ridge, 0.0, {})
     where = found.save(config.out)
-    print(f"{config.feature} of {config.new}: {left:.2f} of the squared difference is left; map in {where}")
+    print(
+        f"{config.feature} of {config.new}: {left:.2f} of the squared difference is left; map in {where}"
+    )
 
 
 if __name__ == "__main__":

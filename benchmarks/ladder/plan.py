@@ -57,7 +57,10 @@ def _halves(weak: str, strong: str) -> tuple[str, ...]:
     return *_units(weak)[:2], *_units(strong)[2:]
 
 
-ODD_GELSIGHT, ODD_USKIN = _halves("gelsight_stiff", "gelsight_soft"), _halves("uskin_dull", "uskin_keen")
+ODD_GELSIGHT, ODD_USKIN = (
+    _halves("gelsight_stiff", "gelsight_soft"),
+    _halves("uskin_dull", "uskin_keen"),
+)
 LADDER = (
     Entry("S0", "vt"),
     Entry("S1", "vt", ("tactip:any",)),
@@ -104,7 +107,15 @@ LEFT_OUT_IN_NEWTONS = tuple(
 # The last row was added on the same day, before the result of any of them was seen: gains relative to TacTip 1, whose
 # readings the policies learnt as they are (`relative_to=` of commit 3459784f; it bought nothing and left)
 WEIGHED = tuple(
-    Entry(name, "vt", worn, calibrated=gains != "", tokenizer=gains or "shipped", block="units weighed", rollouts=96)
+    Entry(
+        name,
+        "vt",
+        worn,
+        calibrated=gains != "",
+        tokenizer=gains or "shipped",
+        block="units weighed",
+        rollouts=96,
+    )
     for name, worn, gains in (
         ("S0 beside weighed", ("tactip",), ""),
         ("S1 beside weighed", _units("tactip"), ""),
@@ -157,7 +168,15 @@ ARMS = (
 GRIP = (
     Entry("S0 beside grip", "shipped", block="grip held", rollouts=24),
     *(
-        Entry(name, "shipped", _units("gelsight"), calibrated=True, grip=grip, block="grip held", rollouts=100)
+        Entry(
+            name,
+            "shipped",
+            _units("gelsight"),
+            calibrated=True,
+            grip=grip,
+            block="grip held",
+            rollouts=100,
+        )
         for name, grip in (
             ("S2 gelsight calibrated, grip read", "read"),
             ("S2 gelsight calibrated, grip held", ""),
@@ -181,10 +200,17 @@ CLAIMS = (
     AtMostWorse("another kind", "S2 uskin", "S0", 0.12),
     AtMostWorse("stiffer or keener, calibrated", "S4 uskin calibrated", "S0", 0.15),
     AtMostWorse("stiffer or keener, calibrated", "S4 gelsight calibrated", "S0", 0.15),
-    AtMostWorse("a kind left out of everything, calibrated", "S3 gelsight calibrated", "S0 reduced", 0.15),
-    AtMostWorse("a kind left out of everything, calibrated", "S3 uskin calibrated", "S0 reduced", 0.15),
     AtMostWorse(
-        "a kind left out of everything, calibrated", "S3 uskin newtons calibrated", "S0 newtons without uskin", 0.15
+        "a kind left out of everything, calibrated", "S3 gelsight calibrated", "S0 reduced", 0.15
+    ),
+    AtMostWorse(
+        "a kind left out of everything, calibrated", "S3 uskin calibrated", "S0 reduced", 0.15
+    ),
+    AtMostWorse(
+        "a kind left out of everything, calibrated",
+        "S3 uskin newtons calibrated",
+        "S0 newtons without uskin",
+        0.15,
     ),
     AtMostWorse("next to the true wrench", "V+T", "true wrench", 0.08),
     AtMostWorse("next to the true wrench", "V+T+G", "true wrench", 0.08),
@@ -216,6 +242,8 @@ def claims(arms: Mapping[str, CleanBySeed]) -> list[dict[str, Any]]:
     """Return the plan's claims with their verdict: estimate within the margin, bound within the margin and slack."""
     found = as_good(arms, CLAIMS)
     for claim in found:
-        within = claim["difference"] >= -claim["margin"] and claim["lower"] >= -claim["margin"] - SLACK
+        within = (
+            claim["difference"] >= -claim["margin"] and claim["lower"] >= -claim["margin"] - SLACK
+        )
         claim["holds"] = bool(within)
     return found

@@ -48,9 +48,15 @@ def committed(results: dict[str, Any], name: str) -> dict[str, Any]:
 def entry_of(name: str) -> Entry:
     """Return the plan's row; ContractError: the shipped policy alone can't act it."""
     planned = {entry.name: entry for part in SHIPPED_IN for entry in PARTS[part]}
-    fit = {name: e for name, e in planned.items() if (e.checkpoints, len(e.worn), e.calibrated) == ("vt", 1, False)}
+    fit = {
+        name: e
+        for name, e in planned.items()
+        if (e.checkpoints, len(e.worn), e.calibrated) == ("vt", 1, False)
+    }
     if name not in fit:
-        raise ContractError(expected("row", " | ".join(fit), name, "Others need checkpoints or calibrations."))
+        raise ContractError(
+            expected("row", " | ".join(fit), name, "Others need checkpoints or calibrations.")
+        )
     return fit[name]
 
 
@@ -63,12 +69,16 @@ def acted_in(row: dict[str, Any], count: int) -> dict[int, str]:
 def replayed(config: ReplayCommand) -> dict[int, tuple[str, str]]:
     """Return scene → how it ended then and how it ends now."""
     entry = entry_of(config.row)
-    before = acted_in(committed(read_object(Path(config.results), ContractError), config.row), config.scenes)
+    before = acted_in(
+        committed(read_object(Path(config.results), ContractError), config.row), config.scenes
+    )
     one = score_config(entry, entry.worn[0], rollouts=1, out=config.work)
     scenes = [replace(one, arm=f"{entry.name} {seed}", first_seed=seed) for seed in before]
     return {
         seed: (code, report.rows[0].code)
-        for (seed, code), report in zip(before.items(), score_arms(scenes, config.workers), strict=True)
+        for (seed, code), report in zip(
+            before.items(), score_arms(scenes, config.workers), strict=True
+        )
     }
 
 
@@ -81,7 +91,9 @@ def main(config: ReplayCommand) -> int:
     clean = [[code == CLEAN for code in codes] for codes in zip(*found.values(), strict=True)]
     p = mcnemar(*clean).p_value
     verdict = "DIFFERS FROM" if p < MAX_CHANCE else "agrees with"
-    print(f"replay of {config.row} {verdict} {config.results}: {alike} of {len(found)} scenes end alike,")
+    print(
+        f"replay of {config.row} {verdict} {config.results}: {alike} of {len(found)} scenes end alike,"
+    )
     print(f"clean {sum(clean[0])} then and {sum(clean[1])} now (p = {p:.2g})")
     return 1 if p < MAX_CHANCE else 0
 

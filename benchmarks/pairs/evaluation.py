@@ -15,8 +15,17 @@ from uniforce_robots.pairs.rig import RigFrame
 from uniforce_robots.pairs.track import FingerReaders, GraspTrack, MotionLimits
 from uniforce_vtla.figure_file import save_figure
 
-BEYOND_THE_GOAL = "pushed"  # a lean along the closing axis: not asked for, but real, and the hardest to find
-BANDS = ((0.0, 0.05), (0.05, 0.08), (0.08, 0.10), (0.10, 0.12), (0.12, 0.20), (0.20, 0.50), (0.50, 9.0))
+# a lean along the closing axis: not asked for, but real, and the hardest to find
+BEYOND_THE_GOAL = "pushed"
+BANDS = (
+    (0.0, 0.05),
+    (0.05, 0.08),
+    (0.08, 0.10),
+    (0.10, 0.12),
+    (0.12, 0.20),
+    (0.20, 0.50),
+    (0.50, 9.0),
+)
 THRESHOLDS = (0.06, 0.08, 0.10, 0.12, 0.14, 0.17, 0.20, 0.30)
 DRAWS = 1000  # of the bootstrap
 FLOOR = 0.003  # errors are drawn on a logarithmic axis
@@ -54,7 +63,11 @@ def score_session(rehearsal: Rehearsal, indenters: tuple[str, ...], grasps: int)
 
 
 def _score_grasp(
-    rig: SimulatedRig, judge: PairJudge, readers: FingerReaders, frames: Iterator[RigFrame], indenter: str
+    rig: SimulatedRig,
+    judge: PairJudge,
+    readers: FingerReaders,
+    frames: Iterator[RigFrame],
+    indenter: str,
 ) -> tuple[np.ndarray, ...]:
     T = rig.rehearsal.grasps.frames
     track = GraspTrack(rig.mass_kg, readers)
@@ -85,7 +98,9 @@ def precision_recall(flagged: np.ndarray, bad: np.ndarray) -> dict[str, float]:
 
 def report(scored: Sequence[ScoredPairs]) -> dict[str, Any]:
     error, flagged, fault = (_joined(scored, name) for name in ("error", "flagged", "fault"))
-    gate, indenter, estimated = (_joined(scored, name) for name in ("gate_open", "indenter", "estimated"))
+    gate, indenter, estimated = (
+        _joined(scored, name) for name in ("gate_open", "indenter", "estimated")
+    )
     rig = np.concatenate([np.repeat(s.sensors, len(s.error)) for s in scored])
     grasp = np.concatenate([s.grasp + 10_000 * k for k, s in enumerate(scored)])
     bad = error > LIMIT
@@ -100,9 +115,13 @@ def report(scored: Sequence[ScoredPairs]) -> dict[str, Any]:
         "by_indenter": _by(indenter, flagged & goal, bad & goal, goal),
         "by_fault": _by(fault, flagged, bad),
         "by_true_error": {
-            f"{low:g}-{high:g}": _share(flagged, (error > low) & (error <= high) & goal) for low, high in BANDS
+            f"{low:g}-{high:g}": _share(flagged, (error > low) & (error <= high) & goal)
+            for low, high in BANDS
         },
-        "by_threshold": {f"{limit:g}": precision_recall((estimated > limit)[goal], bad[goal]) for limit in THRESHOLDS},
+        "by_threshold": {
+            f"{limit:g}": precision_recall((estimated > limit)[goal], bad[goal])
+            for limit in THRESHOLDS
+        },
     }
 
 
@@ -126,7 +145,9 @@ def _share(flagged: np.ndarray, rows: np.ndarray) -> dict[str, float]:
     return {"pairs": count, "flagged": float(flagged[rows].mean()) if count else float("nan")}
 
 
-def _kept(flagged: np.ndarray, gate: np.ndarray, bad: np.ndarray, error: np.ndarray) -> dict[str, float]:
+def _kept(
+    flagged: np.ndarray, gate: np.ndarray, bad: np.ndarray, error: np.ndarray
+) -> dict[str, float]:
     """Pairs that a recorder would keep, gate and score together, all faults in play."""
     kept = gate & ~flagged
     return {
@@ -142,7 +163,8 @@ def _with_interval(flagged: np.ndarray, bad: np.ndarray, grasp: np.ndarray) -> d
     """Precision and recall with 95 % intervals of a bootstrap over whole grasps."""
     rng = np.random.default_rng(0)
     _, where = np.unique(grasp, return_inverse=True)
-    counts = np.stack([np.bincount(where, weights=w) for w in (flagged & bad, flagged, bad)])  # (3, grasps)
+    # (3, grasps)
+    counts = np.stack([np.bincount(where, weights=w) for w in (flagged & bad, flagged, bad)])
     drawn = rng.multinomial(counts.shape[1], np.full(counts.shape[1], 1 / counts.shape[1]), DRAWS)
     hits, marked, wrong = counts @ drawn.T
     intervals = {
@@ -157,7 +179,9 @@ def draw_scores(scored: Sequence[ScoredPairs], content: dict[str, Any], path: Pa
     left, right = figure.subplots(1, 2)
     _draw_errors(left, scored, content["settings"]["limit"])
     _draw_thresholds(right, content)
-    figure.suptitle("Pair quality against the simulator's truth, sessions the score was not tuned on")
+    figure.suptitle(
+        "Pair quality against the simulator's truth, sessions the score was not tuned on"
+    )
     return save_figure(figure, path)
 
 

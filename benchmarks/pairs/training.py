@@ -27,7 +27,9 @@ class ForceTraining:
     learning_rate: float = 3e-3
     weight_decay: float = 1e-2
     dropout: float = 0.05
-    loads: ForceRange = field(default_factory=lambda: ForceRange(normal_N=13.0, shear_N=6.0, friction=0.8))
+    loads: ForceRange = field(
+        default_factory=lambda: ForceRange(normal_N=13.0, shear_N=6.0, friction=0.8)
+    )
     seed: int = 0  # of units, contacts and weights; no scored session uses it
 
 
@@ -46,7 +48,9 @@ def training_contacts(sensor: str, training: ForceTraining) -> tuple[np.ndarray,
     return np.concatenate(fields), np.concatenate(forces).astype(np.float32)
 
 
-def train_finger_force(fields: np.ndarray, forces: np.ndarray, training: ForceTraining) -> FingerForce:
+def train_finger_force(
+    fields: np.ndarray, forces: np.ndarray, training: ForceTraining
+) -> FingerForce:
     """Return a reader fitted to relative error: a tenth of a light force matters as much as of a firm one."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(training.seed)
@@ -58,8 +62,12 @@ def train_finger_force(fields: np.ndarray, forces: np.ndarray, training: ForceTr
 
 
 def _fit(model: FingerForce, x: torch.Tensor, y: torch.Tensor, training: ForceTraining) -> None:
-    optimizer = torch.optim.AdamW(model.parameters(), lr=training.learning_rate, weight_decay=training.weight_decay)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, training.learning_rate, training.steps)
+    optimizer = torch.optim.AdamW(
+        model.parameters(), lr=training.learning_rate, weight_decay=training.weight_decay
+    )
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimizer, training.learning_rate, training.steps
+    )
     for _ in range(training.steps):
         rows = torch.randint(len(x), (training.batch,))
         error = (model(x[rows]) - y[rows]) / (y[rows].norm(dim=1, keepdim=True) + LIGHT_N)
@@ -70,7 +78,9 @@ def _fit(model: FingerForce, x: torch.Tensor, y: torch.Tensor, training: ForceTr
         schedule.step()
 
 
-def save_finger_force(model: FingerForce, sensor: str, training: ForceTraining, folder: Path | None = None) -> Path:
+def save_finger_force(
+    model: FingerForce, sensor: str, training: ForceTraining, folder: Path | None = None
+) -> Path:
     """Write weights and facts to a folder ``from_pretrained`` reads; the package's own by default."""
     facts = {"sensor": sensor, "training": asdict(training)}
     return save_checkpoint(folder or ASSETS / sensor, model, facts)

@@ -49,7 +49,9 @@ class CarriedGripCommand:
     workers: Workers = 2
 
 
-def demonstration(level: str, finger: Finger, sensor: str, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
+def demonstration(
+    level: str, finger: Finger, sensor: str, seed: int
+) -> tuple[torch.Tensor, torch.Tensor]:
     """Return a scripted demonstration's measured state (T, 5) and what its finger reads (T, 3), N."""
     worker_process()
     tokenizer = Tokenizer.from_pretrained()
@@ -70,7 +72,11 @@ def demonstrations(config: CarriedGripCommand) -> Iterator[tuple[torch.Tensor, t
     """Yield all of them, with a bar."""
     what = config.level, config.finger, config.sensor
     jobs = [delayed(demonstration)(*what, seed) for seed in range(config.demos)]
-    yield from tqdm(Parallel(config.workers, return_as="generator")(jobs), total=len(jobs), desc="demonstrations")
+    yield from tqdm(
+        Parallel(config.workers, return_as="generator")(jobs),
+        total=len(jobs),
+        desc="demonstrations",
+    )
 
 
 @command(CarriedGripCommand)

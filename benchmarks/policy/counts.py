@@ -22,7 +22,17 @@ from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import ACTION, AXES, STATE
 
 VIEWS = {  # operations that move no data
-    *("alias", "as_strided", "detach", "expand", "permute", "select", "slice", "split", "split_with_sizes"),
+    *(
+        "alias",
+        "as_strided",
+        "detach",
+        "expand",
+        "permute",
+        "select",
+        "slice",
+        "split",
+        "split_with_sizes",
+    ),
     *("squeeze", "t", "transpose", "unbind", "unsqueeze", "view", "_unsafe_view"),
 }
 STATUS = Path("/proc/self/status")
@@ -90,7 +100,11 @@ def write_sparse(folder: Path, **settings: Any) -> int:
     header, end = {}, 0
     for name, tensor in policy.state_dict().items():
         start, end = end, end + tensor.numel() * tensor.element_size()
-        header[name] = {"dtype": DTYPES[tensor.dtype], "shape": list(tensor.shape), "data_offsets": [start, end]}
+        header[name] = {
+            "dtype": DTYPES[tensor.dtype],
+            "shape": list(tensor.shape),
+            "data_offsets": [start, end],
+        }
     text = json.dumps(header).encode()
     text += b" " * (-len(text) % 8)
     with (folder / weights.WEIGHTS).open("wb") as file:

@@ -85,12 +85,16 @@ def build(case: BenchCase, device: str, touch: TouchSettings | None = None) -> P
     return network
 
 
-def observe(case: BenchCase, network: PI05UniforcePytorch, device: str) -> tuple[Inputs, torch.Tensor]:
+def observe(
+    case: BenchCase, network: PI05UniforcePytorch, device: str
+) -> tuple[Inputs, torch.Tensor]:
     """Return cameras, masks, text tokens and their mask for batch 1, and starting noise."""
     config = network.config
     height, width = config.image_resolution
     images = [torch.rand(1, 3, height, width, device=device) * 2 - 1 for _ in range(case.cameras)]
-    there = [torch.tensor([n < case.cameras - case.missing], device=device) for n in range(case.cameras)]
+    there = [
+        torch.tensor([n < case.cameras - case.missing], device=device) for n in range(case.cameras)
+    ]
     tokens = torch.randint(0, 50, (1, config.tokenizer_max_length), device=device)
     mask = torch.arange(config.tokenizer_max_length, device=device)[None] < case.prompt
     noise = torch.randn(1, config.chunk_size, config.max_action_dim, device=device)
@@ -110,13 +114,18 @@ def without_graphs(network: PI05UniforcePytorch) -> Any:
         yield
 
 
-def samplers(network: PI05UniforcePytorch, given: Inputs, noise: torch.Tensor, steps: int) -> dict[str, Callable]:
+def samplers(
+    network: PI05UniforcePytorch, given: Inputs, noise: torch.Tensor, steps: int
+) -> dict[str, Callable]:
     def slow() -> torch.Tensor:
         with lerobots_layers(network):
             *seen, _ = given
             return stock.PI05Pytorch.sample_actions(network, *seen, noise=noise, num_steps=steps)
 
-    return {"stock": slow, "fast": lambda: network.sample_actions(*given, noise=noise, num_steps=steps)}
+    return {
+        "stock": slow,
+        "fast": lambda: network.sample_actions(*given, noise=noise, num_steps=steps),
+    }
 
 
 @torch.no_grad()

@@ -16,7 +16,14 @@ from typing import Any
 
 import torch
 
-from benchmarks.policy.latency import BenchCase, build, device_name, lerobots_layers, milliseconds, observe
+from benchmarks.policy.latency import (
+    BenchCase,
+    build,
+    device_name,
+    lerobots_layers,
+    milliseconds,
+    observe,
+)
 from benchmarks.timing import in_turns, ratio
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TouchSettings
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
@@ -53,15 +60,21 @@ def bench_touch(case: BenchCase, device: str, rounds: int, steps: int) -> dict[s
     return report | _in_turns(trains, device, max(3, rounds // 3), "train_step")
 
 
-def with_touch(network: PI05UniforcePytorch, given: Inputs, noise: torch.Tensor) -> tuple[Inputs, torch.Tensor]:
+def with_touch(
+    network: PI05UniforcePytorch, given: Inputs, noise: torch.Tensor
+) -> tuple[Inputs, torch.Tensor]:
     """Add cached latents of every slot and leave text padding out, as the trainer does for short prompts."""
     config = network.config
     touches: list[torch.Tensor] = []
     for _ in config.slots:
-        touches.append(torch.randn(1, config.tokens_per_slot, config.latent_size, device=noise.device))
+        touches.append(
+            torch.randn(1, config.tokens_per_slot, config.latent_size, device=noise.device)
+        )
     real = [torch.ones(1, dtype=torch.bool, device=noise.device) for _ in config.slots]
     tokens, masks = drop_padding(given.tokens, given.masks)
-    return Inputs(given.images, given.img_masks, tokens, masks, Felt(None, tuple(touches), tuple(real))), noise
+    return Inputs(
+        given.images, given.img_masks, tokens, masks, Felt(None, tuple(touches), tuple(real))
+    ), noise
 
 
 def _training(
@@ -72,7 +85,9 @@ def _training(
     look: Callable[[torch.Tensor], None] = lambda loss: None,
 ) -> Call:
     """Return a training step on one sample; ``look`` is given its loss while the gradients are there."""
-    optimizer = torch.optim.AdamW([p for p in network.parameters() if p.requires_grad], lr=learning_rate)
+    optimizer = torch.optim.AdamW(
+        [p for p in network.parameters() if p.requires_grad], lr=learning_rate
+    )
     actions, time = torch.zeros_like(noise), noise.new_full((1,), 0.5)
 
     def step() -> None:
@@ -91,11 +106,15 @@ def _in_turns(calls: dict[str, Call], device: str, rounds: int, what: str) -> di
     medians = {name: statistics.median(values) for name, values in times.items()}
     return {
         f"{what}_ms": medians,
-        f"{what}_ratio_to_none": {name: ratio(values, times["none"]) for name, values in times.items()},
+        f"{what}_ratio_to_none": {
+            name: ratio(values, times["none"]) for name, values in times.items()
+        },
     }
 
 
-def bench_training(case: BenchCase, device: str, steps: int, learning_rate: float = LEARNING_RATE) -> dict[str, Any]:
+def bench_training(
+    case: BenchCase, device: str, steps: int, learning_rate: float = LEARNING_RATE
+) -> dict[str, Any]:
     """Return losses, gradient norms of touch at every step, the tokenizer's hash before and after, and times [ms]."""
     network = build(case, device, variants()["prefix"]).train()
     given, noise = with_touch(network, *observe(case, network, device))
@@ -105,7 +124,9 @@ def bench_training(case: BenchCase, device: str, steps: int, learning_rate: floa
     def look(loss: torch.Tensor) -> None:
         losses.append(float(loss.detach()))
         for name, rows in norms.items():
-            grads = [p.grad.float() for p in getattr(network, name).parameters() if p.grad is not None]
+            grads = [
+                p.grad.float() for p in getattr(network, name).parameters() if p.grad is not None
+            ]
             rows.append(float(torch.nn.utils.get_total_norm(grads)))
 
     before = tokenizer_hash(network)
@@ -122,12 +143,18 @@ def bench_training(case: BenchCase, device: str, steps: int, learning_rate: floa
         "losses": losses,
         "gradient_norms": norms,
         "tokenizer_unchanged": tokenizer_hash(network) == before,
-        "peak_GiB": torch.cuda.max_memory_allocated() / 2**30 if device.startswith("cuda") else None,
+        "peak_GiB": torch.cuda.max_memory_allocated() / 2**30
+        if device.startswith("cuda")
+        else None,
     }
 
 
 def tokenizer_hash(network: PI05UniforcePytorch) -> str:
     """Return the content hash of the frozen tokenizer inside the network."""
     assert network.tactile_encoder is not None, "the bench builds it with latents"
-    facts = {name: fact for name, fact in (network.config.touch.tokenizer or {}).items() if name != "hash"}
+    facts = {
+        name: fact
+        for name, fact in (network.config.touch.tokenizer or {}).items()
+        if name != "hash"
+    }
     return content_hash(network.tactile_encoder.model, facts)

@@ -33,18 +33,24 @@ class HardSettings:
     sequences: int  # per sensor
     length: int  # frames per sequence
     indenters: tuple[str, ...]  # names drawn from
-    force_range: ForceRange = field(default_factory=ForceRange)  # 16 N, ±8 N: over-pressing is read too
+    # 16 N, ±8 N: over-pressing is read too
+    force_range: ForceRange = field(default_factory=ForceRange)
     sequences_per_unit: int = 4  # then another unit with another pose and light
     unit_strength: float = 1.5  # times the usual spread of stiffness, gain, moulding
     look: Look = field(default_factory=Look)  # camera pose and marker size
     marker_loss: float = 0.02  # chance per marker and frame; ViTac 2024 draws .01
-    creep_share: tuple[float, float] = (0.05, 0.20)  # part of the motion that comes late; rubbers .1–.3
+    # part of the motion that comes late; rubbers .1–.3
+    creep_share: tuple[float, float] = (0.05, 0.20)
     rate_hz: float = 10.0  # frames of a sequence: 12 take 1.2 s
     canonicalize: bool = True  # camera images are found in raw frames by the canonicalizer
 
 
-HETERO_HARD = HardSettings("hetero_hard_v2", seed=31_001, sequences=120, length=12, indenters=UNSEEN)
-HETERO_HARD_TRAINING = replace(HETERO_HARD, name="hetero_hard_training_v2", seed=31_002, sequences=400, indenters=SEEN)
+HETERO_HARD = HardSettings(
+    "hetero_hard_v2", seed=31_001, sequences=120, length=12, indenters=UNSEEN
+)
+HETERO_HARD_TRAINING = replace(
+    HETERO_HARD, name="hetero_hard_training_v2", seed=31_002, sequences=400, indenters=SEEN
+)
 
 
 def hetero_sensors() -> dict[str, VirtualSensor]:
@@ -60,7 +66,10 @@ def draw_hard(settings: HardSettings, sensor: VirtualSensor, side: int) -> Label
     """
     contacts = np.random.default_rng(settings.seed)
     objects = sample_objects(contacts, settings.sequences, settings.indenters)
-    loads = [press_shear_release(contacts, settings.length, settings.force_range) for _ in range(settings.sequences)]
+    loads = [
+        press_shear_release(contacts, settings.length, settings.force_range)
+        for _ in range(settings.sequences)
+    ]
     # the name's digest, not its hash(): that one changes from process to process
     name = int.from_bytes(hashlib.sha256(sensor.name.encode()).digest()[:4])
     rng = np.random.default_rng([settings.seed, name])
@@ -70,7 +79,9 @@ def draw_hard(settings: HardSettings, sensor: VirtualSensor, side: int) -> Label
         if index % settings.sequences_per_unit == 0:
             view, creep = _draw_unit(settings, sensor, rng)
         lagging = lagging_force(force, creep, settings.rate_hz)
-        contact = ContactState(np.repeat(gap[None], len(lagging), axis=0), lagging, np.zeros(len(lagging), np.float32))
+        contact = ContactState(
+            np.repeat(gap[None], len(lagging), axis=0), lagging, np.zeros(len(lagging), np.float32)
+        )
         before, after = view.reference, view.images(contact)
         digest.update(np.packbits(before > 0).tobytes() + np.packbits(after > 0).tobytes())
         before, after = (to_nominal_scale(images, sensor.spec) for images in (before, after))
@@ -81,13 +92,19 @@ def draw_hard(settings: HardSettings, sensor: VirtualSensor, side: int) -> Label
     return LabelledSet(reference, frames, descriptor, force_N, digest.hexdigest())
 
 
-def _draw_unit(settings: HardSettings, sensor: VirtualSensor, rng: np.random.Generator) -> tuple[WornView, Creep]:
+def _draw_unit(
+    settings: HardSettings, sensor: VirtualSensor, rng: np.random.Generator
+) -> tuple[WornView, Creep]:
     """Return a random unit with its camera and light, and its creep; taxels are drawn directly."""
     camera = sensor.spec.signal == "camera"
     unit = UnitVariation.draw(rng, sensor, settings.unit_strength)
     if camera:
         unit = unit.seen_through(rng, settings.look)
-    seed, creep, light = int(rng.integers(2**31)), Creep.draw(rng, settings.creep_share), Light.draw(rng)
+    seed, creep, light = (
+        int(rng.integers(2**31)),
+        Creep.draw(rng, settings.creep_share),
+        Light.draw(rng),
+    )
     loss = settings.marker_loss if camera else 0.0
     direct = not (settings.canonicalize and camera)
     worn = WornSensor(sensor, unit, light, marker_loss=loss, direct=direct)

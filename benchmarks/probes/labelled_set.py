@@ -49,11 +49,16 @@ def force_sequences(
     """
     objects = sample_objects(rng, n, indenters, flat_share)
     force = np.stack([press_shear_release(rng, length, force_range) for _ in range(n)])
-    pool = [draw_simulator(rng, sensor, unit_strength, options or ContactOptions()) for _ in range(min(units, n))]
+    pool = [
+        draw_simulator(rng, sensor, unit_strength, options or ContactOptions())
+        for _ in range(min(units, n))
+    ]
     references, frames = [], []
     for index, (gap, load) in enumerate(zip(objects.gap_mm, force, strict=True)):
         simulator = pool[index % len(pool)]
-        contact = ContactState(np.repeat(gap[None], length, axis=0), load, np.zeros(length, np.float32))
+        contact = ContactState(
+            np.repeat(gap[None], length, axis=0), load, np.zeros(length, np.float32)
+        )
         reference = simulator.reference()[None]
         references.append((transform(reference) if transform else reference)[0])
         frames.append(images_of(simulator, contact, transform))
@@ -72,13 +77,16 @@ class SetConfig:
     sequences: int  # per sensor, each from its own unit and indenter placement
     length: int  # frames per sequence
     indenters: tuple[str, ...]  # names drawn from
-    force_range: ForceRange = field(default_factory=ForceRange)  # 16 N, ±8 N: over-pressing is read too
+    # 16 N, ±8 N: over-pressing is read too
+    force_range: ForceRange = field(default_factory=ForceRange)
     flat_share: float = 0.0  # of held flat tools among the indenters
 
 
 FROZEN = SetConfig("zero_shot_v2", seed=7_001, sequences=120, length=12, indenters=UNSEEN)
 # half of them held tools: that is what a policy's fingers hold
-HEAD_TRAINING = SetConfig("head_training_v2", seed=7_002, sequences=400, length=12, indenters=SEEN, flat_share=0.5)
+HEAD_TRAINING = SetConfig(
+    "head_training_v2", seed=7_002, sequences=400, length=12, indenters=SEEN, flat_share=0.5
+)
 
 
 @dataclass(frozen=True)
@@ -105,13 +113,24 @@ def draw_labelled(config: SetConfig, sensor: str, side: int) -> LabelledSet:
         frames.append(shrink(after, side))
         descriptor.append(describe(before, after))
     digest.update(np.ascontiguousarray(batch.force_N).tobytes())
-    return LabelledSet(np.stack(reference), np.stack(frames), np.stack(descriptor), batch.force_N, digest.hexdigest())
+    return LabelledSet(
+        np.stack(reference),
+        np.stack(frames),
+        np.stack(descriptor),
+        batch.force_N,
+        digest.hexdigest(),
+    )
 
 
 def set_facts(config: Any, drawn: dict[str, LabelledSet]) -> dict[str, Any]:
     """Return what is committed before training: the set's recipe, its sensors' digests and one hash over them."""
     digests = {sensor: labelled.digest for sensor, labelled in drawn.items()}
-    return {"recipe": asdict(config), "digests": digests, "set": config.name, "set_hash": set_hash(drawn)}
+    return {
+        "recipe": asdict(config),
+        "digests": digests,
+        "set": config.name,
+        "set_hash": set_hash(drawn),
+    }
 
 
 def set_hash(drawn: dict[str, LabelledSet]) -> str:

@@ -21,7 +21,8 @@ from uniforce_vtla.tokenizer.pair_cache import shrink
 FEWEST = 4  # frames a rotation can be fitted to
 CONSTANT = 1e-9  # spread below which a latent carries nothing
 SOURCE = "tactip"  # the sensor of both pretraining rigs; its labels fit the one rotation
-RIGS = (("gelsight", "tactip"), ("uskin", "tactip"), ("gelsight_d", "tactip"))  # the last one in no pretraining
+# the last one in no pretraining
+RIGS = (("gelsight", "tactip"), ("uskin", "tactip"), ("gelsight_d", "tactip"))
 PAIRS_SEED = 7_003
 BRANCHES = ((0, 0), (1, 1), (1, 0), (0, 1))  # (whose latent, whose picture)
 
@@ -52,8 +53,12 @@ def fit_rotation(z: np.ndarray, force_N: np.ndarray) -> np.ndarray:
     direction, *_ = np.linalg.lstsq(centred, force - force.mean(axis=0), rcond=None)  # (L, 3)
     length = np.linalg.norm(direction, axis=0)
     if latent.shape[1] < 3 or length.min() < CONSTANT:
-        raise ContractError(expected("latent", "three directions that carry force", "fewer", "Train it first."))
-    carries = _most_correlated(centred, force - force.mean(axis=0), _orthonormal(direction / length))
+        raise ContractError(
+            expected("latent", "three directions that carry force", "fewer", "Train it first.")
+        )
+    carries = _most_correlated(
+        centred, force - force.mean(axis=0), _orthonormal(direction / length)
+    )
     rest = np.linalg.svd(carries, full_matrices=True)[0][:, 3:]
     _, principal = np.linalg.eigh(np.cov(centred @ rest, rowvar=False).reshape(len(rest[0]), -1))
     matrix = np.concatenate([carries, rest @ principal[:, ::-1]], axis=1)
@@ -86,11 +91,20 @@ def _most_correlated(latent: np.ndarray, force: np.ndarray, start: np.ndarray) -
 def _paired(z: np.ndarray, force_N: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return (N, L) and (N, 3) float64 of latents and forces that belong together."""
     z, force_N = np.asarray(z, np.float64), np.asarray(force_N, np.float64)
-    fits = z.shape[:-1] == force_N.shape[:-1] and force_N.shape[-1:] == (3,) and z[..., 0].size >= FEWEST
+    fits = (
+        z.shape[:-1] == force_N.shape[:-1]
+        and force_N.shape[-1:] == (3,)
+        and z[..., 0].size >= FEWEST
+    )
     if not fits or not (np.isfinite(z).all() and np.isfinite(force_N).all()):
         came = f"{z.shape} and {force_N.shape}" if not fits else "NaN or inf"
         raise ContractError(
-            expected("latents, forces", f"finite (..., L) and (..., 3), ≥ {FEWEST} frames", came, "Check the set.")
+            expected(
+                "latents, forces",
+                f"finite (..., L) and (..., 3), ≥ {FEWEST} frames",
+                came,
+                "Check the set.",
+            )
         )
     return z.reshape(-1, z.shape[-1]), force_N.reshape(-1, 3)
 
@@ -104,7 +118,10 @@ def latent_correlation(tokenizer: Tokenizer, table: Table) -> dict[str, Any]:
     def per_sensor(features: Any) -> dict[str, list[float]]:
         rotation = fit_rotation(features(table.training[SOURCE]), table.training[SOURCE].force_N)
         return {
-            name: abs_r((features(labelled) @ rotation)[..., :3].reshape(-1, 3), labelled.force_N.reshape(-1, 3))
+            name: abs_r(
+                (features(labelled) @ rotation)[..., :3].reshape(-1, 3),
+                labelled.force_N.reshape(-1, 3),
+            )
             for name, labelled in table.frozen.items()
         }
 
@@ -112,31 +129,58 @@ def latent_correlation(tokenizer: Tokenizer, table: Table) -> dict[str, Any]:
         "what": "simulated; |r| of Fx, Fy, Fz with their axes, unseen indenters",
         "source": SOURCE,
         "best_abs_r": per_sensor(lambda s: pad_latent(tokenizer, s)),
-        "hand_descriptor": per_sensor(lambda s: s.descriptor.astype(np.float64) / np.asarray(NATURAL_UNITS)),
+        "hand_descriptor": per_sensor(
+            lambda s: s.descriptor.astype(np.float64) / np.asarray(NATURAL_UNITS)
+        ),
     }
 
 
 @torch.no_grad()
 def reconstructions(tokenizer: Tokenizer, pairs: int, picture: Path) -> dict[str, Any]:
     """Return grey-level errors of the four branches beside copying the reference, and draw each rig's median pair."""
-    found: dict[str, Any] = {"what": "simulated pairs, unseen indenters and units; mean |grey error| over copying's"}
+    found: dict[str, Any] = {
+        "what": "simulated pairs, unseen indenters and units; mean |grey error| over copying's"
+    }
     rows, side = [], tokenizer.config.side
     for left, right in RIGS:
         rng = np.random.default_rng(PAIRS_SEED)
         settings = PairSettings(pairs_per_unit=4)
-        batch = equilibrium_pairs(rng, pairs, left, right, UNSEEN, settings, lambda images: shrink(images, side))
-        before = [_model_input(batch.left_reference, "left"), _model_input(batch.right_reference, "right")]
-        after = [_model_input(batch.left_current, "left"), _model_input(batch.right_current, "right")]
+        batch = equilibrium_pairs(
+            rng, pairs, left, right, UNSEEN, settings, lambda images: shrink(images, side)
+        )
+        before = [
+            _model_input(batch.left_reference, "left"),
+            _model_input(batch.right_reference, "right"),
+        ]
+        after = [
+            _model_input(batch.left_current, "left"),
+            _model_input(batch.right_current, "right"),
+        ]
         z = [tokenizer.model.encoder(b, a).mean for b, a in zip(before, after, strict=True)]
         drawn = {(i, j): tokenizer.model.decoder(before[j], z[i]) for i, j in BRANCHES}
         copied = [(before[j] - after[j]).abs().mean(dim=(1, 2, 3)) for j in range(2)]
-        errors = {way: (said - after[way[1]]).abs().mean(dim=(1, 2, 3)) for way, said in drawn.items()}
-        names = {f"{'LR'[i]}->{'LR'[j]}": float(e.mean() / copied[j].mean()) for (i, j), e in errors.items()}
+        errors = {
+            way: (said - after[way[1]]).abs().mean(dim=(1, 2, 3)) for way, said in drawn.items()
+        }
+        names = {
+            f"{'LR'[i]}->{'LR'[j]}": float(e.mean() / copied[j].mean())
+            for (i, j), e in errors.items()
+        }
         found[f"{left}+{right}"] = names | {
-            "cross_over_self": [float(errors[1 - j, j].mean() / errors[j, j].mean()) for j in range(2)]
+            "cross_over_self": [
+                float(errors[1 - j, j].mean() / errors[j, j].mean()) for j in range(2)
+            ]
         }
         median = int(np.argsort((errors[1, 0] + errors[0, 1]).numpy())[pairs // 2])
-        rows.append([*(p[median, 0] for j in range(2) for p in (before[j], after[j], drawn[j, j], drawn[1 - j, j]))])
+        rows.append(
+            [
+                *(
+                    p[median, 0]
+                    for j in range(2)
+                    for p in (before[j], after[j], drawn[j, j], drawn[1 - j, j])
+                )
+            ]
+        )
     _draw(rows, picture)
     return found
 
@@ -146,7 +190,11 @@ def _model_input(images: np.ndarray, finger: Any) -> torch.Tensor:
 
 
 def _draw(rows: list[list[torch.Tensor]], path: Path) -> None:
-    titles = [f"{side} {what}" for side in "LR" for what in ("reference", "current", "own latent", "other's latent")]
+    titles = [
+        f"{side} {what}"
+        for side in "LR"
+        for what in ("reference", "current", "own latent", "other's latent")
+    ]
     figure = Figure(figsize=(2 * len(titles), 1.7 * len(rows) + 0.5), layout="constrained")
     grid = figure.subplots(len(rows), len(titles), squeeze=False)
     for line, images, rig in zip(grid, rows, RIGS, strict=True):

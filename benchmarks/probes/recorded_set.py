@@ -11,7 +11,14 @@ from typing import Any
 import numpy as np
 
 from benchmarks.probes.labelled_set import LabelledSet
-from benchmarks.probes.zero_shot import POOL, Table, descriptor_row, encode_set, learnt_row, mean_row
+from benchmarks.probes.zero_shot import (
+    POOL,
+    Table,
+    descriptor_row,
+    encode_set,
+    learnt_row,
+    mean_row,
+)
 from uniforce_datasets.readers import read_genforce
 from uniforce_datasets.readers.recording import LabelledRecording
 from uniforce_vtla.contact.indenters import SEEN, UNSEEN
@@ -26,7 +33,9 @@ LENGTH = 12  # frames of a window, as in the simulated sets
 MIN_SHEAR_N = 0.2  # frames with less say nothing about the direction of shear
 
 
-def to_labelled_set(recordings: Iterable[LabelledRecording], side: int, length: int = LENGTH) -> LabelledSet:
+def to_labelled_set(
+    recordings: Iterable[LabelledRecording], side: int, length: int = LENGTH
+) -> LabelledSet:
     """Return one sensor's recordings as a labelled set: n windows of T frames, end to end, at the model's size.
 
     Full-size images are dropped recording by recording; what stays is (T + 1) · side² bytes per window, where
@@ -39,7 +48,9 @@ def to_labelled_set(recordings: Iterable[LabelledRecording], side: int, length: 
     for recording in recordings:
         if sensor not in ("", recording.sensor):
             came = f"{sensor} and {recording.sensor}"
-            raise DatasetError(expected("labelled set", "one sensor", came, "Choose one with of_sensor."))
+            raise DatasetError(
+                expected("labelled set", "one sensor", came, "Choose one with of_sensor.")
+            )
         if not sensor:
             sensor = recording.sensor
             digest.update(sensor.encode())
@@ -51,7 +62,9 @@ def to_labelled_set(recordings: Iterable[LabelledRecording], side: int, length: 
         raise DatasetError(expected("labelled set", f"a window of {length} frames", came, do))
     if too_short:
         log.warning("%s: %d recordings shorter than a window left out", sensor, too_short)
-    reference, frames, descriptor, force_N = (np.stack(column) for column in zip(*rows, strict=True))
+    reference, frames, descriptor, force_N = (
+        np.stack(column) for column in zip(*rows, strict=True)
+    )
     digest.update(np.ascontiguousarray(force_N).tobytes())
     return LabelledSet(reference, frames, descriptor, force_N, digest.hexdigest())
 
@@ -80,7 +93,9 @@ def of_sensor(recordings: Iterable[LabelledRecording], sensor: str) -> Iterator[
     return (recording for recording in recordings if recording.sensor == sensor)
 
 
-def of_indenters(recordings: Iterable[LabelledRecording], indenters: Collection[str]) -> Iterator[LabelledRecording]:
+def of_indenters(
+    recordings: Iterable[LabelledRecording], indenters: Collection[str]
+) -> Iterator[LabelledRecording]:
     return (recording for recording in recordings if recording.indenter in indenters)
 
 
@@ -98,7 +113,9 @@ def shear_agreement(labelled: LabelledSet) -> np.ndarray:
     if sheared.sum() < 3:
         return np.full(2, np.nan)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.array([np.corrcoef(motion[sheared, axis], shear[sheared, axis])[0, 1] for axis in range(2)])
+        return np.array(
+            [np.corrcoef(motion[sheared, axis], shear[sheared, axis])[0, 1] for axis in range(2)]
+        )
 
 
 def user_data(tokenizer: Tokenizer, folder: str, seeds: int, results: Path) -> str:
@@ -130,5 +147,10 @@ def user_data(tokenizer: Tokenizer, folder: str, seeds: int, results: Path) -> s
     }
     path = write_json(results / "force_on_data.json", content | provenance())
     row = content["rows"]["UniForce"]
-    lines = [f"{name}: R² {', '.join(f'{value:.2f}' for value in cell['r2'])}" for name, cell in row.items()]
-    return "\n".join([*lines, f"written to {path}; check shear_agreement: −1 there means a wrong sign"])
+    lines = [
+        f"{name}: R² {', '.join(f'{value:.2f}' for value in cell['r2'])}"
+        for name, cell in row.items()
+    ]
+    return "\n".join(
+        [*lines, f"written to {path}; check shear_agreement: −1 there means a wrong sign"]
+    )

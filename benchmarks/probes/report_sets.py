@@ -8,8 +8,22 @@ from pathlib import Path
 from tqdm import tqdm
 
 from benchmarks.finite_elements.sets import FE_CONTACTS, FE_DEV, ElementSettings, draw_elements
-from benchmarks.probes.hard_sets import HETERO_HARD, HETERO_HARD_TRAINING, HardSettings, draw_hard, hetero_sensors
-from benchmarks.probes.labelled_set import FROZEN, HEAD_TRAINING, SENSORS, LabelledSet, SetConfig, cached, draw_labelled
+from benchmarks.probes.hard_sets import (
+    HETERO_HARD,
+    HETERO_HARD_TRAINING,
+    HardSettings,
+    draw_hard,
+    hetero_sensors,
+)
+from benchmarks.probes.labelled_set import (
+    FROZEN,
+    HEAD_TRAINING,
+    SENSORS,
+    LabelledSet,
+    SetConfig,
+    cached,
+    draw_labelled,
+)
 from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
 from uniforce_vtla.markers.registration import nominal_zoom
 
@@ -48,7 +62,9 @@ def draw(recipe: Recipe, sensor: VirtualSensor, side: int) -> LabelledSet:
     """Return one sensor's sequences by the recipe's own way of drawing."""
     if isinstance(recipe, SetConfig):
         return draw_labelled(recipe, sensor.name, side)
-    return (draw_elements if isinstance(recipe, ElementSettings) else draw_hard)(recipe, sensor, side)  # type: ignore
+    if isinstance(recipe, ElementSettings):
+        return draw_elements(recipe, sensor, side)
+    return draw_hard(recipe, sensor, side)
 
 
 def _registry_sensors() -> Sensors:
@@ -56,11 +72,21 @@ def _registry_sensors() -> Sensors:
 
 
 REPORT_SETS = {
-    "zero_shot_v2": ReportSet(FROZEN, HEAD_TRAINING, _registry_sensors, _registry_sensors, "zero_shot_force.json"),
+    "zero_shot_v2": ReportSet(
+        FROZEN, HEAD_TRAINING, _registry_sensors, _registry_sensors, "zero_shot_force.json"
+    ),
     "hetero_hard_v2": ReportSet(
-        HETERO_HARD, HETERO_HARD_TRAINING, hetero_sensors, hetero_sensors, "zero_shot_force_hard.json"
+        HETERO_HARD,
+        HETERO_HARD_TRAINING,
+        hetero_sensors,
+        hetero_sensors,
+        "zero_shot_force_hard.json",
     ),
     # heads learn on the fast contact model, finite elements solved step by step are read
-    "fe_dev_v1": ReportSet(FE_DEV, HEAD_TRAINING, _registry_sensors, _registry_sensors, "fe_dev.json"),
-    "fe_contacts_v1": ReportSet(FE_CONTACTS, HEAD_TRAINING, _registry_sensors, _registry_sensors, "fe_contacts.json"),
+    "fe_dev_v1": ReportSet(
+        FE_DEV, HEAD_TRAINING, _registry_sensors, _registry_sensors, "fe_dev.json"
+    ),
+    "fe_contacts_v1": ReportSet(
+        FE_CONTACTS, HEAD_TRAINING, _registry_sensors, _registry_sensors, "fe_contacts.json"
+    ),
 }

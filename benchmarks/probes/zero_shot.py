@@ -11,10 +11,16 @@ from benchmarks.probes.labelled_set import LabelledSet, set_hash, within
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.descriptor import NATURAL_UNITS
-from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadTrainingConfig, train_head
+from uniforce_vtla.tokenizer.force_head import (
+    ForceHead,
+    ForceRegressor,
+    HeadTrainingConfig,
+    train_head,
+)
 from uniforce_vtla.tokenizer.latent import POOL, pool_latent
 
-LETTER = {"gelsight": "G", "gelsight_d": "G", "tactip": "T", "uskin": "U"}  # as in the paper's table
+# as in the paper's table
+LETTER = {"gelsight": "G", "gelsight_d": "G", "tactip": "T", "uskin": "U"}
 
 Features = dict[str, torch.Tensor]  # sensor → (n, T, P, L)
 Cells = dict[str, dict[str, list[float]]]  # "G->T" → {"r2": [fx, fy, fz], "mae_N": …}
@@ -34,14 +40,23 @@ class Table:
     head: HeadTrainingConfig = field(default_factory=HeadTrainingConfig)
 
     def transfers(self) -> list[tuple[str, str]]:
-        return [(source, target) for source in self.training for target in self.frozen if source != target]
+        return [
+            (source, target)
+            for source in self.training
+            for target in self.frozen
+            if source != target
+        ]
 
 
 def check_frozen(facts: dict[str, Any], frozen: dict[str, LabelledSet]) -> None:
     """Raise DatasetError unless the set just drawn is the one that was committed."""
     wanted, came = facts["set_hash"], set_hash(frozen)
     if came != wanted:
-        raise DatasetError(expected("frozen zero-shot set", wanted, came, "The contact model changed: freeze anew."))
+        raise DatasetError(
+            expected(
+                "frozen zero-shot set", wanted, came, "The contact model changed: freeze anew."
+            )
+        )
 
 
 @torch.no_grad()
@@ -65,14 +80,18 @@ def descriptor_row(table: Table, seeds: int) -> Cells:
     return learnt_row(replace(table, head=head), descriptor_features, seeds, grid=1)
 
 
-def learnt_row(table: Table, features: Callable[[LabelledSet], torch.Tensor], seeds: int, grid: int) -> Cells:
+def learnt_row(
+    table: Table, features: Callable[[LabelledSet], torch.Tensor], seeds: int, grid: int
+) -> Cells:
     """Return a row of the table: per transfer the mean over ``seeds`` heads."""
     frozen = {sensor: features(labelled) for sensor, labelled in table.frozen.items()}
     cells: dict[str, list[dict[str, list[float]]]] = {}
     for source in table.training:
         z = features(table.training[source])
         for seed in range(seeds):
-            head = train_head(z, table.training[source].force_N, sized_head(table.head, z, grid), seed)
+            head = train_head(
+                z, table.training[source].force_N, sized_head(table.head, z, grid), seed
+            )
             for target in table.frozen:
                 cell = score(table.frozen[target].force_N, predict(head, frozen[target]))
                 cells.setdefault(transfer_name(source, target), []).append(cell)
@@ -126,7 +145,9 @@ def summary(row: Cells) -> dict[str, float]:
     }
 
 
-def shipped_cell(head: ForceHead, tokenizer: Tokenizer, labelled: LabelledSet) -> dict[str, list[float]]:
+def shipped_cell(
+    head: ForceHead, tokenizer: Tokenizer, labelled: LabelledSet
+) -> dict[str, list[float]]:
     """Return the score of a shipped head on another sensor's frozen set."""
     return score(labelled.force_N, head.sequence(encode_set(tokenizer, labelled)).numpy())
 
@@ -156,6 +177,9 @@ def _mae(truth: np.ndarray, said: np.ndarray) -> list[float]:
 def mean_cells(scores: dict[str, list[dict[str, list[float]]]]) -> Cells:
     """Return the mean over seeds of every number: transfer → one score per seed in, one cell out."""
     return {
-        name: {key: [float(v) for v in np.mean([one[key] for one in seeds], axis=0)] for key in seeds[0]}
+        name: {
+            key: [float(v) for v in np.mean([one[key] for one in seeds], axis=0)]
+            for key in seeds[0]
+        }
         for name, seeds in scores.items()
     }

@@ -26,7 +26,16 @@ from benchmarks.real.uskin_grasps import find_uskin_grasps
 from uniforce_cli.boundary import command
 from uniforce_datasets.readers.gelsight_grasps import read_grasps
 from uniforce_vtla.errors import ContractError, DatasetError, expected
-from uniforce_vtla.options import Count, FolderPath, FolderPaths, Names, OutFile, OutFolder, TokenizerFolder, split
+from uniforce_vtla.options import (
+    Count,
+    FolderPath,
+    FolderPaths,
+    Names,
+    OutFile,
+    OutFolder,
+    TokenizerFolder,
+    split,
+)
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 
@@ -65,13 +74,17 @@ class RealCommand:
 
 def tactip_rows(config: RealCommand, tokenizer: Tokenizer, sets: list[TactipSet]) -> dict[str, Any]:
     """Return target → row → ridge → scores, of readouts fitted on the first set."""
-    untrained = [latent_features(Tokenizer.random(tokenizer.config, seed)) for seed in range(config.seeds)]
+    untrained = [
+        latent_features(Tokenizer.random(tokenizer.config, seed)) for seed in range(config.seeds)
+    ]
     rows: dict[str, list[Features]] = {
         "tokenizer": [latent_features(tokenizer)],
         "untrained": untrained,
         "descriptor": [descriptor_features],
     }
-    found: dict[str, Any] = {s.name: {"reference": s.reference_from, "frames": len(s.current)} for s in sets}
+    found: dict[str, Any] = {
+        s.name: {"reference": s.reference_from, "frames": len(s.current)} for s in sets
+    }
     for name, makers in rows.items():
         seen = [[(make(s), labels_mm(s)) for s in sets] for make in makers]
         for number, target in enumerate(sets[1:], 1):
@@ -86,13 +99,24 @@ def tactip_rows(config: RealCommand, tokenizer: Tokenizer, sets: list[TactipSet]
 
 def lines_of(found: dict[str, Any]) -> list[str]:
     """Return the page: one line per target, row and ridge; of untrained tokenizers the mean over seeds."""
-    lines = [f"{'target':28} {'row':11} {'ridge':>6} | shear |r| as is, one angle, 10 frames | depth rank, 10 frames"]
+    lines = [
+        f"{'target':28} {'row':11} {'ridge':>6} | shear |r| as is, one angle, 10 frames | depth rank, 10 frames"
+    ]
     for target, rows in found.items():
         for name in ("tokenizer", "untrained", "descriptor"):
             for ridge, seeds in rows.get(name, {}).items():
-                shear = [np.mean([s[w]["shear_r"] for s in seeds]) for w in ("as_is", "one_angle", "few_frames")]
-                depth = [np.mean([s[w]["depth_rank"] for s in seeds]) for w in ("as_is", "few_frames")]
-                numbers = " ".join(f"{v:.2f}" for v in shear) + " | " + " ".join(f"{v:.2f}" for v in depth)
+                shear = [
+                    np.mean([s[w]["shear_r"] for s in seeds])
+                    for w in ("as_is", "one_angle", "few_frames")
+                ]
+                depth = [
+                    np.mean([s[w]["depth_rank"] for s in seeds]) for w in ("as_is", "few_frames")
+                ]
+                numbers = (
+                    " ".join(f"{v:.2f}" for v in shear)
+                    + " | "
+                    + " ".join(f"{v:.2f}" for v in depth)
+                )
                 lines.append(f"{target:28} {name:11} {ridge:>6} | {numbers}")
     return lines
 
@@ -104,7 +128,9 @@ def grasp_rows(config: RealCommand, tokenizer: Tokenizer) -> dict[str, Any]:
     named = {trial.object_name for trial in trials if set_of(trial.object_name) in wanted}
     if not named:
         do = "Give docs/franka-servo/datasets of the whole repository."
-        raise DatasetError(expected(f"objects of {config.grasps}", config.objects, "none of them", do))
+        raise DatasetError(
+            expected(f"objects of {config.grasps}", config.objects, "none of them", do)
+        )
     # trials of all objects serve to find free frames
     grasps = (grasp for grasp in find_grasps(trials, config.borrow) if grasp.held in named)
     readings = read_grasps_by(grasps, grasp_readers(tokenizer, 0, Path(config.cache)))
@@ -152,9 +178,14 @@ def _with_bounds(value: float, bounds: Sequence[float]) -> str:
 def main(config: RealCommand) -> None:
     folders = [Path(name) for name in split(config.data)]
     if not folders and not config.grasps and not config.uskin and not config.eflesh:
-        raise ContractError(expected("data", "folders of recordings", "none", "Name those that fit and are read."))
+        raise ContractError(
+            expected("data", "folders of recordings", "none", "Name those that fit and are read.")
+        )
     tokenizer = Tokenizer.from_pretrained(config.tokenizer or None)
-    content: dict[str, Any] = {"what": "real recordings, read where they lie", "tokenizer_hash": tokenizer.hash}
+    content: dict[str, Any] = {
+        "what": "real recordings, read where they lie",
+        "tokenizer_hash": tokenizer.hash,
+    }
     if folders:
         sets = [read_tactip_shear(folder, config.frames) for folder in folders]
         content["tactip"] = tactip_rows(config, tokenizer, sets)
@@ -169,7 +200,9 @@ def main(config: RealCommand) -> None:
         print("\n".join(grasp_lines(content["uskin"])))
     if config.eflesh:
         sealed = "sealed" in split(config.objects)
-        content["eflesh"] = eflesh_rows(Path(config.eflesh), tokenizer, config.seeds, config.frames, sealed)
+        content["eflesh"] = eflesh_rows(
+            Path(config.eflesh), tokenizer, config.seeds, config.frames, sealed
+        )
         print("\n".join(eflesh_lines(content["eflesh"])))
     print(f"written to {write_json(Path(config.out), content | provenance())}")
 

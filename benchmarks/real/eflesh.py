@@ -27,7 +27,8 @@ from uniforce_vtla.tokenizer import Tokenizer
 from uniforce_vtla.tokenizer.latent import POOL, pool_latent
 
 NORMAL, SHEAR = "normal_force", "shear_force"
-SEALED = {NORMAL: "20250401_015717_probe", SHEAR: "20250416_201911_probe"}  # scored once, when the tokenizer is frozen
+# scored once, when the tokenizer is frozen
+SEALED = {NORMAL: "20250401_015717_probe", SHEAR: "20250416_201911_probe"}
 GRAM_N = 9.81e-3
 MISSING = -1.0
 CHIPS = 5
@@ -48,7 +49,8 @@ EFLESH = SensorSpec(
     rated_depth_mm=2.0,
     source="chips, turns and size: public drivers of AnySkin and eFlesh; depth is assumed",
 )
-LOADS_N = (5.0, 10.0, 15.0)  # on a scale: .5, 1 and 1.5 kg. A unit saturates, so that 3 to 9 N say little of 18 N
+# on a scale: .5, 1 and 1.5 kg. A unit saturates, so that 3 to 9 N say little of 18 N
+LOADS_N = (5.0, 10.0, 15.0)
 NEAR_N = 0.5  # of a load
 FREE_N = 0.05  # and less is free air
 STRETCHES = 20  # of each reading, for intervals: neighbouring frames resemble each other
@@ -81,7 +83,8 @@ class Case:
     name: str
     fit: Part
     read: Part
-    known: Part | None = None  # of the other unit that is read: earlier frames, for loads and labels; None: own unit
+    # of the other unit that is read: earlier frames, for loads and labels; None: own unit
+    known: Part | None = None
 
 
 Features = Callable[[np.ndarray], np.ndarray]  # counts (n, 5, 3) → (n, F)
@@ -124,7 +127,9 @@ def _table(path: Path) -> np.ndarray:
     try:
         return pd.read_csv(path, header=None).to_numpy(np.float64)
     except ValueError as error:
-        raise DatasetError(expected(str(path), "numbers", str(error)[:80], "Copy the run again.")) from error
+        raise DatasetError(
+            expected(str(path), "numbers", str(error)[:80], "Copy the run again.")
+        ) from error
 
 
 def on_the_pad(counts: np.ndarray) -> np.ndarray:
@@ -138,7 +143,9 @@ def on_the_pad(counts: np.ndarray) -> np.ndarray:
 def marker_images(counts: np.ndarray) -> np.ndarray:
     """Return (n, 480, 640) uint8 images of five discs."""
     scales = TaxelScales()
-    return np.stack([draw_discs(place_discs(delta, EFLESH, scales)) for delta in on_the_pad(counts)])
+    return np.stack(
+        [draw_discs(place_discs(delta, EFLESH, scales)) for delta in on_the_pad(counts)]
+    )
 
 
 def latent_features(tokenizer: Tokenizer) -> Features:
@@ -149,7 +156,10 @@ def latent_features(tokenizer: Tokenizer) -> Features:
     def features(counts: np.ndarray) -> np.ndarray:
         parts = [counts[first : first + CHUNK] for first in range(0, len(counts), CHUNK)]
         bar = tqdm(parts, desc="encode eFlesh", leave=False)
-        pooled = [pool_latent(tokenizer.encode(reference, marker_images(part)), POOL).flatten(1) for part in bar]
+        pooled = [
+            pool_latent(tokenizer.encode(reference, marker_images(part)), POOL).flatten(1)
+            for part in bar
+        ]
         return torch.cat(pooled).double().numpy()
 
     return features
@@ -169,7 +179,10 @@ def cases_of(runs: Sequence[Run], sealed: bool) -> list[Case]:
     lengths = {run.name: len(run.force_N) for run in runs}
     normal, shear = ([run.name for run in runs if run.load == load] for load in (NORMAL, SHEAR))
     pairs = [pair for pair in permutations(normal, 2) if not sealed or pair[1] == SEALED[NORMAL]]
-    cases = [Case("own head, normal", Part(fit, 0, slice(None)), Part(read, 0, slice(None))) for fit, read in pairs]
+    cases = [
+        Case("own head, normal", Part(fit, 0, slice(None)), Part(read, 0, slice(None)))
+        for fit, read in pairs
+    ]
     for name in shear:
         if name == SEALED[SHEAR]:
             continue
@@ -225,14 +238,18 @@ def weighed(read_N: np.ndarray, before_N: np.ndarray, known_N: np.ndarray) -> np
     near = {0.0: known_N < FREE_N} | {load: np.abs(known_N - load) < NEAR_N for load in LOADS_N}
     if missing := [f"{load:.0f}" for load, rows in near.items() if not rows.any()]:
         wanted, came = f"free air and loads of {LOADS_N} N", f"none near {', '.join(missing)} N"
-        raise DatasetError(expected("earlier frames of the other unit", wanted, came, "Read more frames of it."))
+        raise DatasetError(
+            expected("earlier frames of the other unit", wanted, came, "Read more frames of it.")
+        )
     free_N = before_N[near[0.0]].mean()
     above_N = np.array([before_N[near[load]].mean() for load in LOADS_N]) - free_N
     true_N = np.array([known_N[near[load]].mean() for load in LOADS_N])
     return (read_N - free_N) * (above_N @ true_N) / (above_N @ above_N)
 
 
-def eflesh_rows(folder: Path, tokenizer: Tokenizer, seeds: int, frames: int, sealed: bool) -> dict[str, Any]:
+def eflesh_rows(
+    folder: Path, tokenizer: Tokenizer, seeds: int, frames: int, sealed: bool
+) -> dict[str, Any]:
     """Return row → ridge → way of reading → MAE in N; raises as ``read_runs``.
 
     "tokenizer − raw counts" holds mean and 95 % interval of the difference, by bootstrap over stretches of time.
@@ -257,7 +274,8 @@ def eflesh_rows(folder: Path, tokenizer: Tokenizer, seeds: int, frames: int, sea
     }
 
 
-Errors = dict[str, dict[str, list[np.ndarray]]]  # ridge → way of reading → a case's errors, seed by seed
+# ridge → way of reading → a case's errors, seed by seed
+Errors = dict[str, dict[str, list[np.ndarray]]]
 
 
 def _errors(runs: Sequence[Run], cases: Sequence[Case], makers: Sequence[Features]) -> Errors:
@@ -287,19 +305,27 @@ def _means(errors: Errors) -> dict[str, dict[str, float]]:
 def _difference(of_tokens: Sequence[np.ndarray], of_raw: Sequence[np.ndarray]) -> dict[str, Any]:
     """Return mean and 95 % interval of tokenizer minus raw counts, N; ``Sequence`` over cases."""
     stretches = [
-        part.mean() for a, b in zip(of_tokens, of_raw, strict=True) for part in np.array_split(a - b, STRETCHES)
+        part.mean()
+        for a, b in zip(of_tokens, of_raw, strict=True)
+        for part in np.array_split(a - b, STRETCHES)
     ]
     drawn = np.random.default_rng(0).choice(stretches, (BOOTSTRAPS, len(stretches))).mean(axis=1)
-    return {"mean": float(np.mean(stretches)), "interval_95": np.percentile(drawn, [2.5, 97.5]).tolist()}
+    return {
+        "mean": float(np.mean(stretches)),
+        "interval_95": np.percentile(drawn, [2.5, 97.5]).tolist(),
+    }
 
 
 def eflesh_lines(found: dict[str, Any]) -> list[str]:
     """Return the page: a line per row and ridge, with the mean absolute error in N of each way of reading."""
-    lines = [f"eFlesh, mean absolute error in N; {found['force']}; {'sealed' if found['sealed'] else 'development'}"]
+    lines = [
+        f"eFlesh, mean absolute error in N; {found['force']}; {'sealed' if found['sealed'] else 'development'}"
+    ]
     for name, by_ridge in found["mae_N"].items():
         for ridge, by_way in by_ridge.items():
             lines.append(
-                f"{name:24} ridge {ridge:>5}: " + ", ".join(f"{way} {_in_words(v)}" for way, v in by_way.items())
+                f"{name:24} ridge {ridge:>5}: "
+                + ", ".join(f"{way} {_in_words(v)}" for way, v in by_way.items())
             )
     return lines
 

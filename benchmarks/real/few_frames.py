@@ -26,14 +26,25 @@ class ForceCorrection:
 
         Raises ContractError: fewer than ``FEWEST`` frames, another shape, NaN, or an axis that was never loaded.
         """
-        if read_N.shape != known_N.shape or read_N.ndim != 2 or read_N.shape[1] != 3 or len(read_N) < FEWEST:
+        if (
+            read_N.shape != known_N.shape
+            or read_N.ndim != 2
+            or read_N.shape[1] != 3
+            or len(read_N) < FEWEST
+        ):
             came = f"{read_N.shape} and {known_N.shape}"
-            raise ContractError(expected("labelled frames", f"({FEWEST} or more, 3) twice", came, "Record more."))
+            raise ContractError(
+                expected("labelled frames", f"({FEWEST} or more, 3) twice", came, "Record more.")
+            )
         if not (np.isfinite(read_N).all() and np.isfinite(known_N).all()):
-            raise ContractError(expected("labelled frames", "finite forces", "NaN or inf", "Leave them out."))
+            raise ContractError(
+                expected("labelled frames", "finite forces", "NaN or inf", "Leave them out.")
+            )
         if read_N.std(axis=0).min() < 1e-6 or known_N.std(axis=0).min() < 1e-6:
             do = "Press and pull in all directions."
-            raise ContractError(expected("labelled frames", "changing forces", "an axis never loaded", do))
+            raise ContractError(
+                expected("labelled frames", "changing forces", "an axis never loaded", do)
+            )
         turn = in_plane_turn_rad(read_N[:, :2], known_N[:, :2])
         turned = _turned(read_N, turn)
         lines = [np.polyfit(turned[:, k], known_N[:, k], 1) for k in range(3)]

@@ -44,11 +44,14 @@ def latent_reader(tokenizer: Tokenizer, presses: LabelledSet, seed: int) -> Read
 def described_reader(presses: LabelledSet, seed: int) -> Reader:
     """Return a reader of normal force from six hand-made numbers, trained on the same presses."""
     z = descriptor_features(presses)  # (n, T, 1, 6)
-    plain = replace(HeadTrainingConfig(), smallest_spread=1.0)  # no spread below one natural unit is signal
+    # no spread below one natural unit is signal
+    plain = replace(HeadTrainingConfig(), smallest_spread=1.0)
     return _reader(_described, train_head(z, presses.force_N, sized_head(plain, z, 1), seed))
 
 
-def grasp_readers(tokenizer: Tokenizer, seed: int, cache: Path, sensor: str = SENSOR) -> dict[str, Reader]:
+def grasp_readers(
+    tokenizer: Tokenizer, seed: int, cache: Path, sensor: str = SENSOR
+) -> dict[str, Reader]:
     """Return name → reader of a sensor, the tokenizer's first."""
     presses = simulated_presses(tokenizer.config.side, cache, sensor)
     return {
@@ -61,14 +64,17 @@ def grasp_readers(tokenizer: Tokenizer, seed: int, cache: Path, sensor: str = SE
 def _latents(tokenizer: Tokenizer) -> Encode:
     def encode(reference: np.ndarray, current: np.ndarray, finger: Finger) -> torch.Tensor:
         parts = [current[first : first + BATCH] for first in range(0, len(current), BATCH)]
-        encoded = [pool_latent(tokenizer.encode(reference[None], part, finger), POOL) for part in parts]
+        encoded = [
+            pool_latent(tokenizer.encode(reference[None], part, finger), POOL) for part in parts
+        ]
         return torch.cat(encoded).as_subclass(torch.Tensor)  # (T, P, L)
 
     return encode
 
 
 def _described(reference: np.ndarray, current: np.ndarray, finger: Finger) -> torch.Tensor:
-    numbers = np.concatenate([descriptors(reference, image[None], finger) for image in current])  # (T, 6)
+    # (T, 6)
+    numbers = np.concatenate([descriptors(reference, image[None], finger) for image in current])
     natural = numbers / np.asarray(NATURAL_UNITS, np.float32)
     return torch.from_numpy(natural)[:, None].float()  # (T, 1, 6)
 

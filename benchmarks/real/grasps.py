@@ -60,7 +60,8 @@ class Grasp:
     """Frames of one trial in which both fingers are in contact."""
 
     held: str
-    group: str  # of trials that are scored together: the campaign, and whether a reference is borrowed
+    # of trials that are scored together: the campaign, and whether a reference is borrowed
+    group: str
     reference: dict[Finger, np.ndarray]  # (480, 640) uint8 marker image
     current: dict[Finger, np.ndarray]  # (T, 480, 640)
 
@@ -122,7 +123,10 @@ def _light(frame: np.ndarray) -> np.ndarray:
 def read_films(trials: Sequence[GraspTrial], finger: Finger, borrow: bool = False) -> Films:
     """Return each trial's frames of a finger, every fifth once exposure holds, and where its free air is."""
     frames = [list(film_frames(trial.films[finger]))[SETTLE::STEP] for trial in trials]
-    films = [Film(trial.object_name, markers(of_trial)) for trial, of_trial in zip(trials, frames, strict=True)]
+    films = [
+        Film(trial.object_name, markers(of_trial))
+        for trial, of_trial in zip(trials, frames, strict=True)
+    ]
     known, free = pads(films)
     return Films(frames, borrowed(films, known, free) if borrow else free)
 
@@ -139,7 +143,10 @@ def markers(frames: Iterable[np.ndarray]) -> list[np.ndarray]:
 
 
 def in_contact(
-    held: str, group: str, frames: dict[Finger, list[np.ndarray]], references: dict[Finger, np.ndarray]
+    held: str,
+    group: str,
+    frames: dict[Finger, list[np.ndarray]],
+    references: dict[Finger, np.ndarray],
 ) -> Grasp | None:
     """Return the frames in which both gels are shaded, None if there are too few."""
     count = min(len(frames[finger]) for finger in FINGERS)
@@ -156,7 +163,9 @@ def in_contact(
         canonicalizer = Canonicalizer(SENSOR)
         canonicalizer.set_reference(references[finger])
         reference[finger] = canonicalizer.marker_image(references[finger])
-        current[finger] = np.stack([canonicalizer.marker_image(frames[finger][number]) for number in chosen])
+        current[finger] = np.stack(
+            [canonicalizer.marker_image(frames[finger][number]) for number in chosen]
+        )
     return Grasp(held, group, reference, current)
 
 
@@ -184,7 +193,9 @@ def by_chance(readings: Sequence[Reading]) -> list[Reading]:
         other = next((one for one in others if one.held != reading.held), None)
         if other is not None:
             count = min(len(reading.left_N), len(other.right_N))
-            found.append(replace(reading, left_N=reading.left_N[:count], right_N=other.right_N[:count]))
+            found.append(
+                replace(reading, left_N=reading.left_N[:count], right_N=other.right_N[:count])
+            )
     return found
 
 
@@ -196,7 +207,12 @@ def summary(scores: Sequence[Score], seed: int = 0) -> dict[str, object]:
     drawn = []
     for _ in range(DRAWS):
         again = [score for held in rng.choice(objects, len(objects)) for score in by_object[held]]
-        drawn.append([np.median([score.relative_error for score in again]), np.median([score.r for score in again])])
+        drawn.append(
+            [
+                np.median([score.relative_error for score in again]),
+                np.median([score.r for score in again]),
+            ]
+        )
     low, high = np.percentile(drawn, [2.5, 97.5], axis=0)
     return {
         "objects": len(objects),
@@ -233,7 +249,9 @@ def find_grasps(trials: Sequence[GraspTrial], borrow: bool = False) -> Iterator[
                 yield grasp
 
 
-def read_grasps_by(grasps: Iterable[Grasp], readers: Mapping[str, Reader]) -> dict[str, list[Reading]]:
+def read_grasps_by(
+    grasps: Iterable[Grasp], readers: Mapping[str, Reader]
+) -> dict[str, list[Reading]]:
     """Return reader → readings; ``CHANCE`` is the first reader's, of two fingers that held different objects."""
     found: dict[str, list[Reading]] = {name: [] for name in readers}
     for grasp in tqdm(grasps, desc="grasps", unit="grasp"):
@@ -246,4 +264,7 @@ def read_grasps_by(grasps: Iterable[Grasp], readers: Mapping[str, Reader]) -> di
 def by_group(readings: Sequence[Reading]) -> dict[str, object]:
     """Return group of trials → agreement of the fingers."""
     groups = sorted({reading.group for reading in readings})
-    return {group: summary([agreement(reading) for reading in readings if reading.group == group]) for group in groups}
+    return {
+        group: summary([agreement(reading) for reading in readings if reading.group == group])
+        for group in groups
+    }

@@ -87,7 +87,9 @@ class MixedPairs:
         if not self._real_units:
             return simulated
         real = self._real.draw(rng, self._real_units, pairs)
-        joined = {name: torch.cat([getattr(real, name), getattr(simulated, name)]) for name in NAMES}
+        joined = {
+            name: torch.cat([getattr(real, name), getattr(simulated, name)]) for name in NAMES
+        }
         return Pairs(**joined)
 
 
@@ -107,7 +109,9 @@ def shrunk(grasp: Grasp, side: int) -> dict[str, np.ndarray]:
     }
 
 
-def tokenizers(config: PairTrainingCommand, grasps: Sequence[Grasp]) -> dict[tuple[str, int, int], Tokenizer]:
+def tokenizers(
+    config: PairTrainingCommand, grasps: Sequence[Grasp]
+) -> dict[tuple[str, int, int], Tokenizer]:
     """Return (arm, seed, half that it may read) → tokenizer; one trained on simulated pairs may read both."""
     shipped = Tokenizer.from_pretrained()
     work = Path(config.work)
@@ -143,7 +147,9 @@ def tokenizers(config: PairTrainingCommand, grasps: Sequence[Grasp]) -> dict[tup
 
 def read_halves(config: PairTrainingCommand, grasps: Sequence[Grasp]) -> list[dict[str, Any]]:
     """Return a row per arm, seed and grasp, each read by a tokenizer that didn't see its object."""
-    presses = simulated_presses(Tokenizer.from_pretrained().config.side, Path(config.work) / "labelled")
+    presses = simulated_presses(
+        Tokenizer.from_pretrained().config.side, Path(config.work) / "labelled"
+    )
     ledger = Ledger(Path(config.work))
     readers: dict[tuple[str, int, int], Reader] = {}
     shipped = latent_reader(Tokenizer.from_pretrained(), presses, 0)
@@ -182,7 +188,10 @@ def table(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 def _scores(rows: Sequence[dict[str, Any]], arm: str, seed: int) -> list[Score]:
     """Return the scores of one arm and seed, trials in the same order for all."""
-    own = sorted((row for row in rows if row["arm"] == arm and row["seed"] == seed), key=lambda row: row["half"])
+    own = sorted(
+        (row for row in rows if row["arm"] == arm and row["seed"] == seed),
+        key=lambda row: row["half"],
+    )
     return [Score(**score) for row in own for score in row["scores"]]
 
 
@@ -223,7 +232,9 @@ def main(config: PairTrainingCommand) -> None:
     found = table(read_halves(config, grasps))
     for arm, line in found.items():
         low, high = line["minus_shipped_95"]
-        print(f"{arm:26} relative error {line['relative_error']:.2f}, minus shipped [{low:+.2f}, {high:+.2f}]")
+        print(
+            f"{arm:26} relative error {line['relative_error']:.2f}, minus shipped [{low:+.2f}, {high:+.2f}]"
+        )
     content = {"campaign": CAMPAIGN, "objects": objects, "trials": len(grasps), "arms": found}
     print(f"written to {update(Path(config.out), 'pair_training', content)}")
 

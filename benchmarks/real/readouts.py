@@ -41,7 +41,9 @@ def latent_features(tokenizer: Tokenizer) -> Features:
         rest = _pooled(tokenizer, recording.reference, recording.reference[None])
         parts = [recording.current[i : i + CHUNK] for i in range(0, len(recording.current), CHUNK)]
         bar = tqdm(parts, desc=f"encode {recording.name}", leave=False)
-        return np.concatenate([_pooled(tokenizer, recording.reference, part) for part in bar]) - rest
+        return (
+            np.concatenate([_pooled(tokenizer, recording.reference, part) for part in bar]) - rest
+        )
 
     return features
 
@@ -54,11 +56,15 @@ def descriptor_features(recording: TactipSet) -> np.ndarray:
 def head_reading(tokenizer: Tokenizer, head: ForceHead, recording: TactipSet) -> dict[str, float]:
     """Return how the head's newtons, with nothing fitted, go with depth and shear."""
     parts = [recording.current[i : i + CHUNK] for i in range(0, len(recording.current), CHUNK)]
-    force = np.concatenate([head(tokenizer.encode(recording.reference[None], part)).numpy() for part in parts])
+    force = np.concatenate(
+        [head(tokenizer.encode(recording.reference[None], part)).numpy() for part in parts]
+    )
     return score(np.column_stack([force[:, 2], force[:, :2]]), labels_mm(recording))
 
 
-def transfer(source: tuple[np.ndarray, np.ndarray], target: tuple[np.ndarray, np.ndarray], ridge: float) -> dict:
+def transfer(
+    source: tuple[np.ndarray, np.ndarray], target: tuple[np.ndarray, np.ndarray], ridge: float
+) -> dict:
     """Return scores on the target of a readout fitted on the source, each (features, labels).
 
     ``as_is``; ``one_angle``, turned by the angle that fits all of the target's labels best: what a known mount angle

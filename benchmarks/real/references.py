@@ -96,7 +96,8 @@ def pad_row(pad: Pad, session: Sequence[Film], free: Sequence[FreeFrame | None])
     """Return how well the pad's pattern is known: mean patterns of half of its objects against the others'."""
     own = [frame for film in pad.films if (frame := free[film]) is not None]
     held = [session[frame.film].held for frame in own]
-    places_px = np.stack([placed(pad.centres_px, _centres(session, frame)) for frame in own])  # (films, M, 2)
+    # (films, M, 2)
+    places_px = np.stack([placed(pad.centres_px, _centres(session, frame)) for frame in own])
     objects = sorted(set(held))
     rng = np.random.default_rng(0)
     apart_px = []
@@ -104,7 +105,12 @@ def pad_row(pad: Pad, session: Sequence[Film], free: Sequence[FreeFrame | None])
         chosen = set(rng.permutation(objects)[::2].tolist())
         is_first = np.array([name in chosen for name in held])
         apart_px.append(_apart_px(_mean(places_px[is_first]), _mean(places_px[~is_first])))
-    numbers = {"films": len(pad.films), "free": len(own), "objects": len(objects), "markers": len(pad.centres_px)}
+    numbers = {
+        "films": len(pad.films),
+        "free": len(own),
+        "objects": len(objects),
+        "markers": len(pad.centres_px),
+    }
     return numbers | {"halves_apart_px": _spread(apart_px)}
 
 
@@ -173,7 +179,8 @@ def mount_rows(films: Sequence[Seen]) -> dict[str, dict[str, int]]:
         first, second = mean_motion(left.markers), mean_motion(right.markers)
         both = sorted(first.keys() & second.keys())
         read = np.stack([first[number] for number in both])
-        known = np.stack([second[number] for number in both]) * (-1, 1)  # canonical: the right finger's is mirrored
+        # canonical: the right finger's is mirrored
+        known = np.stack([second[number] for number in both]) * (-1, 1)
         found.setdefault(held, Counter())[mount_relation(read, known).mount] += 1
     return {held: dict(votes) for held, votes in sorted(found.items())}
 
@@ -243,11 +250,15 @@ def _spread(values: Sequence[float]) -> dict[str, float]:
 @command(ReferencesCommand)
 def main(config: ReferencesCommand) -> None:
     if not config.grasps:
-        raise ContractError(expected("grasps", "a folder of films", "none", "Name that of the recordings."))
+        raise ContractError(
+            expected("grasps", "a folder of films", "none", "Name that of the recordings.")
+        )
     one_thread()
     warnings.filterwarnings("ignore", message="camera frame")  # counted
     trials = read_grasps(config.grasps)
-    content: dict[str, Any] = {"what": "references of real films of two GelSight Minis, by their markers alone"}
+    content: dict[str, Any] = {
+        "what": "references of real films of two GelSight Minis, by their markers alone"
+    }
     for campaign in ("close", "wide"):
         own = [trial for trial in trials if trial.campaign == campaign]
         if own:

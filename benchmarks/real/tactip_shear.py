@@ -42,18 +42,27 @@ def read_tactip_shear(folder: Path, frames: int) -> TactipSet:
         raise DatasetError(expected(str(folder), TARGETS, "none", "Name the folder that holds it."))
     table = pd.read_csv(folder / TARGETS)
     if missing := {"sensor_image", DEPTH, *SHEAR} - set(table.columns):
-        raise DatasetError(expected(f"columns of {folder / TARGETS}", "labels", f"no {sorted(missing)}", "Copy again."))
+        raise DatasetError(
+            expected(
+                f"columns of {folder / TARGETS}", "labels", f"no {sorted(missing)}", "Copy again."
+            )
+        )
     radius_px = _mask_radius_px(folder)
     chosen = table.iloc[np.linspace(0, len(table) - 1, min(frames, len(table))).astype(int)]
     free, came_from = folder / PICTURES / FREE_AIR, "free air"
     if not free.is_file():
         lightest = table.iloc[np.hypot(table[DEPTH], np.hypot(*table[SHEAR].to_numpy().T)).argmin()]
-        free, came_from = folder / PICTURES / lightest["sensor_image"], f"{lightest[DEPTH]:.2f} mm deep"
+        free, came_from = (
+            folder / PICTURES / lightest["sensor_image"],
+            f"{lightest[DEPTH]:.2f} mm deep",
+        )
     return TactipSet(
         "/".join(folder.resolve().parts[-3::2]),
         marker_image(free, radius_px),
         came_from,
-        np.stack([marker_image(folder / PICTURES / name, radius_px) for name in chosen["sensor_image"]]),
+        np.stack(
+            [marker_image(folder / PICTURES / name, radius_px) for name in chosen["sensor_image"]]
+        ),
         chosen[DEPTH].to_numpy(np.float64),
         chosen[SHEAR].to_numpy(np.float64),
     )
@@ -63,12 +72,16 @@ def marker_image(path: Path, radius_px: float) -> np.ndarray:
     """Return a picture as a (480, 640) uint8 marker image: the dome in the middle, at its nominal scale."""
     picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if picture is None:
-        raise DatasetError(expected("picture", str(path), "none that can be read", "Copy the recording again."))
+        raise DatasetError(
+            expected("picture", str(path), "none that can be read", "Copy the recording again.")
+        )
     scale = get_sensor("tactip").px_per_mm[0] * DOME_RADIUS_MM / radius_px
     height, width = MARKER_IMAGE_SHAPE
     centre = (np.array(picture.shape[::-1]) - 1) / 2
     shift = (np.array([width, height]) - 1) / 2 - scale * centre
-    moved = cv2.warpAffine(picture, np.array([[scale, 0, shift[0]], [0, scale, shift[1]]]), (width, height))
+    moved = cv2.warpAffine(
+        picture, np.array([[scale, 0, shift[0]], [0, scale, shift[1]]]), (width, height)
+    )
     return np.where(moved >= 128, 255, 0).astype(np.uint8)
 
 

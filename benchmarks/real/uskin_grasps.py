@@ -47,7 +47,9 @@ def find_uskin_grasps(folder: str | Path) -> Iterator[Grasp]:
     for trial in sorted(path for path in root.iterdir() if path.is_dir()):
         own = trial.name in DROPPED
         scans = {finger: read_scans(trial / log) for finger, log in LOGS.items()}
-        references = {finger: _free_air(trial / log) for finger, log in LOGS.items()} if own else lent
+        references = (
+            {finger: _free_air(trial / log) for finger, log in LOGS.items()} if own else lent
+        )
         count = min(len(of_finger) for of_finger in scans.values())
         numbers = [
             number
@@ -62,7 +64,9 @@ def find_uskin_grasps(folder: str | Path) -> Iterator[Grasp]:
             canonicalizer = Canonicalizer(SENSOR)
             canonicalizer.set_reference(references[finger])
             reference[finger] = canonicalizer.marker_image(references[finger])
-            current[finger] = np.stack([canonicalizer.marker_image(scans[finger][number]) for number in numbers])
+            current[finger] = np.stack(
+                [canonicalizer.marker_image(scans[finger][number]) for number in numbers]
+            )
         yield Grasp(trial.name, SENSOR if own else f"{SENSOR}{BORROWED}", reference, current)
 
 

@@ -31,7 +31,11 @@ def try_recorder(plan: Plan) -> dict[str, Any]:
         print(f"recorder_trials: {name}")
         result = json.loads(out.read_text()) if out.is_file() else {}
         result[name] = part(plan, ledger)
-        settings = {key: v for key, v in dataclasses.asdict(plan).items() if key not in ("work", "out", "fresh")}
+        settings = {
+            key: v
+            for key, v in dataclasses.asdict(plan).items()
+            if key not in ("work", "out", "fresh")
+        }
         result.setdefault("runs", {})[name] = {"judged": plan.is_judged, **settings, **provenance()}
         result["bars"] = bars(result)
         write_json(out, result)

@@ -53,7 +53,9 @@ BREAKAGES: dict[str, Breakage] = {
     "uskin_stalls": _uskin("stall", "stale_touch"),
     "uskin_loses_taxels": _uskin("missing", "stale_touch"),
     "uskin_unplugged": _uskin("unplug", "lost_touch", "stale_touch"),
-    "arm_reflex": Breakage(lambda rig: rig.arm.do("reflex"), lambda rig: None, ("aborted:robot_reflex",), True),
+    "arm_reflex": Breakage(
+        lambda rig: rig.arm.do("reflex"), lambda rig: None, ("aborted:robot_reflex",), True
+    ),
 }
 
 
@@ -95,7 +97,8 @@ def _begin(session: Session, patience: float, at: int, clears: bool) -> int:
             return at
         if time.monotonic() > deadline_s:
             raise TrialError(f"no episode begins: {said.text}")
-        if "reference" not in said.text:  # a busy computer stopped the arm between two faults: a person lets it go on
+        # a busy computer stopped the arm between two faults: a person lets it go on
+        if "reference" not in said.text:
             session.press("v")
         time.sleep(0.1)
 
@@ -111,7 +114,9 @@ def _break(
     return at, finding(fault, root, said, broken_s, rig.rest(mark, broken_s))
 
 
-def finding(fault: Breakage, root: Path, said: Line, broken_s: float, held: dict[str, Any]) -> dict[str, Any]:
+def finding(
+    fault: Breakage, root: Path, said: Line, broken_s: float, held: dict[str, Any]
+) -> dict[str, Any]:
     """Return what came of a fault that was stored with this line."""
     label = said.text.removeprefix("stored ").partition(",")[0]
     card = read_card(root, len(read_source(root).episodes) - 1)

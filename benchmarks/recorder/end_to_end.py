@@ -47,7 +47,11 @@ def run(plan: Plan, ledger: Ledger) -> dict[str, Any]:
         "cores_used": [session["cores_used"] for session in sessions],
         "machine": [session["machine"] for session in sessions],
     }
-    return found | load_in_stock_lerobot(root) | train_a_little(root, plan.folder / "end_to_end" / "train")
+    return (
+        found
+        | load_in_stock_lerobot(root)
+        | train_a_little(root, plan.folder / "end_to_end" / "train")
+    )
 
 
 def _judged(root: Path) -> int:

@@ -30,7 +30,8 @@ from uniforce_vtla.keys import STAMPS
 COULD_NOT_START, FAULT, DISK_FULL, INTERRUPTED = 2, 3, 4, 130
 GONE = tuple(f"aborted:robot_{how}" for how in ("connection", "hand_connection", "stale", "ended"))
 TWICE_s = (0.02, 0.6)  # between the two Ctrl-C
-DISK_MB, RESERVE_MB, LEFT_MB = 250, 50, 30  # of the small disk; kept free; left free by what fills it up
+# of the small disk; kept free; left free by what fills it up
+DISK_MB, RESERVE_MB, LEFT_MB = 250, 50, 30
 SHORT_s = 1.5  # time limit of an episode that ends by itself
 FEW_s = 10.0  # of one that fits on the small disk
 MB = 1_000_000
@@ -101,7 +102,10 @@ def disk_full_for_real(bench: Bench) -> dict[str, Any]:
     """No byte is left and no guard on: the error is typed, what was saved stays, the session ends with its code."""
     with SmallDisk(bench.root, DISK_MB) as disk:
         if not disk.is_own:
-            return {"right_outcome": None, "message": "needs a disk of its own: mount -t tmpfs was refused"}
+            return {
+                "right_outcome": None,
+                "message": "needs a disk of its own: mount -t tmpfs was refused",
+            }
         bench.rig.new_arm()
         with bench.session(episodes=9, episode_s=SHORT_s, reserve_MB=0.0) as session:
             at, _ = session.wait_for(STORED, START_s + NOTICE_s)
@@ -129,7 +133,9 @@ def ctrl_c_twice(bench: Bench) -> dict[str, Any]:
     held = bench.rig.rest(mark, first_s)
     is_stored = (bench.root / "meta" / "info.json").is_file() and check_dataset(bench.root).episodes
     label = _last_card(bench.root)["label"] if is_stored else "not stored"
-    right = code == INTERRUPTED and label in ("aborted:interrupt", "not stored") and "hold_s" in held
+    right = (
+        code == INTERRUPTED and label in ("aborted:interrupt", "not stored") and "hold_s" in held
+    )
     return _found(right, code, label, last) | held
 
 
@@ -168,7 +174,12 @@ def _held_at(root: Path, card: dict[str, Any]) -> float:
     """Return when the rig was held, ``time.time``: the first tick without a row, and how long that one took."""
     source = read_source(root)
     last_tick_s = float(np.atleast_2d(source.columns((STAMPS,))[STAMPS])[-1, 0])
-    return datetime.fromisoformat(card["begun"]).timestamp() + last_tick_s + 1 / source.fps + card["held_s"]
+    return (
+        datetime.fromisoformat(card["begun"]).timestamp()
+        + last_tick_s
+        + 1 / source.fps
+        + card["held_s"]
+    )
 
 
 class SmallDisk:
@@ -181,7 +192,10 @@ class SmallDisk:
         if root.is_mount():  # of a trial that was cut short
             subprocess.run(["umount", str(root)], check=True)
         mount = ["mount", "-t", "tmpfs", "-o", f"size={size_MB}m", "uniforce-trial", str(root)]
-        self.is_own = shutil.which("mount") is not None and not subprocess.run(mount, capture_output=True).returncode
+        self.is_own = (
+            shutil.which("mount") is not None
+            and not subprocess.run(mount, capture_output=True).returncode
+        )
 
     @property
     def kind(self) -> str:
@@ -195,7 +209,11 @@ class SmallDisk:
         """Take the room away: all but ``left_MB`` of an own disk, else enough to get below the limit."""
         free = shutil.disk_usage(self._root).free
         size = free - int(left_MB * MB) if self.is_own else int((ROOM_MB + reserve_MB) * MB)
-        path = self._root.parent / f".{self._root.name}-ballast" if not self.is_own else self._root / ".ballast"
+        path = (
+            self._root.parent / f".{self._root.name}-ballast"
+            if not self.is_own
+            else self._root / ".ballast"
+        )
         self._ballast.append(path)
         with path.open("wb") as file:
             _take(file.fileno(), size)

@@ -19,7 +19,8 @@ from uniforce_robots.recorder.assemble import judged_episodes
 MOMENTS = ("tick", "save", "between")
 VICTIMS = ("all", "loop", "store")  # every process of it, the loop alone, the storing process alone
 EPISODE_s = 1.5
-SHORT = {"episode_s": EPISODE_s, "late_share": 1.0}  # late or not is judged in end_to_end; here episodes must be stored
+# late or not is judged in end_to_end; here episodes must be stored
+SHORT = {"episode_s": EPISODE_s, "late_share": 1.0}
 STORED = r"^stored success"
 WAIT_s = 60.0
 RANDOM_s = {  # after the line that says: episode begun, or stored

@@ -23,8 +23,13 @@ def load_in_stock_lerobot(root: Path, first: int = 0) -> dict[str, Any]:
     episodes = read_source(root).episodes
     for episode in episodes[first:]:
         for row in (episode.start, episode.start + episode.length - 1):
-            assert int(dataset[row]["episode_index"]) == episode.index, f"row {row} is of another episode"
-    return {"loads_in_stock_lerobot": dataset.num_episodes == len(episodes), "episodes_loaded": len(episodes[first:])}
+            assert int(dataset[row]["episode_index"]) == episode.index, (
+                f"row {row} is of another episode"
+            )
+    return {
+        "loads_in_stock_lerobot": dataset.num_episodes == len(episodes),
+        "episodes_loaded": len(episodes[first:]),
+    }
 
 
 def train_a_little(root: Path, out: Path) -> dict[str, Any]:
@@ -44,10 +49,15 @@ def train_a_little(root: Path, out: Path) -> dict[str, Any]:
     out.mkdir(parents=True, exist_ok=True)
     with (out / "train.log").open("w") as log:
         into: dict[str, Any] = {"stdout": log, "stderr": subprocess.STDOUT}
-        ended = subprocess.run(command, **into, env=environment(), timeout=STEPS_TAKE_s, check=False)
+        ended = subprocess.run(
+            command, **into, env=environment(), timeout=STEPS_TAKE_s, check=False
+        )
     losses = [float(loss) for loss in re.findall(r"loss:([\d.]+)", (out / "train.log").read_text())]
     saved = (run / "checkpoints" / "last" / "pretrained_model" / "model.safetensors").is_file()
-    result = {"trained_steps": STEPS if saved and not ended.returncode else 0, "training_losses": losses}
+    result = {
+        "trained_steps": STEPS if saved and not ended.returncode else 0,
+        "training_losses": losses,
+    }
     if saved:
         done.write_text(json.dumps(result))
     return result

@@ -85,11 +85,19 @@ class CpuMeter:
 
     def _now(self) -> dict[str, float]:
         machine = psutil.cpu_times()
-        busy_s = sum(machine) - machine.idle - getattr(machine, "iowait", 0.0) - getattr(machine, "guest", 0.0)
+        busy_s = (
+            sum(machine)
+            - machine.idle
+            - getattr(machine, "iowait", 0.0)
+            - getattr(machine, "guest", 0.0)
+        )
         seconds = {name: cpu_s(processes) for name, processes in self._groups.items()}
         return seconds | {"wall": time.monotonic(), "machine": busy_s}
 
 
 def machine_facts() -> dict[str, object]:
     """Return cores and load: what a timing has to be read with."""
-    return {"cores": os.cpu_count(), "load_1_5_15_min": [round(load, 2) for load in os.getloadavg()]}
+    return {
+        "cores": os.cpu_count(),
+        "load_1_5_15_min": [round(load, 2) for load in os.getloadavg()],
+    }

@@ -46,7 +46,9 @@ def _read(plan: Plan) -> dict[str, Any]:
             return pool.apply_async(measure, (rig.arm.address, plan.overhead_s, folder)).get(wait_s)
         except multiprocessing.TimeoutError as error:
             do = "See what it printed."
-            raise TrialError(expected("observation_read", f"an end within {wait_s:g} s", "none", do)) from error
+            raise TrialError(
+                expected("observation_read", f"an end within {wait_s:g} s", "none", do)
+            ) from error
 
 
 def measure(address: str, seconds: float, folder: Path) -> dict[str, float]:
@@ -63,7 +65,12 @@ def measure(address: str, seconds: float, folder: Path) -> dict[str, float]:
     finally:
         robot.disconnect()
     p50, p95, p99 = np.percentile(took_ms, (50, 95, 99)).tolist()
-    return {"reads": len(took_ms), "p50_ms": round(p50, 3), "p95_ms": round(p95, 3), "p99_ms": round(p99, 3)}
+    return {
+        "reads": len(took_ms),
+        "p50_ms": round(p50, 3),
+        "p95_ms": round(p95, 3),
+        "p99_ms": round(p99, 3),
+    }
 
 
 def measure_rate(seconds: float, rate_hz: float = 500.0) -> dict[str, float]:

@@ -22,7 +22,8 @@ LOADED = (
     "uniforce_robots.recorder.robot_rig",
     "uniforce_cli.record",
 )
-ARROWS_THREAD = "jemalloc_bg_thd"  # pyarrow's allocator starts it at import and itself looks after forks
+# pyarrow's allocator starts it at import and itself looks after forks
+ARROWS_THREAD = "jemalloc_bg_thd"
 
 
 def main() -> int:
@@ -34,7 +35,8 @@ def main() -> int:
     for line in sys.stdin:
         order = json.loads(line)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # the one other thread has been looked at
+            # the one other thread has been looked at
+            warnings.simplefilter("ignore", DeprecationWarning)
             pid = os.fork()
         if not pid:
             return record_on(order["tty"], order["argv"])
@@ -58,7 +60,8 @@ def record_on(tty: str, argv: list[str]) -> int:
     from uniforce_cli.record import main as record
 
     os.setsid()
-    terminal = os.open(tty, os.O_RDWR)  # a session leader's first one becomes its controlling terminal
+    # a session leader's first one becomes its controlling terminal
+    terminal = os.open(tty, os.O_RDWR)
     for standard in (0, 1, 2):
         os.dup2(terminal, standard)
     os.closerange(3, 1024)  # the answers' pipe too: a killed session must leave no one listening

@@ -28,7 +28,8 @@ FREE_FRAMES = 60  # between two presses; a reference is taken from 10 in a row
 CAMERAS = {"front": "gelsight", "wrist": "tactip"}  # any moving 640×480 picture will do
 
 
-SLOW_m_s = 0.03  # half the speed of the circle: below it for good, the arm's target has stopped and it brakes
+# half the speed of the circle: below it for good, the arm's target has stopped and it brakes
+SLOW_m_s = 0.03
 SPAN_s = 0.02  # a speed is measured over
 REST_m = 1e-3  # so near to where it ends the arm rests
 STILL_m = 5e-4  # how far it may still creep
@@ -168,8 +169,15 @@ class Rig:
 
     def _write_file(self) -> None:
         patience = self.plan.patience
-        scene = {"type": "uniforce_scene", "width": 640, "height": 480, "max_age_ms": min(200.0 * patience, 1000.0)}
-        cameras: dict[str, dict] = {n: {**scene, "source": s.address} for n, s in self.cameras.items()}
+        scene = {
+            "type": "uniforce_scene",
+            "width": 640,
+            "height": 480,
+            "max_age_ms": min(200.0 * patience, 1000.0),
+        }
+        cameras: dict[str, dict] = {
+            n: {**scene, "source": s.address} for n, s in self.cameras.items()
+        }
         cameras["tactile_left"] = {
             "type": "uniforce_tactile",
             "sensor": "gelsight",
@@ -193,7 +201,10 @@ class Rig:
             "address": self.arm.address,
             "fps": float(self.plan.fps),
             "connect_deadline_s": 2.5 * patience,
-            "guards": {"low": [0.1, -0.3, 0.1, -3.1416, 0.0], "high": [0.7, 0.3, 0.6, 3.1416, 0.08]},
+            "guards": {
+                "low": [0.1, -0.3, 0.1, -3.1416, 0.0],
+                "high": [0.7, 0.3, 0.6, 3.1416, 0.08],
+            },
             # 1 s is the hard limit of each; the hand's is never the first to be met when the controller dies.
             "stream": dict.fromkeys(("state_age_s", "stale_s"), min(0.2 * patience, 0.9)),
             "gripper": {"reading_age_s": min(0.5 * patience, 1.0)},

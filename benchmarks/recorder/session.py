@@ -78,7 +78,9 @@ class Session:
             ended = self._program.exit_code() is not None
             if (ended and len(self.lines) == len(lines)) or time.monotonic() > deadline_s:
                 came = f"{'its end' if ended else 'silence'} after {[line.text for line in lines[-6:]]}"
-                raise TrialError(expected("session", f"a line with {pattern!r}", came, "See the lines."))
+                raise TrialError(
+                    expected("session", f"a line with {pattern!r}", came, "See the lines.")
+                )
             with self._new:
                 self._new.wait(0.02)
 
@@ -92,7 +94,9 @@ class Session:
         if code is None:
             self._kill()
             came = [line.text for line in self.lines[-4:]]
-            raise TrialError(expected("session", f"an end within {timeout_s:g} s", came, "It hung."))
+            raise TrialError(
+                expected("session", f"an end within {timeout_s:g} s", came, "It hung.")
+            )
         return code
 
     def processes(self) -> list[psutil.Process]:

@@ -15,7 +15,9 @@ def bars(result: dict[str, Any]) -> list[dict[str, Any]]:
     rows = []
     for part, read in parts.items():
         for bar, asked, seen, is_met, is_whole in read(result[part]) if part in result else ():
-            verdict = (MET if is_met else MISSED) if is_whole and result["runs"][part]["judged"] else OPEN
+            verdict = (
+                (MET if is_met else MISSED) if is_whole and result["runs"][part]["judged"] else OPEN
+            )
             rows.append({"bar": bar, "asked": asked, "seen": seen, "verdict": verdict})
     return rows
 
@@ -35,7 +37,8 @@ def _end_to_end(seen: dict[str, Any]) -> Iterator[Found]:
     loads = seen["loads_in_stock_lerobot"]
     yield "loads in stock LeRobot", "yes", loads, loads, whole
     yield "steps trained on it", "20", seen["trained_steps"], seen["trained_steps"] >= 20, whole
-    for used in [used for used in seen["cores_used"] if used][-1:]:  # of a session that was ended early there is none
+    # of a session that was ended early there is none
+    for used in [used for used in seen["cores_used"] if used][-1:]:
         cores = round(used["recording_loop"] + used["storing_process"], 3)
         yield "recorder, two 640×480 cameras", "≤ 0.6 cores", f"{cores} cores", cores <= 0.6, whole
 
@@ -49,10 +52,22 @@ def _kill9(seen: dict[str, Any]) -> Iterator[Found]:
 def _faults(faults: dict[str, Any]) -> Iterator[Found]:
     for name, seen in faults.items():
         trials, right = seen["trials"], seen["right_outcome"]
-        yield f"{name}: right outcome", "all", f"{right} of {trials}", right == trials, trials >= TIMES
+        yield (
+            f"{name}: right outcome",
+            "all",
+            f"{right} of {trials}",
+            right == trials,
+            trials >= TIMES,
+        )
         worst_s, within_s = seen["worst_hold_s"], HELD_s.get(name, HELD_IN_s)
         if worst_s is not None:
-            yield f"{name}: held", f"≤ {within_s} s", f"{worst_s} s", worst_s <= within_s, trials >= TIMES
+            yield (
+                f"{name}: held",
+                f"≤ {within_s} s",
+                f"{worst_s} s",
+                worst_s <= within_s,
+                trials >= TIMES,
+            )
 
 
 def _overhead(seen: dict[str, Any]) -> Iterator[Found]:

@@ -20,7 +20,8 @@ class BenchConfig:
     Example: python -m benchmarks.speed seconds=2 only=contact
     """
 
-    seconds: Positive = 2.0  # per measurement; timings on shared machines are noisy, longer is steadier
+    # per measurement; timings on shared machines are noisy, longer is steadier
+    seconds: Positive = 2.0
     only: Stage = ""  # canonicalize | contact | encode | env; empty = all
     out: OutFolder = "outputs/bench"  # bench.json goes here
 
@@ -54,7 +55,9 @@ def run(config: BenchConfig) -> dict[str, Any]:
 @command(BenchConfig)
 def main(config: BenchConfig) -> None:
     results = run(config)
-    path = write_json(Path(config.out) / "bench.json", results | {"config": asdict(config)} | provenance())
+    path = write_json(
+        Path(config.out) / "bench.json", results | {"config": asdict(config)} | provenance()
+    )
     for name, value in results.items():
         print(f"{name}: {value}")
     print(f"written to {path}")

@@ -45,8 +45,16 @@ def _pair_call(name: str, rng: np.random.Generator) -> Callable[[], object]:
         reference, *pressed = frame_cycle(name, ONE_PRESS, FRAMES_hz)
         currents = cycle(pressed)
         return lambda: canon.pair(reference, next(currents), "left")
-    free = rng.integers(16_000, 38_000, spec.raw_shape) if spec.taxels else rng.normal(0, 0.01, spec.raw_shape)
-    loads = rng.integers(0, 4_000, (FRAMES, *spec.raw_shape)) if spec.taxels else rng.uniform(0, 1, (FRAMES, 1, 3))
+    free = (
+        rng.integers(16_000, 38_000, spec.raw_shape)
+        if spec.taxels
+        else rng.normal(0, 0.01, spec.raw_shape)
+    )
+    loads = (
+        rng.integers(0, 4_000, (FRAMES, *spec.raw_shape))
+        if spec.taxels
+        else rng.uniform(0, 1, (FRAMES, 1, 3))
+    )
     canon.set_reference(free)
     loaded = cycle(free + load for load in loads)
     return lambda: canon.marker_image(next(loaded))

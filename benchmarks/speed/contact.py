@@ -25,11 +25,16 @@ def bench_contact(seconds: float) -> dict[str, Any]:
     drawn from the seen indenters and flat faces over the whole force range. ``seconds`` per measurement.
     """
     rates = {
-        sensor: {name: _rate(_work(sensor, batch), batch, seconds) for name, batch in _BATCHES.items()}
+        sensor: {
+            name: _rate(_work(sensor, batch), batch, seconds) for name, batch in _BATCHES.items()
+        }
         for sensor in list_sensors()
     }
     rates["median"] = {name: median(rate[name] for rate in rates.values()) for name in _BATCHES}
-    return {"contact_images_per_s": rates, "anchors": {"draw_127_circles_cv2_per_s": _rate(_draw_circles, 1, seconds)}}
+    return {
+        "contact_images_per_s": rates,
+        "anchors": {"draw_127_circles_cv2_per_s": _rate(_draw_circles, 1, seconds)},
+    }
 
 
 def _work(sensor: str, batch: int) -> Callable[[], object]:

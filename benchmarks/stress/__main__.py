@@ -15,7 +15,14 @@ from benchmarks.stress.disturbed import EXCHANGED
 from benchmarks.stress.operators import OPERATORS, worn_with
 from benchmarks.stress.other_readers import Readers, fit_readers
 from benchmarks.stress.page import draw, monitor_row, one_table
-from benchmarks.stress.rollouts import cells_of, near_cliffs, of_the_scene, repeatability, roll, summarise
+from benchmarks.stress.rollouts import (
+    cells_of,
+    near_cliffs,
+    of_the_scene,
+    repeatability,
+    roll,
+    summarise,
+)
 from benchmarks.stress.screen import PRESSED_N, against, others_against, screen_cell
 from benchmarks.stress.warning import warned
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
@@ -50,22 +57,28 @@ class StressCommand:
     """
 
     part: Literal["screen", "rollouts", "page"] = "screen"
-    sensors: Text = "tactip:1,uskin:2"  # worn on the right finger, comma between them; the policy's own first
+    # worn on the right finger, comma between them; the policy's own first
+    sensors: Text = "tactip:1,uskin:2"
     level: Level = "touch"
     scenes: Count = 2  # screen: per cell
     policy: Policies = "shipped"  # rollouts: checkpoint folders that take turns
-    blind: Text = ""  # rollouts: checkpoint folders of a policy without touch; it acts where a scene's fault is
+    # rollouts: checkpoint folders of a policy without touch; it acts where a scene's fault is
+    blind: Text = ""
     stock: Text = ""  # rollouts: checkpoint folders of any LeRobot policy of cameras and state
     calibrations: FolderPath = ""  # rollouts: of exchanged sensors, uskin-2 …; "" = they wear none
     rollouts: Count = 40  # scenes, the same for every cell
-    near: CountOrZero = 3  # doses per operator near a cliff, beside the named one; 0 = the named ones alone
+    # doses per operator near a cliff, beside the named one; 0 = the named ones alone
+    near: CountOrZero = 3
     benign: Count = 4  # of them with a dose that changes nothing, and without touch
     first_seed: Seed = 0  # 0 = screen: development scenes; rollouts: the benchmark's own block
     only: Text = ""  # rollouts: just these operators, comma between them; "" = all
-    acting: Text = ""  # rollouts: just arms whose names begin with one of these; rows of the others are kept
+    # rollouts: just arms whose names begin with one of these; rows of the others are kept
+    acting: Text = ""
     workers: Workers = 2
-    facts: FolderPath = "docs/results"  # page: monitor.json and wiping.json, what the monitor notices and V wipes clean
-    work: OutFolder = "outputs/stress"  # results of the parts; episodes so far: run it again to go on
+    # page: monitor.json and wiping.json, what the monitor notices and V wipes clean
+    facts: FolderPath = "docs/results"
+    # results of the parts; episodes so far: run it again to go on
+    work: OutFolder = "outputs/stress"
     out: OutFile = ""  # "" = WORK/PART.json
 
     @property
@@ -78,8 +91,14 @@ USED_BY = {"rollouts": ("policy", "blind", "stock", "calibrations"), "page": ("f
 MENDED = ("C2 shift", "C3 turn", "M2 flicker", "R1 stale reference")
 # whose dose a calibration with the fault can undo: how it was made → ending of its folder, and operator → doses
 CALIBRATED = {
-    "calibrated": ("", {"G1 stiffer": [1.6], "G1 softer": [0.4], "G2 keener": [1.6], "G2 duller": [0.4]}),
-    "weighed": ("-loads", {n: [*doses] for n, doses in zip(SCALE, ((1.3, 1.6), (0.7, 0.4)) * 2, strict=True)}),
+    "calibrated": (
+        "",
+        {"G1 stiffer": [1.6], "G1 softer": [0.4], "G2 keener": [1.6], "G2 duller": [0.4]},
+    ),
+    "weighed": (
+        "-loads",
+        {n: [*doses] for n, doses in zip(SCALE, ((1.3, 1.6), (0.7, 0.4)) * 2, strict=True)},
+    ),
 }
 PARTS, FACTS = ("rollouts", "screen"), ("monitor", "wiping")
 SCREENED_FROM = 39_700  # development scenes
@@ -89,7 +108,9 @@ READERS_LEARN = range(39_790, 39_794)  # development scenes, of the sensor witho
 def _cell(level: str, words: str, first: int, scenes: int, readers: Readers) -> dict[str, Any]:
     worker_process()
     seeds = range(first, first + scenes)
-    return screen_cell(level, words, seeds, Tokenizer.from_pretrained(), ForceHead.from_pretrained(), readers)
+    return screen_cell(
+        level, words, seeds, Tokenizer.from_pretrained(), ForceHead.from_pretrained(), readers
+    )
 
 
 def _readers(level: str, words: str) -> Readers:
@@ -107,9 +128,18 @@ def screen(config: StressCommand) -> dict[str, Any]:
     first, sensors = config.first_seed or SCREENED_FROM, split(config.sensors)
     fitted = Parallel(config.workers)(delayed(_readers)(config.level, sensor) for sensor in sensors)
     readers = dict(zip(sensors, fitted, strict=True))
-    jobs = [delayed(_cell)(config.level, words, first, config.scenes, readers[sensor]) for sensor, *_, words in cells]
-    found = list(tqdm(Parallel(config.workers, return_as="generator")(jobs), total=len(jobs), desc="cells"))
-    usual = {sensor: cell for (sensor, name, *_), cell in zip(cells, found, strict=True) if name == "none"}
+    jobs = [
+        delayed(_cell)(config.level, words, first, config.scenes, readers[sensor])
+        for sensor, *_, words in cells
+    ]
+    found = list(
+        tqdm(Parallel(config.workers, return_as="generator")(jobs), total=len(jobs), desc="cells")
+    )
+    usual = {
+        sensor: cell
+        for (sensor, name, *_), cell in zip(cells, found, strict=True)
+        if name == "none"
+    }
     rows: dict[str, Any] = {sensor: {"none": usual[sensor]} for sensor in usual}
     for (sensor, name, dose, _), cell in zip(cells, found, strict=True):
         if name != "none":
@@ -122,7 +152,9 @@ def screen(config: StressCommand) -> dict[str, Any]:
 def arms(config: StressCommand) -> list[tuple[Arm, dict[str, list[float]]]]:
     """Return who acts, and which doses of which operators it meets. An operator stands first with its expert."""
     screened = read_object(Path(config.work) / "screen.json", ContractError)["screened"]
-    policies, blind, stock = (tuple(split(given)) for given in (config.policy, config.blind, config.stock))
+    policies, blind, stock = (
+        tuple(split(given)) for given in (config.policy, config.blind, config.stock)
+    )
     scene, (own, *others) = of_the_scene(config.near), split(config.sensors)
     doses = {sensor: near_cliffs(screened[sensor], config.near) for sensor in (own, *others)}
     found = [(Arm(f"policy on {own}", own, "policy", policies), doses[own] | scene)]
@@ -132,22 +164,37 @@ def arms(config: StressCommand) -> list[tuple[Arm, dict[str, list[float]]]]:
         there = {
             name: found_doses
             for name, many in wanted_doses.items()
-            if (found_doses := [dose for dose in many if _calibration(config, own + ending, name, dose)])
+            if (
+                found_doses := [
+                    dose for dose in many if _calibration(config, own + ending, name, dose)
+                ]
+            )
         }
         if there:
             worn = _calibration(config, own + ending)
-            found.append((Arm(f"policy on {own}, {how}", own, "policy", policies, worn, refitted=True), there))
+            found.append(
+                (
+                    Arm(f"policy on {own}, {how}", own, "policy", policies, worn, refitted=True),
+                    there,
+                )
+            )
     for sensor in others:
         arm = Arm(f"policy on {sensor}", sensor, "policy", policies, _calibration(config, sensor))
-        found.append((arm, doses[sensor] | {name: near for name, near in scene.items() if name != EXCHANGED}))
-    found += [(Arm(f"expert reads {sensor}", sensor, "reads"), near) for sensor, near in doses.items()]
+        found.append(
+            (arm, doses[sensor] | {name: near for name, near in scene.items() if name != EXCHANGED})
+        )
+    found += [
+        (Arm(f"expert reads {sensor}", sensor, "reads"), near) for sensor, near in doses.items()
+    ]
     found.append((Arm("expert", acts="expert"), scene))
     if blind:
         found.append((Arm("policy without touch", acts="policy", policies=blind, few=True), scene))
     if stock:
         found.append((Arm("stock policy", acts="stock", policies=stock, few=True), scene))
     wanted = split(config.only)
-    return [(arm, {n: d for n, d in doses.items() if not wanted or n in wanted}) for arm, doses in found]
+    return [
+        (arm, {n: d for n, d in doses.items() if not wanted or n in wanted}) for arm, doses in found
+    ]
 
 
 def _calibration(config: StressCommand, sensor: str, operator: str = "", dose: float = 0.0) -> str:
@@ -159,12 +206,17 @@ def _calibration(config: StressCommand, sensor: str, operator: str = "", dose: f
 
 def check_ledger(folder: Path, acting: list[Arm]) -> None:
     """Note in the folder of a ledger what acts; ContractError: its episodes are of another policy or calibration."""
-    now = {arm.name: [content_of(name) for name in (*arm.policies, arm.calibration) if name] for arm in acting}
+    now = {
+        arm.name: [content_of(name) for name in (*arm.policies, arm.calibration) if name]
+        for arm in acting
+    }
     path = folder / "acts.json"
     before = read_object(path, ContractError) if path.is_file() else {}
     if others := [name for name in now if before.get(name, now[name]) != now[name]]:
         do = "Name another folder: work=…"
-        raise ContractError(expected(f"episodes in {folder}", "of these policies", f"other ones' of {others}", do))
+        raise ContractError(
+            expected(f"episodes in {folder}", "of these policies", f"other ones' of {others}", do)
+        )
     write_json(path, before | now)
 
 
@@ -178,7 +230,13 @@ def roll_out(config: StressCommand) -> dict[str, Any]:
     acting = tuple(split(config.acting)) or ("",)
     rows = roll(every, config.level, seeds, config.workers, ledger, config.benign, acting)
     (own, *_), unwatched = cells.values(), cells["policy without monitor"]
-    twins = [(a.name, b) for b in unwatched if b.operator and not b.benign for a in own if a.fault == b.fault]
+    twins = [
+        (a.name, b)
+        for b in unwatched
+        if b.operator and not b.benign
+        for a in own
+        if a.fault == b.fault
+    ]
     return {
         "seeds": [seeds[0], seeds[-1]],
         "repeatability": repeatability(every, rows),
@@ -193,7 +251,11 @@ def check_used(config: StressCommand) -> None:
         changed = [name for name in names if getattr(config, name) != getattr(StressCommand, name)]
         if changed and config.part != part:
             came = f"part={config.part}"
-            raise ContractError(expected(changed[0], f"part={part} with it", came, "Leave it out, or name that part."))
+            raise ContractError(
+                expected(
+                    changed[0], f"part={part} with it", came, "Leave it out, or name that part."
+                )
+            )
     if config.part == "rollouts":
         for policy in split(config.policy):
             content_of(policy)
@@ -202,7 +264,10 @@ def check_used(config: StressCommand) -> None:
 @command(StressCommand)
 def main(config: StressCommand) -> None:
     check_used(config)
-    content: dict[str, Any] = {"level": config.level, "level_hash": level_hash(LEVELS[config.level])}
+    content: dict[str, Any] = {
+        "level": config.level,
+        "level_hash": level_hash(LEVELS[config.level]),
+    }
     if config.part == "screen":
         content["screened"] = rows = screen(config)
         _print_screen(rows)
@@ -210,8 +275,12 @@ def main(config: StressCommand) -> None:
         content |= roll_out(config)
         _print_arms(content["arms"])
     else:
-        rolled, screened = (read_object(Path(config.work) / f"{name}.json", ContractError) for name in PARTS)
-        noticed, wiping = (read_object(Path(config.facts) / f"{name}.json", ContractError) for name in FACTS)
+        rolled, screened = (
+            read_object(Path(config.work) / f"{name}.json", ContractError) for name in PARTS
+        )
+        noticed, wiping = (
+            read_object(Path(config.facts) / f"{name}.json", ContractError) for name in FACTS
+        )
         content |= {name: rolled[name] for name in ("seeds", "repeatability")}
         content |= one_table(rolled["arms"], screened["screened"], wiping["arms"]["V"])
         kind = wear(split(config.sensors)[0])(0).kind
@@ -222,12 +291,15 @@ def main(config: StressCommand) -> None:
 
 def _print_screen(rows: dict[str, Any]) -> None:
     for sensor, operators in rows.items():
-        print(f"{sensor}: 6 N are read as {operators['none']['press_read_at_6_N']:.2f} N; with the fault, N more:")
+        print(
+            f"{sensor}: 6 N are read as {operators['none']['press_read_at_6_N']:.2f} N; with the fault, N more:"
+        )
         for name, cells in operators.items():
             if name != "none":
                 errors = {cell["dose"]: cell["press_error_N"] for cell in cells[1:]}
                 said = "  ".join(
-                    f"{dose:g}: " + ("refused" if N is None else f"{N:+.2f}") for dose, N in errors.items()
+                    f"{dose:g}: " + ("refused" if N is None else f"{N:+.2f}")
+                    for dose, N in errors.items()
                 )
                 print(f"  {name:20} [{OPERATORS[name].unit}] {said}")
 
@@ -237,8 +309,14 @@ def _print_arms(found: dict[str, Any]) -> None:
         print(f"{name}: {operators['']['clean']} of {operators['']['n']} clean without a fault")
         for operator, row in operators.items():
             if operator:
-                clean = "  ".join(f"{dose:g}: {k}" for dose, k in zip(row["doses"], row["clean"], strict=True))
-                breaks = f"breaks at {row['breaking_dose']}" if row["judged"] else "too few scenes to judge"
+                clean = "  ".join(
+                    f"{dose:g}: {k}" for dose, k in zip(row["doses"], row["clean"], strict=True)
+                )
+                breaks = (
+                    f"breaks at {row['breaking_dose']}"
+                    if row["judged"]
+                    else "too few scenes to judge"
+                )
                 print(f"  {operator:30} benign {row['benign']}  {clean}  {breaks}")
 
 

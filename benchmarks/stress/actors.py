@@ -34,19 +34,26 @@ class Arm:
     acts: Literal["policy", "stock", "expert", "reads"] = "policy"
     policies: tuple[str, ...] = ()  # checkpoint folders that take turns
     calibration: str = ""  # folder; of a policy's sensor
-    refitted: bool = False  # the sensor was calibrated with its fault: folder CALIBRATION+FAULT=DOSE
+    # the sensor was calibrated with its fault: folder CALIBRATION+FAULT=DOSE
+    refitted: bool = False
     monitor: Literal["stop", "off"] = "stop"  # of a policy's sensor
     few: bool = False  # acts in the first scenes alone
     masked: bool = False  # a policy whose touch carries nothing
 
 
-def play(arm: Arm, level: str, words: str, operator: str, dose: float, cell: str, seed: int, first: int) -> Row:
+def play(
+    arm: Arm, level: str, words: str, operator: str, dose: float, cell: str, seed: int, first: int
+) -> Row:
     """Let an arm act in one scene with a sensor in words, under an operator of the scene if it is one."""
     of_scene = SCENE_OPERATORS.get(operator)
-    return disturbed(arm, level, words, of_scene.disturb(dose) if of_scene else Disturbance(), cell, seed, first)
+    return disturbed(
+        arm, level, words, of_scene.disturb(dose) if of_scene else Disturbance(), cell, seed, first
+    )
 
 
-def disturbed(arm: Arm, level: str, words: str, disturbance: Disturbance, cell: str, seed: int, first: int) -> Row:
+def disturbed(
+    arm: Arm, level: str, words: str, disturbance: Disturbance, cell: str, seed: int, first: int
+) -> Row:
     """Let an arm act in one disturbed scene. An episode that a refused sensor stops counts as aborted."""
     worker_process()
     torch.manual_seed(seed)
@@ -60,21 +67,40 @@ def disturbed(arm: Arm, level: str, words: str, disturbance: Disturbance, cell: 
 
 def row_of(cell: str, env: WipeEnv, result: EpisodeResult) -> Row:
     """Return what is kept of an episode."""
-    share, ended_s = (float(result.metrics.get(name, 0.0)) for name in ("in_band_share", "duration_s"))
+    share, ended_s = (
+        float(result.metrics.get(name, 0.0)) for name in ("in_band_share", "duration_s")
+    )
     events = bool(result.slippage), bool(result.excess_force)
     event_s = first_event_s(env.trace, env.limits)
-    return Row(cell, env.scene.seed, bool(result.clean), result.outcome, share, *events, round(ended_s, 3), event_s)
+    return Row(
+        cell,
+        env.scene.seed,
+        bool(result.clean),
+        result.outcome,
+        share,
+        *events,
+        round(ended_s, 3),
+        event_s,
+    )
 
 
 Played = tuple[WipeEnv, EpisodeResult]
 
 
-def _policy(arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int) -> Played:
+def _policy(
+    arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int
+) -> Played:
     calibration = arm.calibration + words.removeprefix(arm.sensor) * arm.refitted
     rig = Rig(level, right_sensor=words, right_calibration=calibration, monitor=arm.monitor)
     controller = _controller(whose_turn(seed - first, arm.policies), rig, arm.masked)
     worn = (rig.mounted["left"], rig.mounted["right"])
-    env = DisturbedEnv(disturbance, level, *worn, drawn=controller.reads, expose_wrench=controller.needs_true_wrench)
+    env = DisturbedEnv(
+        disturbance,
+        level,
+        *worn,
+        drawn=controller.reads,
+        expose_wrench=controller.needs_true_wrench,
+    )
     return env, roll_out(env, controller, seed).result
 
 
@@ -85,20 +111,28 @@ def _controller(policy: str, rig: Rig, masked: bool) -> PolicyController:
     return controller
 
 
-def _stock(arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int) -> Played:
+def _stock(
+    arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int
+) -> Played:
     env = DisturbedEnv(disturbance, level, right_sensor=words, drawn=())
-    return env, roll_out(env, _stock_controller(whose_turn(seed - first, arm.policies)), seed).result
+    return env, roll_out(
+        env, _stock_controller(whose_turn(seed - first, arm.policies)), seed
+    ).result
 
 
 _stock_controller = lru_cache(maxsize=8)(StockController)
 
 
-def _expert(arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int) -> Played:
+def _expert(
+    arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int
+) -> Played:
     env = DisturbedEnv(disturbance, level, right_sensor=words, drawn=())
     return env, run_script(env, WipeExpert(), seed)
 
 
-def _reads(arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int) -> Played:
+def _reads(
+    arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int
+) -> Played:
     env = DisturbedEnv(disturbance, level, right_sensor=words, drawn=("right",))
     return env, run_script(env, ReadsWorn("right", *_reader()), seed)
 

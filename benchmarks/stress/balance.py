@@ -39,7 +39,8 @@ class BalanceCommand:
 
     left: Text = "gelsight:1,uskin:1"  # worn on the left finger, comma between them
     level: Level = "touch"
-    clean: Count = 16  # wipes without a fault, by the demonstrations' TacTip; and by others, one wipe each
+    # wipes without a fault, by the demonstrations' TacTip; and by others, one wipe each
+    clean: Count = 16
     faulty: Count = 4  # wipes per fault and dose
     workers: Workers = 2
     out: OutFile = "outputs/balance.json"
@@ -54,7 +55,9 @@ def wipe(level: str, left: str, right: str, seed: int) -> float | None:
         for step, _ in enumerate(walk(env, WipeExpert(), seed)):
             if step % EVERY:
                 continue
-            left_N, right_N = (float(head(encode_now(env, finger, tokenizer))[0, 2]) for finger in FINGERS)
+            left_N, right_N = (
+                float(head(encode_now(env, finger, tokenizer))[0, 2]) for finger in FINGERS
+            )
             if (times := balance.see(right_N, left_N)) is not None:
                 return times
     except SensorError:
@@ -62,11 +65,17 @@ def wipe(level: str, left: str, right: str, seed: int) -> float | None:
     return None
 
 
-def wipes(config: BalanceCommand, left: str, rows: Iterable[tuple[str, int]], desc: str) -> list[float]:
+def wipes(
+    config: BalanceCommand, left: str, rows: Iterable[tuple[str, int]], desc: str
+) -> list[float]:
     """Return the judged wipes' ratios."""
     jobs = [delayed(wipe)(config.level, left, right, seed) for right, seed in rows]
     found = Parallel(config.workers, return_as="generator")(jobs)
-    return [times for times in tqdm(found, total=len(jobs), desc=desc, disable=None) if times is not None]
+    return [
+        times
+        for times in tqdm(found, total=len(jobs), desc=desc, disable=None)
+        if times is not None
+    ]
 
 
 def cell(times: list[float], clean: list[float]) -> dict[str, Any]:
@@ -81,7 +90,9 @@ def cell(times: list[float], clean: list[float]) -> dict[str, Any]:
 
 
 def measure(config: BalanceCommand, left: str) -> dict[str, Any]:
-    clean = wipes(config, left, [(OWN, CLEAN_FROM + n) for n in range(config.clean)], f"{left}, clean")
+    clean = wipes(
+        config, left, [(OWN, CLEAN_FROM + n) for n in range(config.clean)], f"{left}, clean"
+    )
     other_rows = [(f"tactip:{FIRST_OTHER + n}", OTHERS_FROM + n) for n in range(config.clean)]
     others = wipes(config, left, other_rows, f"{left}, other TacTips")
     found: dict[str, Any] = {
@@ -92,8 +103,13 @@ def measure(config: BalanceCommand, left: str) -> dict[str, Any]:
     for name in SCALE:
         cells = []
         for dose in OPERATORS[name].doses:
-            rows = [(str(worn_with(OPERATORS[name], OWN, dose)), FAULTY_FROM + n) for n in range(config.faulty)]
-            cells.append({"dose": dose} | cell(wipes(config, left, rows, f"{left}, {name} {dose:g}"), clean))
+            rows = [
+                (str(worn_with(OPERATORS[name], OWN, dose)), FAULTY_FROM + n)
+                for n in range(config.faulty)
+            ]
+            cells.append(
+                {"dose": dose} | cell(wipes(config, left, rows, f"{left}, {name} {dose:g}"), clean)
+            )
         found["operators"][name] = cells
     return found
 
@@ -106,9 +122,14 @@ def main(config: BalanceCommand) -> None:
     for left, rows in found.items():
         print(f"{left}: clean {rows['clean']}; other units {rows['other_units']}")
         for name, cells in rows["operators"].items():
-            said = "  ".join(f"{c['dose']:g}: ×{c['times']}, {c['noticed']}/{c['n']}, {c['auroc']}" for c in cells)
+            said = "  ".join(
+                f"{c['dose']:g}: ×{c['times']}, {c['noticed']}/{c['n']}, {c['auroc']}"
+                for c in cells
+            )
             print(f"  {name:12} {said}")
-    print(f"written to {write_json(Path(config.out), {'level': config.level, 'left': found} | provenance())}")
+    print(
+        f"written to {write_json(Path(config.out), {'level': config.level, 'left': found} | provenance())}"
+    )
 
 
 if __name__ == "__main__":

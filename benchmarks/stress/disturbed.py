@@ -38,7 +38,8 @@ class Disturbance:
     push_N: float = 0.0  # on the hand, for .2 s every 2 s, in a direction drawn each time
     task: str = ""  # said instead of the scene's text
     substeps: int = SolverSettings.substeps  # physics steps per force sample
-    exchanged: str = ""  # worn right from half a second of wiping on, with its own reference; the pad's springs stay
+    # worn right from half a second of wiping on, with its own reference; the pad's springs stay
+    exchanged: str = ""
 
 
 class DisturbedEnv(WipeEnv):
@@ -80,7 +81,9 @@ class DisturbedEnv(WipeEnv):
     def _exchange(self) -> None:
         if "right" in self._touch:
             seed = self.scene.seed
-            self._touch["right"] = PadImages(wear(self._disturbance.exchanged)(seed), "right", seed + 1)
+            self._touch["right"] = PadImages(
+                wear(self._disturbance.exchanged)(seed), "right", seed + 1
+            )
             self._follow()
 
 
@@ -138,7 +141,10 @@ def _operator(
 
 SCENE_OPERATORS = {
     "P1 late actions": _operator(
-        "ms", (33, 67, 133, 200, 300), 0, lambda ms: Disturbance(late_steps=round(ms / 1000 * CONTROL_HZ))
+        "ms",
+        (33, 67, 133, 200, 300),
+        0,
+        lambda ms: Disturbance(late_steps=round(ms / 1000 * CONTROL_HZ)),
     ),
     "P2 pushed arm": _operator("N", (2, 4, 8, 12, 16), 0, lambda N: Disturbance(push_N=N)),
     "P3 stronger pull": _operator("×", (1.25, 1.5, 2, 2.5, 3), 1, _hidden("pull", "sd_N")),
@@ -147,6 +153,8 @@ SCENE_OPERATORS = {
     "B3 pads slip": _operator("×", (0.9, 0.8, 0.7, 0.6, 0.5), 1, _scaled("pad_friction")),
     "E1 heavier eraser": _operator("×", (1.5, 2, 3, 4, 6), 1, _scaled("eraser_mass_kg")),
     "E2 wider eraser": _operator("mm", (4, 6, 8, 10, 12), 0, _wider),
-    EXCHANGED: _operator("unit", (2, 3, 4, 5, 6), 1, lambda unit: Disturbance(exchanged=f"tactip:{unit:g}")),
+    EXCHANGED: _operator(
+        "unit", (2, 3, 4, 5, 6), 1, lambda unit: Disturbance(exchanged=f"tactip:{unit:g}")
+    ),
     "W1 other words": _operator("number of the text", (1, 2, 3, 4, 5), 0, _said),
 }

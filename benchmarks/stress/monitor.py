@@ -76,7 +76,12 @@ class Watched:
 
 def watch(level: str, sensor: str, seed: int, usual: LatentRange, tokenizer: Tokenizer) -> Watched:
     """Let the expert wipe by the true wrench with ``sensor`` on its right finger; stop at a refused frame."""
-    env, distances, refused, steps = WipeEnv(level, right_sensor=sensor, drawn=("right",)), [], False, 0
+    env, distances, refused, steps = (
+        WipeEnv(level, right_sensor=sensor, drawn=("right",)),
+        [],
+        False,
+        0,
+    )
     try:
         for steps, _ in enumerate(walk(env, WipeExpert(), seed)):
             if steps % EVERY == 0:
@@ -93,7 +98,9 @@ def watched(distances: np.ndarray, usual: LatentRange, seconds: float, refused: 
         return Watched(0.0, 0.0, seconds if refused else np.inf, seconds, refused)
     monitor = HealthMonitor(usual, "right", LOOKS)
     free, run = zip(*(monitor.judge(float(distance)) for distance in distances), strict=True)
-    first = next((k for k, ratios in enumerate(zip(free, run, strict=True), 1) if max(ratios) > 1), np.inf)
+    first = next(
+        (k for k, ratios in enumerate(zip(free, run, strict=True), 1) if max(ratios) > 1), np.inf
+    )
     return Watched(max(free), max(run), float(first * seconds / len(distances)), seconds, refused)
 
 
@@ -102,7 +109,9 @@ def _job(level: str, sensor: str, seed: int, usual: LatentRange, size: str) -> W
     return watch(level, sensor, seed, usual, Tokenizer.from_pretrained(size))
 
 
-def _watch_all(config: MonitorCommand, rows: Iterable[tuple[str, int]], usual: LatentRange, desc: str) -> list[Watched]:
+def _watch_all(
+    config: MonitorCommand, rows: Iterable[tuple[str, int]], usual: LatentRange, desc: str
+) -> list[Watched]:
     jobs = [delayed(_job)(config.level, sensor, seed, usual, config.size) for sensor, seed in rows]
     found = Parallel(config.workers, return_as="generator")(jobs)
     return list(tqdm(found, total=len(jobs), desc=desc, disable=None))
@@ -114,7 +123,9 @@ def fit(config: MonitorCommand, kind: str) -> Path:
     latents, _ = draw_worn(WornSequences(), kind, tokenizer)
     usual = LatentRange.fit(latents.flatten(0, 1), kind, tokenizer.hash)
     usual.free_limit = usual.run_limit = 1.0
-    seen = _watch_all(config, [(f"{kind}:{unit}", seed) for seed, unit in LIMITS], usual, f"clean wipes, {kind}")
+    seen = _watch_all(
+        config, [(f"{kind}:{unit}", seed) for seed, unit in LIMITS], usual, f"clean wipes, {kind}"
+    )
     usual.free_limit = round(FREE_MARGIN * max(one.free for one in seen), 3)
     usual.run_limit = round(RUN_MARGIN * max(one.run for one in seen), 3)
     return usual.save(Path(config.folder) / f"latent_range_{kind}")
@@ -131,13 +142,19 @@ def faults(config: MonitorCommand, kind: str) -> dict[str, Any]:
         "free_limit": usual.free_limit,
         "run_limit": usual.run_limit,
         "clean": {"wipes": len(clean), "hours": round(hours, 3), "false_alarms": len(false)},
-        "largest_clean": {"free": max(one.free for one in clean), "run": max(one.run for one in clean)},
+        "largest_clean": {
+            "free": max(one.free for one in clean),
+            "run": max(one.run for one in clean),
+        },
         "operators": {},
     }
     for name, operator in OPERATORS.items():
         cells = []
         for dose in operator.doses:
-            worn = [(worn_with(operator, f"{kind}:{unit}", dose), seed) for seed, unit in FAULTY[: config.faulty]]
+            worn = [
+                (worn_with(operator, f"{kind}:{unit}", dose), seed)
+                for seed, unit in FAULTY[: config.faulty]
+            ]
             rows = [(sensor, seed) for sensor, seed in worn if sensor]
             if rows:
                 seen = _watch_all(config, rows, usual, f"{name} {dose:g}, {kind}")
@@ -180,7 +197,9 @@ def main(config: MonitorCommand) -> None:
     for kind, rows in found.items():
         print(f"{kind}: {rows['clean']}")
         for name, row in rows["operators"].items():
-            said = "  ".join(f"{cell['dose']:g}: {cell['noticed']}/{cell['n']}" for cell in row["cells"])
+            said = "  ".join(
+                f"{cell['dose']:g}: {cell['noticed']}/{cell['n']}" for cell in row["cells"]
+            )
             print(f"  {name:20} [{row['unit']}] noticed {said}")
     content = {"level": config.level, "size": config.size, "kinds": found}
     print(f"written to {write_json(Path(config.out), content | provenance())}")

@@ -33,8 +33,13 @@ def _described(reference: np.ndarray, current: np.ndarray, finger: Finger) -> np
     return descriptors(reference, current[None], finger)[0] / np.asarray(NATURAL_UNITS)
 
 
-def fit_readers(level: str, sensor: str, seeds: range, tokenizer: Tokenizer, pressed_N: float) -> Readers:
+def fit_readers(
+    level: str, sensor: str, seeds: range, tokenizer: Tokenizer, pressed_N: float
+) -> Readers:
     """Return a reader of the press per kind of feature, fitted to moments with more press than ``pressed_N``."""
     found = read_scenes(level, "right", sensor, seeds, tokenizer, features_of(tokenizer))
     pressed = found.press_N > pressed_N
-    return {name: fit_readout(of[pressed], found.press_N[pressed], RIDGE) for name, of in found.features.items()}
+    return {
+        name: fit_readout(of[pressed], found.press_N[pressed], RIDGE)
+        for name, of in found.features.items()
+    }

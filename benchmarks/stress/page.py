@@ -15,7 +15,9 @@ Arms = Mapping[str, Mapping[str, Any]]  # arm → operator → row of ``summaris
 COSTLY = 0.2  # of clean wipes: a fault that costs as much has to be noticed
 
 
-def one_table(arms: Arms, screened: Mapping[str, Any], without_touch: Mapping[str, Any]) -> dict[str, Any]:
+def one_table(
+    arms: Arms, screened: Mapping[str, Any], without_touch: Mapping[str, Any]
+) -> dict[str, Any]:
     """Return the form of stress.json: what was rolled out, operator by operator, and what was only screened.
 
     Args:
@@ -37,19 +39,26 @@ def one_table(arms: Arms, screened: Mapping[str, Any], without_touch: Mapping[st
         for other in policies[1:]:
             if name in arms[other]:
                 row[other] = arms[other][name]
-        for label, others in (("policy without touch", blind), ("policy without monitor", unwatched)):
+        for label, others in (
+            ("policy without touch", blind),
+            ("policy without monitor", unwatched),
+        ):
             if name in others:
                 row[label] = {key: others[name][key] for key in ("clean", "n")}
         operators[name] = row
     return {
-        "clean_without_fault": {name: {key: found[""][key] for key in ("clean", "n")} for name, found in arms.items()},
+        "clean_without_fault": {
+            name: {key: found[""][key] for key in ("clean", "n")} for name, found in arms.items()
+        },
         "operators": operators,
         "mce": mean_corruption_error(arms[own], blind or {"": without_touch}),
         "screened": screened,
     }
 
 
-def monitor_row(arms: Arms, noticed: Mapping[str, Any], warned: Mapping[str, Any]) -> dict[str, Any]:
+def monitor_row(
+    arms: Arms, noticed: Mapping[str, Any], warned: Mapping[str, Any]
+) -> dict[str, Any]:
     """Return what the monitor is worth where it matters: AUROC of what costs 20 points or more, and of the rest.
 
     Args:
@@ -62,11 +71,21 @@ def monitor_row(arms: Arms, noticed: Mapping[str, Any], warned: Mapping[str, Any
     for name, seen in noticed["operators"].items():
         unwatched = arms.get("policy without monitor", {})
         arm = unwatched if name in unwatched else own
-        lost = dict(zip(arm[name]["doses"], lost_share(arm[name], arm[""]), strict=True)) if name in arm else {}
+        lost = (
+            dict(zip(arm[name]["doses"], lost_share(arm[name], arm[""]), strict=True))
+            if name in arm
+            else {}
+        )
         for cell in (cell for cell in seen["cells"] if cell["dose"] in lost):
-            found["auroc" if lost[cell["dose"]] >= COSTLY else "auroc_mild"][f"{name} {cell['dose']:g}"] = cell["auroc"]
+            found["auroc" if lost[cell["dose"]] >= COSTLY else "auroc_mild"][
+                f"{name} {cell['dose']:g}"
+            ] = cell["auroc"]
     clean = noticed["clean"]
-    return found | {"false_alarms_per_hour": clean["false_alarms"] / clean["hours"], **clean, "warned": warned}
+    return found | {
+        "false_alarms_per_hour": clean["false_alarms"] / clean["hours"],
+        **clean,
+        "warned": warned,
+    }
 
 
 def lost_share(row: Mapping[str, Any], usual: Mapping[str, Any]) -> np.ndarray:
@@ -88,12 +107,17 @@ def draw(table: Mapping[str, Any], path: Path) -> Path:
     kept = np.full((len(operators), columns), np.nan)
     for index, row in enumerate(operators.values()):
         kept[index, : len(row["doses"])] = retention(row, usual[own])
-    figure = Figure(figsize=(max(7.5, 2.2 + 1.6 * columns), 1.2 + 0.42 * len(operators)), layout="constrained")
+    figure = Figure(
+        figsize=(max(7.5, 2.2 + 1.6 * columns), 1.2 + 0.42 * len(operators)), layout="constrained"
+    )
     axes = figure.subplots()
     image = axes.imshow(kept, vmin=0, vmax=1, cmap="RdYlGn", aspect="auto")
     for index, row in enumerate(operators.values()):
         for column, dose in enumerate(row["doses"]):
-            counts = [f"{row[k][column]}/{row[n][column]}" for k, n in (("clean", "n"), ("expert", "expert_n"))]
+            counts = [
+                f"{row[k][column]}/{row[n][column]}"
+                for k, n in (("clean", "n"), ("expert", "expert_n"))
+            ]
             said = f"{dose:g} {row['unit']}\n{counts[0]}, expert {counts[1]}"
             axes.text(column, index, said, ha="center", va="center", fontsize=7)
     axes.set_yticks(range(len(operators)), list(operators), fontsize=8)
@@ -101,7 +125,8 @@ def draw(table: Mapping[str, Any], path: Path) -> Path:
     axes.set_xlabel("doses that were rolled out, mild to severe")
     clean = usual[own]
     axes.set_title(
-        f"{own}: clean under a fault over clean without ({clean['clean']}/{clean['n']}), simulated", fontsize=9
+        f"{own}: clean under a fault over clean without ({clean['clean']}/{clean['n']}), simulated",
+        fontsize=9,
     )
     figure.colorbar(image, label="kept")
     return save_figure(figure, path)

@@ -19,7 +19,8 @@ from uniforce_vtla.tokenizer.latent import POOL, Latent, pool_latent
 EVERY = 4  # steps between two readings
 GRIPPED_N = 1.0  # the eraser is held
 
-Features = Callable[[np.ndarray, np.ndarray, Finger], np.ndarray]  # reference, current (480, 640) uint8 → (F,)
+# reference, current (480, 640) uint8 → (F,)
+Features = Callable[[np.ndarray, np.ndarray, Finger], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -44,20 +45,34 @@ def encode_now(env: WipeEnv, finger: Finger, tokenizer: Tokenizer) -> Latent:
     return encode_pair(tokenizer, *env.marker_pair(finger), finger)
 
 
-def encode_pair(tokenizer: Tokenizer, reference: np.ndarray, current: np.ndarray, finger: Finger) -> Latent:
+def encode_pair(
+    tokenizer: Tokenizer, reference: np.ndarray, current: np.ndarray, finger: Finger
+) -> Latent:
     """Return the (1, P, L) pooled latent of (480, 640) uint8 images."""
     return pool_latent(tokenizer.encode(reference[None], current[None], finger), POOL)  # type: ignore[return-value]
 
 
 def read_scenes(
-    level: str, finger: Finger, sensor: str, seeds: range, tokenizer: Tokenizer, also: Mapping[str, Features] = {}
+    level: str,
+    finger: Finger,
+    sensor: str,
+    seeds: range,
+    tokenizer: Tokenizer,
+    also: Mapping[str, Features] = {},
 ) -> Readings:
     """Let the expert wipe by the true wrench with ``sensor`` on ``finger``, and read it every few steps.
 
     Raises SensorError: the reference of a scene's unit is refused.
     """
     worn: dict[str, Any] = {f"{finger}_sensor": sensor}
-    env, latents, truth, before, press, refused = WipeEnv(level, drawn=(finger,), **worn), [], [], [], [], 0
+    env, latents, truth, before, press, refused = (
+        WipeEnv(level, drawn=(finger,), **worn),
+        [],
+        [],
+        [],
+        [],
+        0,
+    )
     others: dict[str, list[np.ndarray]] = {name: [] for name in also}
     for seed in seeds:
         now: np.ndarray = np.zeros(3)
@@ -90,7 +105,11 @@ class ReadsWorn(WipeExpert):
     """
 
     def __init__(
-        self, finger: Finger, tokenizer: Tokenizer, head: ForceHead, calibration: Calibration | None = None
+        self,
+        finger: Finger,
+        tokenizer: Tokenizer,
+        head: ForceHead,
+        calibration: Calibration | None = None,
     ) -> None:
         super().__init__(fingers=finger)
         self._finger, self._tokenizer, self._head = finger, tokenizer, head

@@ -21,7 +21,8 @@ from uniforce_vtla.evaluation.statistics import Proportion, non_inferior, wilson
 
 MARGIN = 0.10  # of clean success: what may be lost before a dose counts as breaking
 FEWEST = 25  # scenes: of fewer even a dose that costs nothing would have a bound beyond the margin
-NEAR_N = (0.2, 4.0)  # a misread press between these is near a cliff; the level fails readings by 15 %, .9 N
+# a misread press between these is near a cliff; the level fails readings by 15 %, .9 N
+NEAR_N = (0.2, 4.0)
 ALL_OPERATORS: dict[str, Operator] = {**OPERATORS, **SCENE_OPERATORS}
 
 
@@ -37,7 +38,11 @@ class Cell:
     def words(self) -> str:
         """Sensor of the right finger."""
         faulty = self.operator in OPERATORS
-        worn = worn_with(OPERATORS[self.operator], self.arm.sensor, self.dose) if faulty else self.arm.sensor
+        worn = (
+            worn_with(OPERATORS[self.operator], self.arm.sensor, self.dose)
+            if faulty
+            else self.arm.sensor
+        )
         assert worn is not None
         return worn
 
@@ -69,8 +74,13 @@ def near_cliffs(screened: Mapping[str, Any], most: int = 3) -> dict[str, list[fl
         if name == "none":
             continue
         misread = {cell["dose"]: cell["press_error_N"] for cell in cells[1:]}
-        errors = {dose: math.inf if error is None else abs(error) for dose, error in misread.items()}  # None: refused
-        near = [dose for dose, error in errors.items() if NEAR_N[0] <= error <= NEAR_N[1]] or list(errors)[-1:]
+        # None: refused
+        errors = {
+            dose: math.inf if error is None else abs(error) for dose, error in misread.items()
+        }
+        near = [dose for dose, error in errors.items() if NEAR_N[0] <= error <= NEAR_N[1]] or list(
+            errors
+        )[-1:]
         wanted = {*near[:most], OPERATORS[name].named}
         found[name] = [dose for dose in errors if dose in wanted]
     return {name: doses for name, doses in found.items() if doses}
@@ -79,7 +89,10 @@ def near_cliffs(screened: Mapping[str, Any], most: int = 3) -> dict[str, list[fl
 def of_the_scene(most: int = 3) -> dict[str, list[float]]:
     """Return operator → its middle doses, which no screen can choose: as many as ``most``, at least the named one."""
     side = (max(most, 1) - 1) // 2
-    return {name: list(operator.doses[2 - side : 3 + side]) for name, operator in SCENE_OPERATORS.items()}
+    return {
+        name: list(operator.doses[2 - side : 3 + side])
+        for name, operator in SCENE_OPERATORS.items()
+    }
 
 
 def cells_of(arm: Arm, doses: Mapping[str, Sequence[float]]) -> list[Cell]:
@@ -113,7 +126,8 @@ def roll(
         (c.name, seed, job(c.arm, level, c.words, c.operator, c.dose, c.name, seed, seeds.start))
         for seed in seeds
         for c in cells
-        if c.arm.name.startswith(acting) and (seed - seeds.start < benign or not (c.benign or c.arm.few))
+        if c.arm.name.startswith(acting)
+        and (seed - seeds.start < benign or not (c.benign or c.arm.few))
     )
     return by_cell([Row(**row) for row in played(path, episodes, workers)], cells, seeds)
 
@@ -139,7 +153,11 @@ def summarise(cells: Sequence[Cell], rows: Mapping[str, Mapping[int, Row]]) -> d
         counted = [counts(rows[cell.name]) for cell in faulty]
         lower = [_lower_bound(rows[cell.name], usual) for cell in faulty]
         judged = all(one["n"] >= FEWEST for one in counted)
-        breaking = [cell.dose for cell, bound in zip(faulty, lower, strict=True) if judged and bound < -MARGIN]
+        breaking = [
+            cell.dose
+            for cell, bound in zip(faulty, lower, strict=True)
+            if judged and bound < -MARGIN
+        ]
         found[name] = {
             "unit": ALL_OPERATORS[name].unit,
             "doses": [cell.dose for cell in faulty],
@@ -147,7 +165,9 @@ def summarise(cells: Sequence[Cell], rows: Mapping[str, Mapping[int, Row]]) -> d
             "lower_bound": [round(bound, 3) for bound in lower],
             "benign": counts(rows[benign.name])["clean"],
             "benign_n": len(rows[benign.name]),
-            "benign_alike": all(_alike(row, usual.get(seed)) for seed, row in rows[benign.name].items()),
+            "benign_alike": all(
+                _alike(row, usual.get(seed)) for seed, row in rows[benign.name].items()
+            ),
             "judged": judged,
             "breaking_dose": breaking[0] if breaking else None,
         }
@@ -175,7 +195,10 @@ def repeatability(cells: Sequence[Cell], rows: Mapping[str, Mapping[int, Row]]) 
     """
     agree = []
     for cell in (cell for cell in cells if not (cell.benign or cell.arm.few)):
-        clean = [[row.clean for seed, row in rows[cell.name].items() if seed % 2 == half] for half in (0, 1)]
+        clean = [
+            [row.clean for seed, row in rows[cell.name].items() if seed % 2 == half]
+            for half in (0, 1)
+        ]
         if all(clean):
             one, other = (wilson(sum(half), len(half)) for half in clean)
             agree.append(_zero_within(one, other))
@@ -211,4 +234,6 @@ def _lower_bound(faulty: Mapping[int, Row], usual: Mapping[int, Row]) -> float:
     seeds = sorted(faulty.keys() & usual.keys())
     if not seeds:
         return -1.0  # all may be lost
-    return non_inferior([faulty[s].clean for s in seeds], [usual[s].clean for s in seeds], MARGIN).lower
+    return non_inferior(
+        [faulty[s].clean for s in seeds], [usual[s].clean for s in seeds], MARGIN
+    ).lower

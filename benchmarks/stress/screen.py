@@ -18,7 +18,12 @@ FEWEST = 20  # readings that a line can be fitted to
 
 
 def screen_cell(
-    level: str, sensor: str, seeds: range, tokenizer: Tokenizer, head: ForceHead, readers: Readers | None = None
+    level: str,
+    sensor: str,
+    seeds: range,
+    tokenizer: Tokenizer,
+    head: ForceHead,
+    readers: Readers | None = None,
 ) -> dict[str, Any]:
     """Return what is read of a press of 6 N, its slope and scatter, the error of the grip, and what others read."""
     readers = readers or {}
@@ -32,19 +37,32 @@ def screen_cell(
     if len(found.press_N) < FEWEST:
         return share
     pressed = found.press_N > PRESSED_N
-    others = {name: reader.predict(found.features[name][pressed]) for name, reader in readers.items()}
-    at_6_N = {name: round(_at_6(found.press_N[pressed], read)[0], 3) for name, read in others.items()}
-    return {**share, **_line(found, head, level), **({"others_read_at_6_N": at_6_N} if readers else {})}
+    others = {
+        name: reader.predict(found.features[name][pressed]) for name, reader in readers.items()
+    }
+    at_6_N = {
+        name: round(_at_6(found.press_N[pressed], read)[0], 3) for name, read in others.items()
+    }
+    return {
+        **share,
+        **_line(found, head, level),
+        **({"others_read_at_6_N": at_6_N} if readers else {}),
+    }
 
 
 def _at_6(press_N: np.ndarray, read_N: np.ndarray) -> tuple[float, float, float]:
     """Return what is read of a press of 6 N, N; the slope of a line through the readings; their scatter about it, N."""
     slope, offset = np.polyfit(press_N, read_N, 1)
-    return float(slope * AT_N + offset), float(slope), float(np.std(read_N - slope * press_N - offset))
+    return (
+        float(slope * AT_N + offset),
+        float(slope),
+        float(np.std(read_N - slope * press_N - offset)),
+    )
 
 
 def _line(found: Readings, head: ForceHead, level: str) -> dict[str, float]:
-    weight_N = get_level(level).layout.eraser_mass_kg * GRAVITY_m_s2  # press = weight + what both pads push down
+    # press = weight + what both pads push down
+    weight_N = get_level(level).layout.eraser_mass_kg * GRAVITY_m_s2
     read = head(found.latent).numpy()
     pressed = found.press_N > PRESSED_N
     at_6_N, slope, scatter = _at_6(found.press_N[pressed], weight_N - 2 * read[pressed, 1])

@@ -31,6 +31,8 @@ class StockController:
     def chunk(self, observation: dict[str, Any], task: str) -> np.ndarray:
         """Return the next (1, 5) absolute target."""
         batch = preprocess_observation(observation)
-        small = {key: interpolate(batch[key], size, mode="area") for key, size in self._sides.items()}
+        small = {
+            key: interpolate(batch[key], size, mode="area") for key, size in self._sides.items()
+        }
         wanted = {"observation.state": batch["observation.state"], **small, "task": [task]}
         return self._after(self._policy.select_action(self._before(wanted))).numpy()

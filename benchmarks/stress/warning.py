@@ -26,7 +26,9 @@ def first_event_s(trace: EpisodeTrace, limits: ScoreLimits) -> float | None:
     without, having = 0, len(trace.time_s)
     while having - without > 1:  # what has happened stays so: halve
         middle = (without + having) // 2
-        without, having = (without, middle) if _has_event(_until(trace, middle), limits) else (middle, having)
+        without, having = (
+            (without, middle) if _has_event(_until(trace, middle), limits) else (middle, having)
+        )
     return round(float(trace.time_s[having - 1]), 3)
 
 
@@ -49,6 +51,8 @@ def warned(watched: Mapping[int, Row], unwatched: Mapping[int, Row]) -> dict[str
     """
     pairs = [(watched[seed], row.event_s) for seed, row in unwatched.items() if seed in watched]
     failed = [(row, event_s) for row, event_s in pairs if event_s is not None]
-    stopped = [row.ended_s <= event_s - EARLY_s for row, event_s in failed if row.outcome == "aborted"]
+    stopped = [
+        row.ended_s <= event_s - EARLY_s for row, event_s in failed if row.outcome == "aborted"
+    ]
     averted = [row.event_s is None for row, _ in failed if row.outcome != "aborted"]
     return {"failures": len(failed), "warned": sum(stopped), "averted": sum(averted)}

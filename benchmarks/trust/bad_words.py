@@ -79,7 +79,10 @@ class Room:
         return self.folder / f"{name}_{marker.replace('/', '_')}"
 
     def sound(self, marker: str, policy: str) -> str:
-        whole = {"meta/info.json": str(self.folder / "dataset"), VIEW_MARKER: str(self.folder / "view")}
+        whole = {
+            "meta/info.json": str(self.folder / "dataset"),
+            VIEW_MARKER: str(self.folder / "view"),
+        }
         return whole.get(marker, policy)
 
 
@@ -127,7 +130,10 @@ def bad_values(option: Option, room: Room) -> Iterator[tuple[str, str]]:
 def _outside(allowed: Range, kind: Any) -> Iterator[float]:
     step = 1 if kind is int else 0.001
     yield allowed.low if allowed.above else allowed.low - step
-    yield from (-1e9 if kind is not int else -(10**9), allowed.high + max(step, abs(allowed.high) * 1e-3))
+    yield from (
+        -1e9 if kind is not int else -(10**9),
+        allowed.high + max(step, abs(allowed.high) * 1e-3),
+    )
 
 
 def _listed(kind: Any, number: float) -> str:
@@ -137,7 +143,10 @@ def _listed(kind: Any, number: float) -> str:
 
 def _bad_texts(rule: Any, room: Room) -> Iterator[tuple[str, str]]:
     if isinstance(rule, Names):
-        yield from (("choice", text) for text in ("nosuch", rule.known[0].upper() + "X", "../" + rule.known[0]))
+        yield from (
+            ("choice", text)
+            for text in ("nosuch", rule.known[0].upper() + "X", "../" + rule.known[0])
+        )
         if rule.many:
             yield "choice", f"{rule.known[0]},nosuch"
     if isinstance(rule, Pattern):

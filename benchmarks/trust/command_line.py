@@ -33,7 +33,8 @@ BENCHMARKS = sorted(  # whatever declares its options to the boundary
     if "@command(" in file.read_text()
 )
 MODULES = {verb: f"uniforce_cli.{verb}" for verb in VERBS} | {
-    name: f"benchmarks.{name}{'.__main__' * (ROOT / 'benchmarks' / name).is_dir()}" for name in BENCHMARKS
+    name: f"benchmarks.{name}{'.__main__' * (ROOT / 'benchmarks' / name).is_dir()}"
+    for name in BENCHMARKS
 }
 COMMANDS = {name: f"{module}:main" for name, module in MODULES.items()}
 Commands = Annotated[str, Names(tuple(COMMANDS), many=True)]
@@ -82,9 +83,14 @@ def trials(command: str, room: Room) -> list[Trial]:
     if command == "train":
         return _train_trials(room)
     options = options_of(entry(command).config_class)
-    named = tuple(w.format(room=room.folder, shipped=shipped_checkpoint()) for w in SOUND.get(command, ()))
+    named = tuple(
+        w.format(room=room.folder, shipped=shipped_checkpoint()) for w in SOUND.get(command, ())
+    )
     given = {word.partition("=")[0] for word in named}
-    sound = (*named, *(word for word in _sound(options, room) if word.partition("=")[0] not in given))
+    sound = (
+        *named,
+        *(word for word in _sound(options, room) if word.partition("=")[0] not in given),
+    )
     found = [Trial(command, bad, sound) for bad in bad_inputs(options, room)]
     return found + (_robot_trials(room) if command == "record" else [])
 
@@ -115,7 +121,13 @@ def _train_trials(room: Room) -> list[Trial]:
     paths = {"dataset.root": "nothing", "policy.path": "nothing"}
     paths |= {"config_path": "nothing/train_config.json", "output_dir": "/proc/nothing/run"}
     data = ("dataset.repo_id=local/view", f"dataset.root={room.folder / 'view'}", "num_workers=0")
-    sound = ("policy=pi05_uniforce", "policy.size=tiny", "policy.device=cpu", *data, "output_dir=run")
+    sound = (
+        "policy=pi05_uniforce",
+        "policy.size=tiny",
+        "policy.device=cpu",
+        *data,
+        "output_dir=run",
+    )
     named = [BadInput("path", (f"{name}={text}",), name) for name, text in paths.items()]
     return [Trial("train", bad, sound) for bad in (*bad_inputs(options, room), *named)]
 
@@ -125,8 +137,15 @@ def _robot_trials(room: Room) -> list[Trial]:
     from uniforce_robots.franka.config import UniforceFrankaConfig
     from uniforce_robots.teleop import UniforceKeyboardConfig
 
-    robot, teleop = options_of(UniforceFrankaConfig, "robot."), options_of(UniforceKeyboardConfig, "teleop.")
-    return [Trial("record", bad, ROBOT) for options in (robot, teleop) for bad in bad_inputs(options, room)]
+    robot, teleop = (
+        options_of(UniforceFrankaConfig, "robot."),
+        options_of(UniforceKeyboardConfig, "teleop."),
+    )
+    return [
+        Trial("record", bad, ROBOT)
+        for options in (robot, teleop)
+        for bad in bad_inputs(options, room)
+    ]
 
 
 def judge(trial: Trial, ended: Ended) -> str:
@@ -135,16 +154,25 @@ def judge(trial: Trial, ended: Ended) -> str:
     if ended.code != REFUSED:
         return "silent"
     lines = [line for line in ended.said.splitlines() if line.strip()]
-    return "one_line" if len(lines) == 1 and trial.bad.is_named_in(lines[0]) else "long_or_beside_the_point"
+    return (
+        "one_line"
+        if len(lines) == 1 and trial.bad.is_named_in(lines[0])
+        else "long_or_beside_the_point"
+    )
 
 
-def try_command(command: str, room: Room, folder: Path, limit_s: float, most: int | None = None) -> dict[str, Any]:
+def try_command(
+    command: str, room: Room, folder: Path, limit_s: float, most: int | None = None
+) -> dict[str, Any]:
     """Run a command's trials (``most`` of them, spread over all); return counts and every failure."""
     every = trials(command, room)
     chosen = every if most is None else every[:: max(1, len(every) // most)][:most]
     worker, failures, counts = CommandWorker(COMMANDS[command], folder), [], Counter[str]()
     try:
-        control = {sound: worker.run(sound, CONTROL_S) for sound in sorted({trial.sound for trial in chosen})}
+        control = {
+            sound: worker.run(sound, CONTROL_S)
+            for sound in sorted({trial.sound for trial in chosen})
+        }
         for trial in tqdm(chosen, desc=command, leave=False):
             ended = worker.run(trial.words, limit_s)
             verdict = judge(trial, ended)
@@ -172,7 +200,11 @@ def _portable(text: str, room: Room) -> str:
 
 
 def hashes(folder: Path) -> dict[str, str]:
-    return {str(f): hashlib.sha256(f.read_bytes()).hexdigest() for f in sorted(folder.rglob("*")) if f.is_file()}
+    return {
+        str(f): hashlib.sha256(f.read_bytes()).hexdigest()
+        for f in sorted(folder.rglob("*"))
+        if f.is_file()
+    }
 
 
 def prepare(folder: Path) -> Room:
@@ -189,7 +221,9 @@ def attack(config: CommandLineConfig) -> dict[str, Any]:
         folder = Path(scratch)
         room, places = prepare(folder), (ROOT / PUBLISHED, folder / "work" / PUBLISHED)
         before = [hashes(place) for place in places]
-        tried = pool.map(lambda name: try_command(name, room, folder / "work", config.limit_s), chosen)
+        tried = pool.map(
+            lambda name: try_command(name, room, folder / "work", config.limit_s), chosen
+        )
         rows = dict(zip(chosen, tried, strict=True))
         after = [hashes(place) for place in places]
     touched = sum(len(set(a.items()) ^ set(b.items())) for a, b in zip(before, after, strict=True))
@@ -206,7 +240,9 @@ def main(argv: list[str] | None = None) -> int:
     path = update(Path(config.out), "command_line", table)
     for name, row in table["rows"].items():
         print(f"{name:20s} " + "  ".join(f"{key} {row[key]}" for key in ("inputs", *VERDICTS)))
-    print(f"{table['one_line']} of {table['inputs']} in one line; {table['published_touched']} published files touched")
+    print(
+        f"{table['one_line']} of {table['inputs']} in one line; {table['published_touched']} published files touched"
+    )
     print(f"written to {path}")
     return int(table["one_line"] < table["inputs"] or table["published_touched"] > 0)
 

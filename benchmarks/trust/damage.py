@@ -43,7 +43,10 @@ def try_damage(damage: Damage, whole: Path, folder: Path) -> dict[str, Any]:
     lines = {verify: damage.refused(whole, folder / verify, verify) for verify in depths}
     for verify in lines:
         shutil.rmtree(folder / verify)
-    said = {verify: _verdict(lines.get(verify, lines["full"]), damage.said) for verify in ("full", "quick")}
+    said = {
+        verify: _verdict(lines.get(verify, lines["full"]), damage.said)
+        for verify in ("full", "quick")
+    }
     copy = str(folder / "full" / whole.name)  # of this run, so no part of a message
     message = (lines["full"] or "").replace(f"{copy}{os.sep}", "").replace(copy, "ROOT")
     return {"kind": damage.name, "of": damage.of, **said, "message": message}
@@ -63,7 +66,11 @@ def seconds(folder: Path, frames: int) -> dict[str, Any]:
     full = _once(root, "full")
     times = {"quick_s_50_episodes": quick[0], "quick_cpu_s_50_episodes": quick[1]}
     times |= {"full_s_50_episodes": full[0], "full_cpu_s_50_episodes": full[1]}
-    return times | {"frames_per_episode": frames, "size_MB": size / 1e6, "load_average": os.getloadavg()[0]}
+    return times | {
+        "frames_per_episode": frames,
+        "size_MB": size / 1e6,
+        "load_average": os.getloadavg()[0],
+    }
 
 
 def _once(root: Path, verify: str) -> tuple[float, float]:
@@ -95,9 +102,13 @@ def main(config: DamageConfig) -> int:
     path = update(Path(config.out), "damage", found)
     for row in found["rows"]:
         if {row["full"], row["quick"]} != {"refused"}:
-            print(f"{row['of']}, {row['kind']}: full {row['full']}, quick {row['quick']}. {row['message']}")
+            print(
+                f"{row['of']}, {row['kind']}: full {row['full']}, quick {row['quick']}. {row['message']}"
+            )
     accepted = f"{found['accepted_full']} accepted by full, {found['accepted_quick']} by quick"
-    print(f"{found['kinds']} kinds, {accepted}; quick {found['quick_s_50_episodes']:.1f} s; written to {path}")
+    print(
+        f"{found['kinds']} kinds, {accepted}; quick {found['quick_s_50_episodes']:.1f} s; written to {path}"
+    )
     return int(bool(found["accepted_full"] or found["not_named"]))
 
 

@@ -71,9 +71,13 @@ def _read_force(folder: Path) -> None:
     ForceHead.from_pretrained(path=folder)(Tokenizer.from_pretrained().encode(image, image))
 
 
-def _kind(kind: str, sound: Path, load: Callable[[Path], object]) -> Callable[[str, Callable[[Path], object]], Damage]:
+def _kind(
+    kind: str, sound: Path, load: Callable[[Path], object]
+) -> Callable[[str, Callable[[Path], object]], Damage]:
     """Return what makes a damage of a shipped folder, which is always checked in full."""
-    plain: Any = partial(Damage, load=lambda folder, verify: load(folder), of="checkpoint", sound=sound)
+    plain: Any = partial(
+        Damage, load=lambda folder, verify: load(folder), of="checkpoint", sound=sound
+    )
     return lambda name, do: plain(f"{kind}: {name}", do)
 
 
@@ -92,11 +96,17 @@ CHECKPOINT_DAMAGES: tuple[Damage, ...] = (
     _policy("weights cut", lambda f: cut(f / WEIGHTS, 0.9)),
     _policy("weights of another training", lambda f: change_tensors(f / WEIGHTS, other_numbers)),
     _policy("a weight that is NaN, saved so", lambda f: save_weights(f, made_nan)),
-    _policy("a tensor more, saved so", lambda f: save_weights(f, lambda tensors: tensors.update(more=torch.zeros(2)))),
-    _policy("a tensor less, saved so", lambda f: save_weights(f, lambda tensors: tensors.popitem())),
+    _policy(
+        "a tensor more, saved so",
+        lambda f: save_weights(f, lambda tensors: tensors.update(more=torch.zeros(2))),
+    ),
+    _policy(
+        "a tensor less, saved so", lambda f: save_weights(f, lambda tensors: tensors.popitem())
+    ),
     _policy("another tactile tokenizer named, saved so", another_tokenizer),
     _policy(
-        "config of another training", lambda f: edit_text(f / CONFIG, '"n_action_steps": 2', '"n_action_steps": 5')
+        "config of another training",
+        lambda f: edit_text(f / CONFIG, '"n_action_steps": 2', '"n_action_steps": 5'),
     ),
     _policy("config cut", lambda f: cut(f / CONFIG, 0.9)),
     _policy("no config", lambda f: (f / CONFIG).unlink()),
@@ -105,18 +115,30 @@ CHECKPOINT_DAMAGES: tuple[Damage, ...] = (
         "preprocessor of another training",
         lambda f: edit_text(f / PREPROCESSOR, "policy_preprocessor", "another_preprocessor"),
     ),
-    _policy("statistics of another training", lambda f: change_tensors(f / STATISTICS, other_numbers)),
-    _policy("statistics linked to a tokenizer's weights", lambda f: link(f / STATISTICS, SMALL / TOKENIZER / WEIGHTS)),
+    _policy(
+        "statistics of another training", lambda f: change_tensors(f / STATISTICS, other_numbers)
+    ),
+    _policy(
+        "statistics linked to a tokenizer's weights",
+        lambda f: link(f / STATISTICS, SMALL / TOKENIZER / WEIGHTS),
+    ),
     _policy("no statistics", lambda f: (f / STATISTICS).unlink()),
     _policy("a state file more", lambda f: (f / "policy_more.safetensors").write_bytes(b"x")),
     _policy("card of another licence", lambda f: edit_text(f / CARD, "license: ", "license: not-")),
     _policy("scores changed", lambda f: flip_bit(f / "scores.json")),
-    _policy("hashes: one digit more", lambda f: edit_text(f / HASHES, '"sha256": "', '"sha256": "0')),
-    _policy("hashes: a file outside the folder", lambda f: edit_text(f / HASHES, CONFIG, f"../{CONFIG}")),
+    _policy(
+        "hashes: one digit more", lambda f: edit_text(f / HASHES, '"sha256": "', '"sha256": "0')
+    ),
+    _policy(
+        "hashes: a file outside the folder", lambda f: edit_text(f / HASHES, CONFIG, f"../{CONFIG}")
+    ),
     _policy("hashes: none listed", lambda f: (f / HASHES).write_text("{}")),
     _policy("hashes: cut", lambda f: cut(f / HASHES, 0.9)),
     _tokenizer("one bit of a weight", lambda f: flip_bit(f / WEIGHTS, 0.7)),
-    _tokenizer("weights of the other size", lambda f: shutil.copyfile(NANO / TOKENIZER / WEIGHTS, f / WEIGHTS)),
+    _tokenizer(
+        "weights of the other size",
+        lambda f: shutil.copyfile(NANO / TOKENIZER / WEIGHTS, f / WEIGHTS),
+    ),
     _tokenizer("a weight that is NaN, saved so", lambda f: save_weights(f, made_nan)),
     _tokenizer("another canonicaliser, saved so", lambda f: save_config(f, canonicaliser={})),
     _head("one bit of a weight", lambda f: flip_bit(f / WEIGHTS, 0.7)),

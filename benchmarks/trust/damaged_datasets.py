@@ -36,7 +36,9 @@ def record_whole(folder: Path) -> dict[str, Path]:
     """Record a small dataset with raw frames and cards, no two pictures alike, and build its view."""
     root, rng = folder / "dataset", np.random.default_rng(0)
     shapes = dict.fromkeys(FINGERS, RAW_SHAPE)
-    with EpisodeRecorder(root, "local/whole", "gelsight", "tactip", FPS, raw_shapes=shapes) as recorder:
+    with EpisodeRecorder(
+        root, "local/whole", "gelsight", "tactip", FPS, raw_shapes=shapes
+    ) as recorder:
         for episode in range(EPISODES):
             for step in range(FRAMES):
                 raw = {finger: rng.integers(0, 255, RAW_SHAPE, np.uint8) for finger in FINGERS}
@@ -70,9 +72,13 @@ def encode_again(file: Path, change: Change) -> None:
     """Decode a video, change its frames (None leaves one out), and encode it without loss."""
     with av.open(str(file)) as source:
         frames = [frame.to_ndarray(format="rgb24") for frame in source.decode(video=0)]
-    changed = [new for number, frame in enumerate(frames) if (new := change(number, frame)) is not None]
+    changed = [
+        new for number, frame in enumerate(frames) if (new := change(number, frame)) is not None
+    ]
     with av.open(str(file), "w") as target:
-        stream = target.add_stream("h264", FPS, options={"crf": "0", "preset": "ultrafast", "g": "15"})
+        stream = target.add_stream(
+            "h264", FPS, options={"crf": "0", "preset": "ultrafast", "g": "15"}
+        )
         stream.height, stream.width = changed[0].shape[:2]
         stream.pix_fmt = "yuv420p"
         for frame in changed:
@@ -116,40 +122,73 @@ def stats(root: Path) -> Path:
     return root / "meta" / "stats.json"
 
 
-_dataset = partial(Damage, load=check_dataset, of="dataset", said=f"episode {HIT}", error=DatasetError)
-_view = partial(Damage, load=lambda copy, verify: TrainingView(copy, verify=verify), of="view", error=DatasetError)
+_dataset = partial(
+    Damage, load=check_dataset, of="dataset", said=f"episode {HIT}", error=DatasetError
+)
+_view = partial(
+    Damage,
+    load=lambda copy, verify: TrainingView(copy, verify=verify),
+    of="view",
+    error=DatasetError,
+)
 
 VIDEO_DAMAGES = (
     _dataset("bytes of a tactile video overwritten", lambda r: overwrite(video(r), 0.8, bytes(64))),
-    _dataset("one bit of a camera video flipped", lambda r: flip_bit(video(r, camera_key("front")))),
+    _dataset(
+        "one bit of a camera video flipped", lambda r: flip_bit(video(r, camera_key("front")))
+    ),
     _dataset("tactile video truncated", lambda r: cut(video(r))),
     _dataset("tactile video missing", lambda r: video(r).unlink()),
     _dataset(
         "another finger's reference",
         lambda r: shutil.copy(video(r, tactile_key("right", reference=True)), video(r, REFERENCE)),
     ),
-    _dataset("reference of another episode", lambda r: shutil.copy(video(r, REFERENCE, 2), video(r, REFERENCE))),
-    _dataset("tactile videos of two episodes exchanged", lambda r: swap(video(r), video(r, LEFT, 2))),
+    _dataset(
+        "reference of another episode",
+        lambda r: shutil.copy(video(r, REFERENCE, 2), video(r, REFERENCE)),
+    ),
+    _dataset(
+        "tactile videos of two episodes exchanged", lambda r: swap(video(r), video(r, LEFT, 2))
+    ),
     _dataset("left and right exchanged", lambda r: swap(video(r), video(r, tactile_key("right")))),
     _dataset("lossy section in the middle", lambda r: encode_again(video(r), blurred)),
     _dataset("lossy section, no hashes", lambda r: encode_again(video(r), blurred), hashed=False),
-    _dataset("coloured section, no hashes", lambda r: encode_again(video(r), coloured), hashed=False),
-    _dataset("reference moves, no hashes", lambda r: encode_again(video(r, REFERENCE), moved), hashed=False),
+    _dataset(
+        "coloured section, no hashes", lambda r: encode_again(video(r), coloured), hashed=False
+    ),
+    _dataset(
+        "reference moves, no hashes",
+        lambda r: encode_again(video(r, REFERENCE), moved),
+        hashed=False,
+    ),
     _dataset(
         "a frame missing, no hashes",
         lambda r: encode_again(video(r), lambda n, frame: None if n == 3 else frame),
         hashed=False,
     ),
-    _dataset("raw frames of another episode", lambda r: shutil.copy(raw_path(r, "left", 2), raw_path(r, "left", HIT))),
+    _dataset(
+        "raw frames of another episode",
+        lambda r: shutil.copy(raw_path(r, "left", 2), raw_path(r, "left", HIT)),
+    ),
     _dataset("raw frames missing", lambda r: raw_path(r, "right", HIT).unlink()),
 )
 TABLE_DAMAGES = (
     _dataset("NaN in the state", lambda r: set_value(data(r), STATE, np.nan)),
-    _dataset("NaN in the state, no hashes", lambda r: set_value(data(r), STATE, np.nan), hashed=False),
-    _dataset("infinite action, no hashes", lambda r: set_value(data(r), ACTION, np.inf), hashed=False),
+    _dataset(
+        "NaN in the state, no hashes", lambda r: set_value(data(r), STATE, np.nan), hashed=False
+    ),
+    _dataset(
+        "infinite action, no hashes", lambda r: set_value(data(r), ACTION, np.inf), hashed=False
+    ),
     _dataset("an action changed", lambda r: set_value(data(r), ACTION, 0.25)),
-    _dataset("a time changed, no hashes", lambda r: set_value(data(r), "timestamp", 0.1), hashed=False),
-    _dataset("frame of another episode, no hashes", lambda r: set_value(data(r), "episode_index", 2), hashed=False),
+    _dataset(
+        "a time changed, no hashes", lambda r: set_value(data(r), "timestamp", 0.1), hashed=False
+    ),
+    _dataset(
+        "frame of another episode, no hashes",
+        lambda r: set_value(data(r), "episode_index", 2),
+        hashed=False,
+    ),
     _dataset("an aborted episode called a success", lambda r: set_value(data(r), SUCCESS, 0.0)),
     _dataset("another sensor named", lambda r: set_value(data(r), sensor_key("left"), 2)),
     _dataset("a row missing", lambda r: shorten(data(r))),
@@ -157,15 +196,28 @@ TABLE_DAMAGES = (
     _dataset("bytes of a data file overwritten", lambda r: overwrite(data(r), 0.3, bytes(64))),
 )
 META_DAMAGES = (
-    _dataset("statistics changed", lambda r: edit_json(stats(r), lambda s: s[STATE].update(q01=[0] * 5)), said="stats"),
+    _dataset(
+        "statistics changed",
+        lambda r: edit_json(stats(r), lambda s: s[STATE].update(q01=[0] * 5)),
+        said="stats",
+    ),
     _dataset("statistics missing", lambda r: stats(r).unlink(), said="stats.json"),
-    _dataset("another rate", lambda r: edit_json(r / "meta/info.json", lambda i: i.update(fps=60)), said="info"),
+    _dataset(
+        "another rate",
+        lambda r: edit_json(r / "meta/info.json", lambda i: i.update(fps=60)),
+        said="info",
+    ),
     _dataset("tasks cut", lambda r: cut(r / "meta/tasks.parquet"), said="tasks"),
     _dataset(
         "length of an episode changed",
-        lambda r: set_value(r / "meta/episodes/chunk-000/file-001.parquet", "length", FRAMES - 1, 0),
+        lambda r: set_value(
+            r / "meta/episodes/chunk-000/file-001.parquet", "length", FRAMES - 1, 0
+        ),
     ),
-    _dataset("card changed", lambda r: edit_json(card_path(r, HIT), lambda card: card.update(label="failed"))),
+    _dataset(
+        "card changed",
+        lambda r: edit_json(card_path(r, HIT), lambda card: card.update(label="failed")),
+    ),
     _dataset("card missing", lambda r: card_path(r, HIT).unlink()),
     _dataset("a file added", lambda r: shutil.copy(data(r), data(r, 7)), said="file-007.parquet"),
     _dataset("hashes cut", lambda r: cut(r / HASHES), said=HASHES),
@@ -178,8 +230,14 @@ META_DAMAGES = (
 VIEW_DAMAGES = (
     _view("a latent changed", lambda r: edit_array(r / "latent_left.npy"), said="latent_left.npy"),
     _view("an action changed", lambda r: edit_array(r / f"{ACTION}.npy"), said=f"{ACTION}.npy"),
-    _view("a picture overwritten", lambda r: overwrite(r / "front.npy", 0.5, b"x"), said="front.npy"),
-    _view("fingers exchanged", lambda r: swap(r / "latent_left.npy", r / "latent_right.npy"), said="latent_"),
+    _view(
+        "a picture overwritten", lambda r: overwrite(r / "front.npy", 0.5, b"x"), said="front.npy"
+    ),
+    _view(
+        "fingers exchanged",
+        lambda r: swap(r / "latent_left.npy", r / "latent_right.npy"),
+        said="latent_",
+    ),
     _view(
         "another tokenizer named",
         lambda r: edit_json(r / "uniforce_view.json", lambda v: v.update(tokenizer_hash="0" * 64)),

@@ -43,9 +43,13 @@ LIES = {  # what an arm may say that can't be, or that forbids motion, and the n
     "user_stopped": ("user_stop",),
     "guiding": ("guiding",),
 }
-LATER = 5  # of them, the last ones, are none in a first reading: nothing to compare with, nothing that moves
+# of them, the last ones, are none in a first reading: nothing to compare with, nothing that moves
+LATER = 5
 LIE_SHARE, SABOTAGE_SHARE = 0.004, 0.3
-GARBAGE: tuple[Any, ...] = (*(None, "0.4", "nan", [], [1.0, 2.0], {}, True, b"0", object()), *(np.nan, np.inf, -np.inf))
+GARBAGE: tuple[Any, ...] = (
+    *(None, "0.4", "nan", [], [1.0, 2.0], {}, True, b"0", object()),
+    *(np.nan, np.inf, -np.inf),
+)
 
 
 @dataclass
@@ -91,7 +95,9 @@ class ScriptedArm:
         now_s = self.clock()
         robot_s = now_s - 5.0 * (lie == "backwards")
         mode = lie if lie in ("reflex", "user_stopped", "guiding") else "move"
-        return ArmState(now_s, robot_s, said["q"], said["dq"], said["pose"], said["wrench"], mode, 1.0)
+        return ArmState(
+            now_s, robot_s, said["q"], said["dq"], said["pose"], said["wrench"], mode, 1.0
+        )
 
     def set_target(self, ee_to_base: np.ndarray) -> None:
         target = axes_of(ee_to_base)
@@ -145,8 +151,16 @@ class TickedStream(ArmStream):
 def random_limits(rng: np.random.Generator) -> GuardLimits:
     centre = rng.uniform([0.3, -0.3, 0.1, -1, 0.03], [0.6, 0.3, 0.4, 1, 0.05])
     half = rng.uniform(0.01, 0.03, 5) * [*rng.uniform(1, 8, 4), 1]
-    hardest = {"step_m": 0.1, "step_rad": 0.8, "speed_m_s": 0.5, "speed_rad_s": 2.5, "speed_width_m_s": 0.2}
-    drawn: dict[str, Any] = {name: float(high * rng.uniform(0.01, 1)) for name, high in hardest.items()}
+    hardest = {
+        "step_m": 0.1,
+        "step_rad": 0.8,
+        "speed_m_s": 0.5,
+        "speed_rad_s": 2.5,
+        "speed_width_m_s": 0.2,
+    }
+    drawn: dict[str, Any] = {
+        name: float(high * rng.uniform(0.01, 1)) for name, high in hardest.items()
+    }
     corners = tuple((centre - half).tolist()), tuple((centre + half).tolist())
     return GuardLimits(*corners, **drawn, longest_gap_s=rng.uniform(0.01, 0.2))
 
@@ -184,7 +198,9 @@ class Episode:
         self.poses = 0
         settings = StreamSettings(stale_s=rng.uniform(0.02, 1.0))
         with mock.patch.object(robot_module, "make_backend", lambda config: (self.arm, self.hand)):
-            config = UniforceFrankaConfig(id="cases", calibration_dir=folder, guards=self.limits, stream=settings)
+            config = UniforceFrankaConfig(
+                id="cases", calibration_dir=folder, guards=self.limits, stream=settings
+            )
             self.robot = UniforceFranka(config, self.clock)
         self.robot._hand = self.hand  # type: ignore[assignment]
         self._begin(lambda: self.robot._start_stream(self.hand))  # type: ignore[arg-type]
@@ -292,12 +308,16 @@ class Episode:
 
     def _judge_refusal(self, asked: np.ndarray) -> None:
         """Note a pose that was refused though nothing was wrong with it, by more than rounding."""
-        last_s, last, _ = self.arm.sent[-1] if len(self.arm.sent) > self.first else (self.clock(), None, None)
+        last_s, last, _ = (
+            self.arm.sent[-1] if len(self.arm.sent) > self.first else (self.clock(), None, None)
+        )
         given = (self.limits, asked, self.arm.axes, last, self.clock() - last_s)
         wrong, surely = wrong_pose(*given, slack=-SLACK), wrong_pose(*given)
         pushed = self.arm.motion == "pushed" and "near" in wrong and surely in ([], ["near"])
         if not (pushed or (self.sabotaged and wrong)):
-            self._note([f"a pose was refused that is good, or was asked for by the stream: {wrong}"])
+            self._note(
+                [f"a pose was refused that is good, or was asked for by the stream: {wrong}"]
+            )
 
     def _note(self, wrong: list[str]) -> None:
         self.wrong += [f"{what} at {self.clock.now_s:.3f} s" for what in wrong]
@@ -307,7 +327,10 @@ def drive(episodes: int, seed: int = 0) -> dict[str, Any]:
     """Run episodes of ``STEPS`` actions; return how many actions, poses and faults there were, and each violation."""
     rng, faults = np.random.default_rng(seed), Counter[str]()
     counts: dict[str, Any] = {"actions": episodes * STEPS, "sent": 0, "violations": []}
-    with tempfile.TemporaryDirectory() as folder, mock.patch.object(robot_module, "ArmStream", TickedStream):
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        mock.patch.object(robot_module, "ArmStream", TickedStream),
+    ):
         for _ in range(episodes):
             episode = Episode(rng, Path(folder))
             for _ in range(STEPS):

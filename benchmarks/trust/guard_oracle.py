@@ -25,7 +25,12 @@ def axes_of(pose: np.ndarray) -> np.ndarray:
 
 
 def wrong_pose(
-    limits: Limits, pose: np.ndarray, here: np.ndarray, last: np.ndarray | None, elapsed_s: float, slack: float = SLACK
+    limits: Limits,
+    pose: np.ndarray,
+    here: np.ndarray,
+    last: np.ndarray | None,
+    elapsed_s: float,
+    slack: float = SLACK,
 ) -> list[str]:
     """Return what is wrong with a pose (4,) on its way to an arm that is ``here`` and was sent ``last`` before."""
     if not np.isfinite(pose).all():
@@ -41,19 +46,32 @@ def wrong_pose(
     slow &= _turn(pose, before) <= limits.speed_rad_s * allowed_s + slack
     near = _gap(pose, here) <= limits.step_m + limits.speed_m_s * gap_s + slack
     near &= _turn(pose, here) <= limits.step_rad + limits.speed_rad_s * gap_s + slack
-    rules = {"box": ((lowest <= pose) & (pose <= highest)).all(), "rate": slow or at_arm, "near": near}
+    rules = {
+        "box": ((lowest <= pose) & (pose <= highest)).all(),
+        "rate": slow or at_arm,
+        "near": near,
+    }
     return [name for name, holds in rules.items() if not holds]
 
 
 def wrong_action(
-    limits: Limits, sent: np.ndarray, measured: np.ndarray, last: np.ndarray | None, elapsed_s: float
+    limits: Limits,
+    sent: np.ndarray,
+    measured: np.ndarray,
+    last: np.ndarray | None,
+    elapsed_s: float,
 ) -> list[str]:
     """Return what is wrong with an action (5,) after the guards, ``last`` being the one before."""
     if not np.isfinite(sent).all():
         return ["finite"]
     before = measured if last is None else last
-    allowed_s = limits.longest_gap_s if last is None else min(max(elapsed_s, 0.0), limits.longest_gap_s)
-    lowest, highest = np.minimum(before, limits.low) - SLACK, np.maximum(before, limits.high) + SLACK
+    allowed_s = (
+        limits.longest_gap_s if last is None else min(max(elapsed_s, 0.0), limits.longest_gap_s)
+    )
+    lowest, highest = (
+        np.minimum(before, limits.low) - SLACK,
+        np.maximum(before, limits.high) + SLACK,
+    )
     inside = ((np.array(limits.low) <= measured) & (measured <= limits.high)).all()
     rules = {
         "box": ((lowest <= sent) & (sent <= highest)).all(),

@@ -46,7 +46,13 @@ NEEDS: dict[type, dict[str, Any]] = {
 
 def bad_values(allowed: Range) -> list[Any]:
     """Return values outside a range, and values that are no numbers."""
-    outside = [allowed.low - 1.0, allowed.low - 1e-6, allowed.high * 1.01 + 1e-6, -abs(allowed.high) - 1.0, 1e9]
+    outside = [
+        allowed.low - 1.0,
+        allowed.low - 1e-6,
+        allowed.high * 1.01 + 1e-6,
+        -abs(allowed.high) - 1.0,
+        1e9,
+    ]
     edge = [allowed.low] if allowed.above else []
     return [math.nan, math.inf, -math.inf, "0.1", None, True, *outside, *edge]
 
@@ -58,7 +64,11 @@ def bad_settings() -> Iterator[tuple[type, dict[str, Any], str]]:
             sound = getattr(kind(**needed), name)
             for place, row in enumerate(allowed if isinstance(allowed, tuple) else (allowed,)):
                 for value in bad_values(row):
-                    wrong = (*sound[:place], value, *sound[place + 1 :]) if isinstance(sound, tuple) else value
+                    wrong = (
+                        (*sound[:place], value, *sound[place + 1 :])
+                        if isinstance(sound, tuple)
+                        else value
+                    )
                     yield kind, needed | {name: wrong}, name
             if isinstance(sound, tuple):
                 yield kind, needed | {name: sound[1:]}, name
@@ -66,7 +76,11 @@ def bad_settings() -> Iterator[tuple[type, dict[str, Any], str]]:
     yield Gains, {"stiffness_N_m": (3000.0,) * 3, "clip_m": (0.05,) * 3}, "gains"
     # each product is 60 N, but with the hand turned by a right angle 3000 N/m meet 0.05 m
     yield Gains, {"stiffness_N_m": (1200.0, 3000.0, 0.0), "clip_m": (0.05, 0.02, 0.01)}, "gains"
-    yield Gains, {"stiffness_N_m": (100.0,) * 3, "rotation_Nm_rad": (300.0,) * 3, "clip_rad": 0.5}, "gains"
+    yield (
+        Gains,
+        {"stiffness_N_m": (100.0,) * 3, "rotation_Nm_rad": (300.0,) * 3, "clip_rad": 0.5},
+        "gains",
+    )
     for name, kind in NESTED.items():
         unchecked = type("Loose", (kind,), {"__post_init__": lambda self: None})
         for value in (None, {}, unchecked(**NEEDS[kind])):
@@ -100,7 +114,11 @@ def attack(episodes: int, seed: int) -> dict[str, Any]:
         counts.update({"actions": found["actions"], "sent_cases": found["sent"]})
         violations += [f"seed {own}: {what}" for what in found["violations"]]
         faults.update(found["faults"])
-    return try_all() | counts | {"violations": len(violations), "examples": violations[:10], "faults": dict(faults)}
+    return (
+        try_all()
+        | counts
+        | {"violations": len(violations), "examples": violations[:10], "faults": dict(faults)}
+    )
 
 
 @command(GuardsConfig)

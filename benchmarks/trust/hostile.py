@@ -32,7 +32,8 @@ class HostileConfig:
 
     times: int = 10  # trials of each fault
     only: str = ""  # faults, comma between them; all when empty
-    rows: str = "outputs/hostile"  # folder of the single trials; a run that was ended goes on from there
+    # folder of the single trials; a run that was ended goes on from there
+    rows: str = "outputs/hostile"
     out: str = "outputs/trust.json"  # the result file; only its key ``hostile_faults`` changes
 
 
@@ -48,15 +49,22 @@ def attack(faults: list[str], times: int, folder: Path) -> list[dict[str, Any]]:
             # a group of its own: a trial that is killed must not leave its stand-in holding the address
             with (
                 log.open("a") as said,
-                subprocess.Popen(program, stdout=said, stderr=said, start_new_session=True) as child,
+                subprocess.Popen(
+                    program, stdout=said, stderr=said, start_new_session=True
+                ) as child,
             ):
                 if not _watch(child, partial(rows.read, ROWS), bar):
                     hung = _lacking(rows.read(ROWS), faults, times)[0]
                     what = f"no end within {HANG_s} s"
-                    rows.add(ROWS, asdict(Trial(hung, "hang", what, float("inf"), HANG_s, 0, time.time())))
+                    rows.add(
+                        ROWS,
+                        asdict(Trial(hung, "hang", what, float("inf"), HANG_s, 0, time.time())),
+                    )
             if child.returncode > 0:
                 last = log.read_text().rstrip().rpartition("\n")[2]
-                raise RuntimeError(f"expected trials, got exit code {child.returncode}: {last} Read {log}.")
+                raise RuntimeError(
+                    f"expected trials, got exit code {child.returncode}: {last} Read {log}."
+                )
     return rows.read(ROWS)
 
 

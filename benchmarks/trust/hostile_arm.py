@@ -63,7 +63,8 @@ class HostileArm(ArmService):
     def __init__(self, address: str, version: int, journal: Journal) -> None:
         super().__init__(address, version, journal)
         self.sent: deque[RobotState] = deque(maxlen=KEPT)  # the newest, until a fault
-        self.last_moving_ms: int | None = None  # the tool was faster than 2 mm/s or 0.02 rad/s; None: never
+        # the tool was faster than 2 mm/s or 0.02 rad/s; None: never
+        self.last_moving_ms: int | None = None
         self.mend()
 
     def mend(self) -> None:
@@ -114,7 +115,8 @@ class HostileHand(HandService):
     def __init__(self, address: str, journal: Journal) -> None:
         super().__init__(address, journal)
         self._begun_s = 0.0
-        self.struck_s: float | None = None  # CLOCK_MONOTONIC, when a fault that waits for its moment came
+        # CLOCK_MONOTONIC, when a fault that waits for its moment came
+        self.struck_s: float | None = None
         self.mend()
 
     def mend(self) -> None:
@@ -308,27 +310,45 @@ FAULTS = {
     "garbage_state": Fault("random bytes of a state's length", INVENTED, GARBAGE),
     "wrong_length_state": Fault("0 to 4000 random bytes", INVENTED, WRONG_LENGTH),
     # the arm's connection
-    "lost_commands": Fault("no command arrives; 20 end a motion", DOCUMENTED, lose_commands, end=end_misses),
-    "arm_garbage_reply": Fault("random bytes on the arm's TCP", INVENTED, lambda arm, _: babble(arm)),
+    "lost_commands": Fault(
+        "no command arrives; 20 end a motion", DOCUMENTED, lose_commands, end=end_misses
+    ),
+    "arm_garbage_reply": Fault(
+        "random bytes on the arm's TCP", INVENTED, lambda arm, _: babble(arm)
+    ),
     "arm_dropped": Fault("the arm closes its TCP connection", REPORTED, lambda arm, _: drop(arm)),
     "server_death": Fault("the process ends; every socket closes", INVENTED, lambda arm, _: die()),
     # what stops a real arm
-    "user_stop": Fault("the user stop", DOCUMENTED, lambda a, _: a.user_stop(), end=lambda a, _: a.release()),
+    "user_stop": Fault(
+        "the user stop", DOCUMENTED, lambda a, _: a.user_stop(), end=lambda a, _: a.release()
+    ),
     "reflex": Fault("a collision at the hand", DOCUMENTED, reflex(ErrorBit.CARTESIAN_REFLEX)),
     "joint_reflex": Fault("a collision at a joint", DOCUMENTED, reflex(ErrorBit.JOINT_REFLEX)),
     "torque_discontinuity": Fault("a torque step above 1 Nm/ms", DOCUMENTED, TORQUE_STEP),
-    "joint_velocity": Fault("a joint too fast", DOCUMENTED, reflex(ErrorBit.JOINT_VELOCITY_VIOLATION)),
-    "cartesian_velocity": Fault("a hand too fast", DOCUMENTED, reflex(ErrorBit.CARTESIAN_VELOCITY_VIOLATION)),
-    "joint_limit": Fault("a joint's end", DOCUMENTED, reflex(ErrorBit.JOINT_POSITION_LIMITS_VIOLATION)),
+    "joint_velocity": Fault(
+        "a joint too fast", DOCUMENTED, reflex(ErrorBit.JOINT_VELOCITY_VIOLATION)
+    ),
+    "cartesian_velocity": Fault(
+        "a hand too fast", DOCUMENTED, reflex(ErrorBit.CARTESIAN_VELOCITY_VIOLATION)
+    ),
+    "joint_limit": Fault(
+        "a joint's end", DOCUMENTED, reflex(ErrorBit.JOINT_POSITION_LIMITS_VIOLATION)
+    ),
     "power_limit": Fault("too much power", DOCUMENTED, reflex(ErrorBit.POWER_LIMIT_VIOLATION)),
     # the hand
-    "hung_hand": Fault("fingers stop midway, no answer any more; states go on", REPORTED, watch=hang_hand),
+    "hung_hand": Fault(
+        "fingers stop midway, no answer any more; states go on", REPORTED, watch=hang_hand
+    ),
     "hand_silent": Fault("no states; TCP stays open", INVENTED, hand_sends(lambda: ())),
-    "hand_dropped": Fault("the hand closes its TCP connection", INVENTED, lambda _, hand: drop(hand)),
+    "hand_dropped": Fault(
+        "the hand closes its TCP connection", INVENTED, lambda _, hand: drop(hand)
+    ),
     "hand_dropped_midway": Fault("the same, within a command", INVENTED, watch=drop_hand_midway),
     "hand_garbage_state": Fault("random bytes of a state's length", INVENTED, HAND_GARBAGE),
     "nan_width": Fault("the width is NaN", INVENTED, lose_width),
-    "hand_garbage_reply": Fault("random bytes on the hand's TCP", INVENTED, lambda _, hand: babble(hand)),
+    "hand_garbage_reply": Fault(
+        "random bytes on the hand's TCP", INVENTED, lambda _, hand: babble(hand)
+    ),
     "slip_out": Fault("what is held slips out; the fingers close", DOCUMENTED, watch=slip),
 }
 

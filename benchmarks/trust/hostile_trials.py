@@ -36,7 +36,8 @@ STUCK_s = 45.0  # no trial takes so long
 STARTS = 5
 HOLD_s = LEARN_s = 0.5  # the bars
 STILL_m = 0.001  # how far the fingers may go from then on
-NAP_s, STARVED_s = 0.005, 0.06  # a sleeper that wakes so late was on a machine that ran others meanwhile
+# a sleeper that wakes so late was on a machine that ran others meanwhile
+NAP_s, STARVED_s = 0.005, 0.06
 SWAY_m, SWAY_s = 0.015, 1.0  # up to 0.09 m/s
 BOX = GuardLimits(low=(0.2, -0.3, 0.1, -np.pi, 0.0), high=(0.7, 0.3, 0.6, np.pi, 0.08))
 HELD_m = 0.03  # the object
@@ -98,7 +99,8 @@ class Trial:
     sent_after: int  # actions that were taken after the caller had learnt
     ended_s: float
     fingers_m: float = 0.0  # way of the fingers from ``HOLD_s`` after the caller knew
-    starved: int = 0  # how often it was begun in vain: a busy machine stopped the arm before, or for another reason
+    # how often it was begun in vain: a busy machine stopped the arm before, or for another reason
+    starved: int = 0
     late_s: float = 0.0  # by how much a sleeper beside it woke too late, at most
 
 
@@ -132,7 +134,9 @@ def connect(fci: HostileStandIn, folder: Path) -> UniforceFranka:
     return robot
 
 
-def drive(robot: UniforceFranka, start: dict[str, float], begun_s: float, width_m: float, for_s: float) -> None:
+def drive(
+    robot: UniforceFranka, start: dict[str, float], begun_s: float, width_m: float, for_s: float
+) -> None:
     """Act and observe at 30 Hz for so long; raises what the robot raises."""
     end_s = time.monotonic() + for_s
     while time.monotonic() < end_s:
@@ -176,24 +180,34 @@ def begun_trial(fault: str, address: str, folder: Path) -> Trial:
         found = replace(found, starved=starved, late_s=round(sleeper.late_s, 3))
         if is_right(asdict(found)) or found.late_s < STARVED_s:
             break
-        print(f"{fault}: a starved machine, late by {found.late_s} s: {found.message}", file=sys.stderr)
+        print(
+            f"{fault}: a starved machine, late by {found.late_s} s: {found.message}",
+            file=sys.stderr,
+        )
     return found
 
 
 def is_right(row: dict[str, Any]) -> bool:
     """Return whether the fault was named, the arm held and the fault known in time, and no action taken afterwards."""
-    in_time = row["learnt_s"] <= LEARN_s or row["fault"] in AT_NEXT_ANSWER  # there ``recover`` waits
+    # there ``recover`` waits
+    in_time = row["learnt_s"] <= LEARN_s or row["fault"] in AT_NEXT_ANSWER
     named = row["named"] in RIGHT_NAMES[row["fault"]]
     is_held = row["hold_s"] <= HOLD_s and row["fingers_m"] <= STILL_m
     return named and in_time and is_held and not row["sent_after"]
 
 
 def _break(
-    robot: UniforceFranka, fci: HostileStandIn, fault: str, start: dict, begun_s: float, width_m: float
+    robot: UniforceFranka,
+    fci: HostileStandIn,
+    fault: str,
+    start: dict,
+    begun_s: float,
+    width_m: float,
 ) -> Trial:
     ordered_s = time.monotonic()
     _order(fci, fault)
-    width_m = width_m if fault in GRASPING else 0.05  # the fingers are on their way when the fault strikes
+    # the fingers are on their way when the fault strikes
+    width_m = width_m if fault in GRASPING else 0.05
     named, message = _told(lambda: drive(robot, start, begun_s, width_m, NOTICE_s))
     learnt_s = time.monotonic()
     sent_after = _sends(robot, start)
@@ -227,7 +241,15 @@ def _stop_and_recover(robot: UniforceFranka, fci: HostileStandIn, fault: str, st
     begun_s = time.monotonic()
     named, message = _told(robot.recover)
     learnt_s = time.monotonic() - begun_s
-    return Trial(fault, named, message, round(hold_s, 4), round(learnt_s, 4), _sends(robot, start), time.time())
+    return Trial(
+        fault,
+        named,
+        message,
+        round(hold_s, 4),
+        round(learnt_s, 4),
+        _sends(robot, start),
+        time.time(),
+    )
 
 
 def _told(call: Callable[[], object]) -> tuple[str, str]:
@@ -263,16 +285,22 @@ def knowable_s(robot: UniforceFranka, fci: HostileStandIn, fault: str, ordered_s
 
 def _sends(robot: UniforceFranka, start: dict[str, float]) -> int:
     """Return how many of five good actions were taken though the robot has a fault."""
-    return sum(not _told(lambda: robot.send_action({axis: start[axis] for axis in AXES}))[0] for _ in range(5))
+    return sum(
+        not _told(lambda: robot.send_action({axis: start[axis] for axis in AXES}))[0]
+        for _ in range(5)
+    )
 
 
 def _hold_s(fci: HostileStandIn, known_s: float) -> tuple[float, float]:
     """Return how long the arm moved after ``known_s`` in its own time, infinity while it moves, and its rate."""
     end_ms = fci.do("look")["arm"]["milliseconds"] + 1e3 * AFTER_s
-    while (look := fci.do("look"))["arm"]["milliseconds"] < end_ms:  # on a busy machine its clock is slow
+    # on a busy machine its clock is slow
+    while (look := fci.do("look"))["arm"]["milliseconds"] < end_ms:
         time.sleep(PERIOD_s)
     arm, fault = look["arm"], look["fault"]
-    rate = (arm["milliseconds"] - fault["at_ms"]) / max(1e3 * (time.monotonic() - fault["at_s"]), 1.0)
+    rate = (arm["milliseconds"] - fault["at_ms"]) / max(
+        1e3 * (time.monotonic() - fault["at_s"]), 1.0
+    )
     if arm["held_since_ms"] is None:
         return float("inf"), rate
     known_ms = fault["at_ms"] + 1e3 * rate * max(known_s - fault["at_s"], 0.0)
@@ -294,7 +322,8 @@ def main() -> None:
                 faulthandler.cancel_dump_traceback_later()
                 rows.add(ROWS, asdict(row))
                 if fault in AT_NEXT_ANSWER:
-                    return  # the client hangs, and takes memory without end: the next trial gets a new process
+                    # the client hangs, and takes memory without end: the next trial gets a new process
+                    return
 
 
 if __name__ == "__main__":

@@ -22,7 +22,8 @@ class Damage:
     load: Load
     of: str  # "dataset", "view" or "checkpoint"
     said: str = ""  # what the error has to name
-    hashed: bool = True  # whether the copy still has its hashes; without them its content has to give it away
+    # whether the copy still has its hashes; without them its content has to give it away
+    hashed: bool = True
     error: type[UniForceError] = UniForceError  # which it has to be
     sound: Path = Path()  # the shipped checkpoint that is copied
 

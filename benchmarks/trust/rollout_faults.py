@@ -16,7 +16,8 @@ from uniforce_cli.boundary import command
 from uniforce_vtla import options
 from uniforce_vtla.arguments import choose
 
-START_s, TRIAL_s = 120.0, 120.0  # of a program and of each trial, on a starved machine; usual are 15 and 9
+# of a program and of each trial, on a starved machine; usual are 15 and 9
+START_s, TRIAL_s = 120.0, 120.0
 
 
 @dataclass
@@ -28,7 +29,8 @@ class RolloutFaultsConfig:
 
     times: options.Count = 10  # trials of each kind
     only: str = ""  # kinds, comma between them; all when empty
-    rows: str = "outputs/rollout_faults"  # folder of the single trials; a run that was ended goes on from there
+    # folder of the single trials; a run that was ended goes on from there
+    rows: str = "outputs/rollout_faults"
     out: str = "outputs/trust.json"  # the result file; only its key ``rollout_faults`` changes
 
 
@@ -37,7 +39,14 @@ def attempt(name: str, times: int, folder: Path) -> list[Trial]:
     rows = Ledger(folder)
     folder.mkdir(parents=True, exist_ok=True)
     while lacks := times - len(rows.read(name)):
-        program = [sys.executable, "-m", "benchmarks.trust.rollout_trials", name, str(times), str(folder)]
+        program = [
+            sys.executable,
+            "-m",
+            "benchmarks.trust.rollout_trials",
+            name,
+            str(times),
+            str(folder),
+        ]
         # a group of its own: a trial that is killed must not leave its stand-ins
         with (
             (folder / f"{name}.log").open("a") as said,
@@ -51,7 +60,9 @@ def attempt(name: str, times: int, folder: Path) -> list[Trial]:
                 rows.add(name, vars(hang))
                 continue
         if code:
-            raise RuntimeError(f"{name}: expected trials, got exit code {code}. Read {folder / name}.log.")
+            raise RuntimeError(
+                f"{name}: expected trials, got exit code {code}. Read {folder / name}.log."
+            )
     return [Trial(**row) for row in rows.read(name)]
 
 
@@ -71,13 +82,19 @@ def summarise(own: list[Trial]) -> dict[str, Any]:
 def main(config: RolloutFaultsConfig) -> int:
     """Run the trials, write the table, print what went wrong; 1 where anything did."""
     names = list(choose(KINDS, config.only))
-    found = {name: attempt(name, config.times, Path(config.rows)) for name in tqdm(names, desc="kinds")}
-    path = update(Path(config.out), "rollout_faults", {name: summarise(own) for name, own in found.items()})
+    found = {
+        name: attempt(name, config.times, Path(config.rows)) for name in tqdm(names, desc="kinds")
+    }
+    path = update(
+        Path(config.out), "rollout_faults", {name: summarise(own) for name, own in found.items()}
+    )
     rows = [row for own in found.values() for row in own]
     wrong = [row for row in rows if not row.is_right]
     for row in wrong:
         print(f"{row.kind}: {row.named or 'nothing'}, held after {row.hold_s} s. {row.message}")
-    print(f"{len(rows) - len(wrong)} of {len(rows)} trials right (named, held ≤ {HOLD_s} s); written to {path}")
+    print(
+        f"{len(rows) - len(wrong)} of {len(rows)} trials right (named, held ≤ {HOLD_s} s); written to {path}"
+    )
     return int(bool(wrong))
 
 

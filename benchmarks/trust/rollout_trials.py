@@ -42,7 +42,8 @@ from uniforce_robots.standins.process import StandIn
 from uniforce_vtla.errors import FaultError
 from uniforce_vtla.keys import AXES
 
-START = dict(zip(AXES, (0.495, -0.02, 0.06, 0.0, 0.08), strict=True))  # where the demonstrations were; the hand open
+# where the demonstrations were; the hand open
+START = dict(zip(AXES, (0.495, -0.02, 0.06, 0.0, 0.08), strict=True))
 NEAR_m, LEAD_s = 0.01, 30.0
 SWAY_m, SWAY_s, Y = 0.015, 1.0, AXES.index("y.pos")  # up to 0.09 m/s
 STEP_s = 1 / 30
@@ -78,7 +79,9 @@ class Sway:
         begin_s = self.steps * STEP_s
         time_s = begin_s + STEP_s * (1 + torch.arange(chunk))
         moves = torch.zeros(1, chunk, len(AXES))
-        moves[0, :, Y] = SWAY_m * (torch.sin(2 * torch.pi * time_s / SWAY_s) - np.sin(2 * np.pi * begin_s / SWAY_s))
+        moves[0, :, Y] = SWAY_m * (
+            torch.sin(2 * torch.pi * time_s / SWAY_s) - np.sin(2 * np.pi * begin_s / SWAY_s)
+        )
         moves += torch.nan if self.fault == "nan" else 0.0
         self.steps += model.config.n_action_steps
         units = NetworkUnits(settings.delta_scale, settings.delta_knee, chunk).to_network(moves)
@@ -119,7 +122,9 @@ class Rig:
             yield self.fci
 
     def settings(self, **more: Any) -> UniforceFrankaConfig:
-        return UniforceFrankaConfig(id="rollout", calibration_dir=self.folder, address=self.fci.address, **more)
+        return UniforceFrankaConfig(
+            id="rollout", calibration_dir=self.folder, address=self.fci.address, **more
+        )
 
     def _lead(self) -> None:
         with UniforceFranka(self.settings()) as robot:
@@ -132,9 +137,15 @@ class Rig:
 
     def rollout(self) -> None:
         """Run LeRobot's program; it raises what ends it."""
-        scene: dict[str, Any] = {"width": 224, "height": 224, "capture_width": 640, "capture_height": 480}
+        scene: dict[str, Any] = {
+            "width": 224,
+            "height": 224,
+            "capture_width": 640,
+            "capture_height": 480,
+        }
         cameras: dict[str, Any] = {
-            name: UniforceSceneCameraConfig(source=stand_in.address, **scene) for name, stand_in in self.cameras.items()
+            name: UniforceSceneCameraConfig(source=stand_in.address, **scene)
+            for name, stand_in in self.cameras.items()
         }
         cameras["tactile_left"] = UniforceUskinConfig(
             finger="left",
@@ -158,7 +169,9 @@ class Rig:
             play_sounds=False,
         )
         sway = self.sway
-        with mock.patch.object(PI05UniforcePytorch, "sample_actions", lambda *given, **more: sway(*given, **more)):
+        with mock.patch.object(
+            PI05UniforcePytorch, "sample_actions", lambda *given, **more: sway(*given, **more)
+        ):
             rollout(config)
 
     def lag(self, stand_in: StandIn) -> None:
@@ -222,9 +235,11 @@ class Trial:
     kind: str
     named: str  # the fault of a RobotError, or the class of another exception; "" for none
     message: str
-    hold_s: float  # the robot's own clock, from the fault until the arm was at rest; infinity while it moves
+    # the robot's own clock, from the fault until the arm was at rest; infinity while it moves
+    hold_s: float
     learnt_s: float  # until the rollout had ended
-    starved: int = 0  # how often it was begun in vain: a busy machine stopped the arm before, or for another reason
+    # how often it was begun in vain: a busy machine stopped the arm before, or for another reason
+    starved: int = 0
 
     @property
     def is_right(self) -> bool:
@@ -248,7 +263,8 @@ class Breaker(threading.Thread):
                 return
         if self._rig.over.wait(random.uniform(*UNDER_WAY_s)):
             return
-        while (look := self._rig.fci.do("look")["arm"])["held_since_ms"] is not None:  # it turns round
+        # it turns round
+        while (look := self._rig.fci.do("look")["arm"])["held_since_ms"] is not None:
             if self._rig.over.wait(STEP_s):
                 return
         self.at_ms, self.at_s = look["milliseconds"], time.monotonic()
@@ -274,7 +290,9 @@ def trial(name: str, rig: Rig) -> Trial:
         breaker.join()
         if breaker.at_ms is None or learnt_s < breaker.at_s + STEP_s:
             raise RuntimeError(f"{name}: the rollout ended by itself: {named} {message}")
-        return Trial(name, named, message, hold_s(fci, breaker.at_ms), round(learnt_s - breaker.at_s, 3))
+        return Trial(
+            name, named, message, hold_s(fci, breaker.at_ms), round(learnt_s - breaker.at_s, 3)
+        )
 
 
 def hold_s(fci: HostileStandIn, broken_ms: int) -> float:
@@ -303,7 +321,9 @@ def begun_trial(name: str, rig: Rig) -> Trial:
                 continue
         if found.is_right or sleeper.late_s < STARVED_s:
             break
-        print(f"{name}: a starved machine, late by {sleeper.late_s:.2f} s: {found}", file=sys.stderr)
+        print(
+            f"{name}: a starved machine, late by {sleeper.late_s:.2f} s: {found}", file=sys.stderr
+        )
     return found
 
 

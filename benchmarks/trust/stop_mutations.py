@@ -29,15 +29,24 @@ EPISODE = "uniforce_robots/recorder/episode.py"
 # Left out, since another layer does the same and nothing moves either way: keys that are not forgotten at a start (a
 # deflected device is refused there), letters of a note that steer (a note holds, and its end is a start), and a hand
 # that is levelled at once (what is sent is checked for its speed).
-MUTATIONS: dict[str, tuple[str, str, str]] = {  # name: file, what stands there, what is put in its place
+# name: file, what stands there, what is put in its place
+MUTATIONS: dict[str, tuple[str, str, str]] = {
     "hand: goes on after a stop": (HAND, "self._stop_wanted = True", "pass"),
     "hand: keeps the wish over a stop": (
         HAND,
         "        self._wish_m = None\n        self._stop_wanted",
         "        self._stop_wanted",
     ),
-    "hand: goes on at the end of a stream": (STREAM, 'self._stop_one("hand", self._hand.halt)', "pass"),
-    "hand: a hold is the arm's alone": (STREAM, "            self._hand.stop()\n", "            pass\n"),
+    "hand: goes on at the end of a stream": (
+        STREAM,
+        'self._stop_one("hand", self._hand.halt)',
+        "pass",
+    ),
+    "hand: a hold is the arm's alone": (
+        STREAM,
+        "            self._hand.stop()\n",
+        "            pass\n",
+    ),
     "stream: no watchdog": (STREAM, "            self.hold()\n            log", "            log"),
     "stream: keeps the target over a hold": (STREAM, "        self._rest_wanted = True\n", ""),
     "stream: moves a stopped arm": (STREAM, "        refuse_stopped(state)\n", ""),
@@ -53,9 +62,21 @@ MUTATIONS: dict[str, tuple[str, str, str]] = {  # name: file, what stands there,
         "            self._fault = fault\n            self._stream.halt(fault)",
         "            pass",
     ),
-    "robot: a hold does nothing": (ROBOT, "            self._stream.hold()\n", "            pass\n"),
-    "teleop: begins with a pushed cap": (BASE, "is_at_rest = not self.is_deflected()", "is_at_rest = True"),
-    "teleop: a plug that came back is none": (BASE, "self._refuse_lost()\n            with", "with"),
+    "robot: a hold does nothing": (
+        ROBOT,
+        "            self._stream.hold()\n",
+        "            pass\n",
+    ),
+    "teleop: begins with a pushed cap": (
+        BASE,
+        "is_at_rest = not self.is_deflected()",
+        "is_at_rest = True",
+    ),
+    "teleop: a plug that came back is none": (
+        BASE,
+        "self._refuse_lost()\n            with",
+        "with",
+    ),
     "teleop: the last target goes on": (
         INTEGRATOR,
         "self._target = np.array(measured, dtype=np.float64)\n        self._low",
@@ -72,7 +93,11 @@ MUTATIONS: dict[str, tuple[str, str, str]] = {  # name: file, what stands there,
         "        self._pauses += 1\n        parts.rig.hold()",
         "        self._pauses += 1",
     ),
-    "episode: an end holds nothing": (EPISODE, "        self._parts.rig.hold()\n        if fault", "        if fault"),
+    "episode: an end holds nothing": (
+        EPISODE,
+        "        self._parts.rig.hold()\n        if fault",
+        "        if fault",
+    ),
     "episode: goes on where it paused": (
         EPISODE,
         "            self._parts.steering.start_from(axes)",
@@ -103,7 +128,9 @@ def notice(name: str) -> str:
         copy = Path(folder) / file
         text = copy.read_text()
         if text.count(old) != 1:
-            raise ContractError(expected(name, f"{old!r} once in {file}", text.count(old), "Mend the table."))
+            raise ContractError(
+                expected(name, f"{old!r} once in {file}", text.count(old), "Mend the table.")
+            )
         copy.write_text(text.replace(old, new))
         sys.path.insert(0, folder)  # the copies are found before the packages themselves
         for loaded in [module for module in sys.modules if module.partition(".")[0] in PACKAGES]:
@@ -113,7 +140,9 @@ def notice(name: str) -> str:
 
         tried = [str(sys.modules[package].__file__) for package in PACKAGES]
         if not all(path.startswith(folder) for path in tried):
-            raise ContractError(expected(name, f"sessions on the copies in {folder}", tried, "Are they preloaded?"))
+            raise ContractError(
+                expected(name, f"sessions on the copies in {folder}", tried, "Are they preloaded?")
+            )
         try:
             explore(SESSIONS, SimWorld)
         except AssertionError as error:
@@ -124,7 +153,8 @@ def notice(name: str) -> str:
 @command(StopMutationsConfig)
 def main(config: StopMutationsConfig) -> int:
     """Try all, write the table, print the survivors; 1 where there are any."""
-    from benchmarks.trust.stop_sessions import store  # imports the package, which a mutation must do first
+    # imports the package, which a mutation must do first
+    from benchmarks.trust.stop_sessions import store
 
     names = [name for name in MUTATIONS if config.only in name]
     context = multiprocessing.get_context("spawn")

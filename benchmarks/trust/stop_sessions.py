@@ -103,11 +103,14 @@ class SessionRig(Rig):
     """The robot as a rig without cameras or fingers, whose observation may fail."""
 
     def __init__(self, world: World) -> None:
-        self.facts = RigFacts("sessions", FPS, {"left": "tactip", "right": "tactip"}, {}, paced=True)
+        self.facts = RigFacts(
+            "sessions", FPS, {"left": "tactip", "right": "tactip"}, {}, paced=True
+        )
         self._world = world
         self.fault: Exception | None = None
         self.stall_ticks = 0  # for which the next observation waits
-        self.meanwhile: Callable[[], None] = lambda: None  # what the person does each tick of a stall
+        # what the person does each tick of a stall
+        self.meanwhile: Callable[[], None] = lambda: None
 
     def now_s(self) -> float:
         """Return the world's time."""
@@ -264,7 +267,9 @@ class Session:
             steering = Steering(self.teleop)
             store: Any = Store(self.world, self.person.repeat_held)
             parts = Parts(self.rig, steering, self.person, store, disk, view, self.interrupts)
-            wanted = SessionSettings(episodes=1000, prompts=("wipe",), episode_s=4.0, late_share=1.0)
+            wanted = SessionSettings(
+                episodes=1000, prompts=("wipe",), episode_s=4.0, late_share=1.0
+            )
             try:
                 self.end = RecordingSession(parts, wanted, 0, 0).run()
             except BaseException as error:  # a session that dies is what is looked for
@@ -332,7 +337,9 @@ class StopMachine(RuleBasedStateMachine):
             self.world.close()
         kind = "sessions" if self.steps >= 20 else "shorter"
         moved, violations = self.watch.moves > 0, len(self.watch.violations)
-        type(self).counts.update({kind: 1, "steps": self.steps, "moved": moved, "violations": violations})
+        type(self).counts.update(
+            {kind: 1, "steps": self.steps, "moved": moved, "violations": violations}
+        )
         type(self).wrongs.extend(self.watch.violations)
         assert not self.watch.violations, self.watch.violations[0]
 
@@ -418,7 +425,12 @@ class StopMachine(RuleBasedStateMachine):
         """Push the cap or a button."""
         session = self.session
         assert session is not None and session.cap is not None
-        if not session.cap.state.any() and session.is_live and self._is_well and session.cap.is_plugged:
+        if (
+            not session.cap.state.any()
+            and session.is_live
+            and self._is_well
+            and session.cap.is_plugged
+        ):
             self.watch.wished()
         session.cap.state[axis] = share * FULL if axis < 6 else 1.0
         self._wait(ticks)
@@ -499,7 +511,12 @@ class StopMachine(RuleBasedStateMachine):
         self._wait(ticks)
 
     @precondition(lambda self: self.session)
-    @rule(data=st.data(), down=st.integers(3, 30), before=st.integers(2, 15), after=st.integers(15, 25))
+    @rule(
+        data=st.data(),
+        down=st.integers(3, 30),
+        before=st.integers(2, 15),
+        after=st.integers(15, 25),
+    )
     def move_and_stop(self, data: st.DataObject, down: int, before: int, after: int) -> None:
         """Move, most of all the fingers, and stop on the way in any manner; then let some time pass."""
         session = self.session
@@ -508,8 +525,14 @@ class StopMachine(RuleBasedStateMachine):
             self.steer(data.draw(st.sampled_from(["p", "o", "w", "s", "c", "j"])), down, before)
         else:
             self.push(data.draw(st.sampled_from([0, 1, 2, 5, 6, 7])), 1.0, before)
-        orders = [order for order in self.world.orders if order in ("reflex", "user_stop", "guide", "jump", "nan")]
-        how = data.draw(st.sampled_from(["space", "esc", "t", "y", "x", "stall", "sensor", "replug", *orders]))
+        orders = [
+            order
+            for order in self.world.orders
+            if order in ("reflex", "user_stop", "guide", "jump", "nan")
+        ]
+        how = data.draw(
+            st.sampled_from(["space", "esc", "t", "y", "x", "stall", "sensor", "replug", *orders])
+        )
         if session.is_over:
             return
         if how in orders:
@@ -541,7 +564,11 @@ class StopMachine(RuleBasedStateMachine):
             self.order("space", 12)
 
     @precondition(lambda self: self.session)
-    @rule(key=st.sampled_from(["p", "o", "w", "s", "c", "j"]), before=st.integers(3, 10), between=st.integers(1, 4))
+    @rule(
+        key=st.sampled_from(["p", "o", "w", "s", "c", "j"]),
+        before=st.integers(3, 10),
+        between=st.integers(1, 4),
+    )
     def pause_and_go_on(self, key: str, before: int, between: int) -> None:
         """Pause for a moment and go on while the key or the cap is held: nobody asks for motion anew."""
         session = self.session
@@ -699,7 +726,9 @@ class StopMachine(RuleBasedStateMachine):
             self.robot.connect()
 
 
-def explore(times: int, make_world: Callable[[], World], steps: int = STEPS, at_random: bool = False) -> Counter[str]:
+def explore(
+    times: int, make_world: Callable[[], World], steps: int = STEPS, at_random: bool = False
+) -> Counter[str]:
     """Run sessions until ``times`` of at least 20 steps were run; return the counts. Raises what goes wrong.
 
     The same sessions each time, unless ``at_random``. In real time no session can be repeated: hypothesis, which finds
@@ -733,7 +762,8 @@ class SessionsConfig:
     Example: python -m benchmarks.trust.stop_sessions times=2000 out=docs/results/trust.json
     """
 
-    times: int = 2000  # sessions of at least 20 steps on the set clock; 0: none, what the file says of them stays
+    # sessions of at least 20 steps on the set clock; 0: none, what the file says of them stays
+    times: int = 2000
     real: int = 100  # the same over the stand-in, in real time
     out: str = "outputs/trust.json"  # the result file; only its key ``sessions`` changes
 
@@ -771,12 +801,19 @@ def main(config: SessionsConfig) -> int:
     try:
         if config.real:
             real = _line(_explore_real(config.real))
-            print(f"over the stand-in: {real}; written to {store(out, {'over_the_standin': real})}", flush=True)
+            print(
+                f"over the stand-in: {real}; written to {store(out, {'over_the_standin': real})}",
+                flush=True,
+            )
         if config.times:
             shares = [config.times // WORKERS] * WORKERS
-            with ProcessPoolExecutor(WORKERS, mp_context=multiprocessing.get_context("spawn")) as pool:
+            with ProcessPoolExecutor(
+                WORKERS, mp_context=multiprocessing.get_context("spawn")
+            ) as pool:
                 simulated = _line(sum(pool.map(_explore_simulated, shares), Counter[str]()))
-            print(f"on the set clock: {simulated}; written to {store(out, {'simulated': simulated})}")
+            print(
+                f"on the set clock: {simulated}; written to {store(out, {'simulated': simulated})}"
+            )
     except AssertionError:  # something moved: hypothesis says what was done before
         traceback.print_exc()
         return 1

@@ -31,10 +31,12 @@ HOLD_s = 0.1
 # The stand-in's arm swings out on its spring, and its clock is slow on a busy computer.
 STANDIN_BRAKE_s = 1.0
 STILL_m, STILL_rad = 0.001, np.radians(1.0)
-LEVELS_rad_m = 1.0  # a tilted hand may be sent upright by this much along each metre that it is sent
+# a tilted hand may be sent upright by this much along each metre that it is sent
+LEVELS_rad_m = 1.0
 ROUNDING_rad = 1e-4
 READING_s = 0.1  # between two readings of the hand
-GUIDED_m_s = np.array([-0.1, 0.05, -0.02])  # how a person leads the arm by hand, out of its box soon
+# how a person leads the arm by hand, out of its box soon
+GUIDED_m_s = np.array([-0.1, 0.05, -0.02])
 WIDEST_m = 0.08
 # Slow, so that what goes on after a stop goes on for long: an arm that was at its target at once would hide it.
 ARM_m_s, ARM_rad_s = 0.04, 0.15
@@ -75,7 +77,9 @@ class Watch:
         """Take where the hand is, (4, 4), and how far the fingers are apart; ``by_hand``: a person moves it."""
         if self._seen is not None:
             seen, seen_m = self._seen
-            self.moves += bool(np.abs(seen - pose).max() > STILL_m / 10 or abs(seen_m - width_m) > STILL_m / 10)
+            self.moves += bool(
+                np.abs(seen - pose).max() > STILL_m / 10 or abs(seen_m - width_m) > STILL_m / 10
+            )
         self._seen = pose.copy(), width_m
         if by_hand:
             self._rest = None
@@ -91,7 +95,9 @@ class Watch:
         fingers_m = abs(width_m - before_m)
         if moved_m > STILL_m or turned_rad > STILL_rad or fingers_m > STILL_m:
             turned_deg = np.degrees(turned_rad)
-            how = f"hand {1000 * moved_m:.1f} mm {turned_deg:.1f}°, fingers {1000 * fingers_m:.1f} mm"
+            how = (
+                f"hand {1000 * moved_m:.1f} mm {turned_deg:.1f}°, fingers {1000 * fingers_m:.1f} mm"
+            )
             after_s = now_s - self._since_s
             self.violations.append(f"{how}, {after_s:.2f} s after: {self._why}")
             self._rest = pose.copy(), width_m
@@ -245,7 +251,17 @@ class SimWorld:
     """A robot on a clock that is set, with the faults a person or an arm may bring."""
 
     paced = False
-    orders = ("reflex", "user_stop", "guide", "release", "jump", "nan", "honest", "block", "unblock")
+    orders = (
+        "reflex",
+        "user_stop",
+        "guide",
+        "release",
+        "jump",
+        "nan",
+        "honest",
+        "block",
+        "unblock",
+    )
 
     def __init__(self) -> None:
         self.now_s = 100.0
@@ -254,7 +270,9 @@ class SimWorld:
         self._ending = ExitStack()
         folder = self._ending.enter_context(tempfile.TemporaryDirectory())
         # module attributes, since the robot finds its backend and stream there
-        backend = mock.patch.object(robot_module, "make_backend", lambda config: (self.arm, self.hand))
+        backend = mock.patch.object(
+            robot_module, "make_backend", lambda config: (self.arm, self.hand)
+        )
         self._ending.enter_context(backend)
         self._ending.enter_context(mock.patch.object(robot_module, "ArmStream", TickedStream))
         config = UniforceFrankaConfig(id="sessions", calibration_dir=Path(folder), gripper=FINGERS)
@@ -277,7 +295,9 @@ class SimWorld:
 
     def look(self) -> None:
         """Show the watch where the robot is."""
-        self.watch.look(self.arm.pose, self.hand.width_m, self.now_s, by_hand=self.arm.mode == "guiding")
+        self.watch.look(
+            self.arm.pose, self.hand.width_m, self.now_s, by_hand=self.arm.mode == "guiding"
+        )
 
     def order(self, what: str) -> None:
         """Do to the robot what a person or a fault does."""
@@ -299,7 +319,9 @@ class SimWorld:
 
     def tilt(self, by_rad: float) -> None:
         """Tilt the hand as a person who leads it does."""
-        self.arm.pose[:3, :3] = Rotation.from_rotvec([by_rad, 0, 0]).as_matrix() @ self.arm.pose[:3, :3]
+        self.arm.pose[:3, :3] = (
+            Rotation.from_rotvec([by_rad, 0, 0]).as_matrix() @ self.arm.pose[:3, :3]
+        )
 
     def hold_object(self, width_m: float) -> None:
         """Put something of this width where the fingers close; not into closed ones."""

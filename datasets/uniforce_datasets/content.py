@@ -44,14 +44,18 @@ def check_content(source: Source, verify: Verify = "full") -> None:
         return
     _check_columns(source)
     check = partial(_decode if verify == "full" else _sample, source)
-    bar = tqdm(total=len(source.episodes), desc="verify", unit="episode", delay=BAR_AFTER_s, leave=False)
+    bar = tqdm(
+        total=len(source.episodes), desc="verify", unit="episode", delay=BAR_AFTER_s, leave=False
+    )
     with bar, ThreadPoolExecutor(os.cpu_count()) as pool:
         for _ in pool.map(check, source.episodes):
             bar.update()
     _check_counts(source)
 
 
-def check_stored(staged: Path, frames: int, fps: int, ends: Mapping[str, tuple[np.ndarray, ...]]) -> None:
+def check_stored(
+    staged: Path, frames: int, fps: int, ends: Mapping[str, tuple[np.ndarray, ...]]
+) -> None:
     """Check the videos of one staged episode.
 
     Args:
@@ -71,7 +75,9 @@ def check_stored(staged: Path, frames: int, fps: int, ends: Mapping[str, tuple[n
             raise DatasetError(expected(key, f"{frames} frames", stored, do))
         decoded = end_frames(VideoSpan(file, 0.0), frames, fps) if key in ends else ()
         if not all(np.array_equal(a, b) for a, b in zip(decoded, ends.get(key, ()), strict=True)):
-            raise DatasetError(expected(key, "the recorded marker images after decoding", "others", do))
+            raise DatasetError(
+                expected(key, "the recorded marker images after decoding", "others", do)
+            )
 
 
 def end_frames(span: VideoSpan, length: int, fps: int) -> tuple[np.ndarray, ...]:
@@ -85,7 +91,9 @@ def _check_columns(source: Source) -> None:
     kept = source.columns((*COUNTED, *_numbers(source)))
     if any(kept[key].ndim > 1 for key in COUNTED):
         do = "Restore it from a copy."
-        raise DatasetError(expected(str(source.root / "data"), f"one number each in {COUNTED}", "rows", do))
+        raise DatasetError(
+            expected(str(source.root / "data"), f"one number each in {COUNTED}", "rows", do)
+        )
     lengths = [episode.length for episode in source.episodes]
     indices = np.repeat([episode.index for episode in source.episodes], lengths)
     frames = np.concatenate([np.arange(length) for length in lengths])
@@ -102,7 +110,11 @@ def _check_columns(source: Source) -> None:
         if rows.any():
             row = int(rows.argmax())
             where = f"{key} in {source.root / 'data'}, episode {indices[row]}"
-            raise DatasetError(expected(where, wanted, f"another in frame {frames[row]}", "Restore it from a copy."))
+            raise DatasetError(
+                expected(
+                    where, wanted, f"another in frame {frames[row]}", "Restore it from a copy."
+                )
+            )
 
 
 def _numbers(source: Source) -> list[str]:
@@ -111,7 +123,8 @@ def _numbers(source: Source) -> list[str]:
     return [
         key
         for key, kind in kinds.items()
-        if kind in (("float32", 1), ("float64", 1)) and (key.startswith(OBSERVATION) or key == ACTION)
+        if kind in (("float32", 1), ("float64", 1))
+        and (key.startswith(OBSERVATION) or key == ACTION)
     ]
 
 
@@ -120,7 +133,10 @@ def _check_counts(source: Source) -> None:
     needed: dict[Path, list[Episode]] = {}
     for episode in source.episodes:
         raw = [raw_path(source.root, finger, episode.index) for finger in FINGERS]
-        for file in [*(span.file for span in episode.videos.values()), *(r for r in raw if r.is_file())]:
+        for file in [
+            *(span.file for span in episode.videos.values()),
+            *(r for r in raw if r.is_file()),
+        ]:
             needed.setdefault(file, []).append(episode)
     for file, episodes in needed.items():
         stored, wanted = stored_frames(file), sum(episode.length for episode in episodes)
@@ -168,7 +184,9 @@ def _check_markers(episode: Episode, key: str, frames: Iterable[np.ndarray]) -> 
             continue
         if rest is not None and key in REFERENCE_KEYS:
             do = "A reference is taken once, before an episode: record it again, or leave the episode out."
-            raise DatasetError(expected(_place(episode, key), "one image all the time", "another one", do))
+            raise DatasetError(
+                expected(_place(episode, key), "one image all the time", "another one", do)
+            )
         _check_marker(episode, key, frame)
         rest = frame
 
@@ -179,7 +197,9 @@ def _check_marker(episode: Episode, key: str, frame: np.ndarray) -> None:
     if between or not (frame[..., 1:] == frame[..., :1]).all():
         came = "values between" if between else "colours"
         do = "The video was encoded with loss: record or convert it again with h264 crf 0 (uniforce record does)."
-        raise DatasetError(expected(_place(episode, key), "only 0 and 255 after decoding", came, do))
+        raise DatasetError(
+            expected(_place(episode, key), "only 0 and 255 after decoding", came, do)
+        )
 
 
 def _place(episode: Episode, key: str) -> str:

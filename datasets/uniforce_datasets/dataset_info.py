@@ -103,13 +103,17 @@ def read_info(root: Path, within: Path | None = None) -> dict[str, Any]:
     """
     file = root / INFO
     if not file.is_file():
-        raise DatasetError(expected(str(root), str(INFO), "none", "Give the folder that uniforce record wrote."))
+        raise DatasetError(
+            expected(str(root), str(INFO), "none", "Give the folder that uniforce record wrote.")
+        )
     check_links(root, within or root)
     info = read_object(file, DatasetError)
     _check_version(file, info)
     for name, (kind, wanted) in _NEEDED.items():
         if not isinstance(info.get(name), kind) or isinstance(info[name], bool):
-            raise DatasetError(expected(f"{name} in {file}", wanted, _short(info.get(name)), "Restore it."))
+            raise DatasetError(
+                expected(f"{name} in {file}", wanted, _short(info.get(name)), "Restore it.")
+            )
     _check_numbers(file, info)
     for key, feature in info["features"].items():
         check_key(str(file), key)
@@ -144,7 +148,9 @@ def _check_version(file: Path, info: dict[str, Any]) -> None:
 
 def _check_numbers(file: Path, info: dict[str, Any]) -> None:
     if not info["total_episodes"]:
-        raise DatasetError(expected(str(file.parents[1]), "episodes", "none", "Record at least one."))
+        raise DatasetError(
+            expected(str(file.parents[1]), "episodes", "none", "Record at least one.")
+        )
     fps = float(info["fps"]) if abs(info["fps"]) < 1e6 else math.inf
     if not (0 < fps < math.inf) or info["total_episodes"] < 0 or info["total_frames"] < 1:
         came = {name: _short(info[name]) for name in ("fps", "total_episodes", "total_frames")}
@@ -154,7 +160,9 @@ def _check_numbers(file: Path, info: dict[str, Any]) -> None:
 def _check_feature(file: Path, key: str, feature: object) -> None:
     whole = isinstance(feature, dict) and isinstance(feature.get("dtype"), str)
     if not whole or not isinstance(feature.get("shape"), list):  # type: ignore[attr-defined]
-        raise DatasetError(expected(f"{key} in {file}", "dtype and shape", _short(feature), "Restore it."))
+        raise DatasetError(
+            expected(f"{key} in {file}", "dtype and shape", _short(feature), "Restore it.")
+        )
 
 
 def _short(value: object) -> str:

@@ -58,9 +58,12 @@ def dataset_features(
     features |= {key: video_column(MARKER_VIDEO_SHAPE) for key in keys.TACTILE_KEYS}
     features |= {keys.STATE: vector_column(keys.AXES), keys.ACTION: vector_column(keys.AXES)}
     if truth:
-        features |= {keys.truth_wrench_key(finger): vector_column(WRENCH_AXES) for finger in FINGERS}
+        features |= {
+            keys.truth_wrench_key(finger): vector_column(WRENCH_AXES) for finger in FINGERS
+        }
     for finger in FINGERS:
-        features[keys.sensor_key(finger)] = scalar_column("int64")  # index into sensors.list_sensors()
+        # index into sensors.list_sensors()
+        features[keys.sensor_key(finger)] = scalar_column("int64")
         features[keys.time_key(finger)] = scalar_column("float64")
         features[keys.age_key(finger)] = scalar_column("float32")
     features[keys.SUCCESS] = scalar_column("float32")
@@ -84,7 +87,9 @@ def refuse_other_features(meta: Any, fps: int, features: Mapping[str, dict[str, 
     if came == wanted and meta.fps == fps:
         return
     odd = sorted(k for k in wanted | came if came.get(k) != wanted.get(k)) or f"{meta.fps} fps"
-    raise DatasetError(expected("dataset", "the features to record", f"others: {odd}", "Record into another root."))
+    raise DatasetError(
+        expected("dataset", "the features to record", f"others: {odd}", "Record into another root.")
+    )
 
 
 def sensor_index(name: str) -> int:
@@ -123,11 +128,15 @@ def check_row(row: dict[str, np.ndarray], features: dict[str, dict]) -> None:
     missing, unknown = sorted(features.keys() - row.keys()), sorted(row.keys() - features.keys())
     if missing or unknown:
         came = f"missing {missing}, unknown {unknown}"
-        raise ContractError(expected("frame", "the dataset's columns", came, "See dataset_features."))
+        raise ContractError(
+            expected("frame", "the dataset's columns", came, "See dataset_features.")
+        )
     for key, value in row.items():
         dtype = "uint8" if features[key]["dtype"] == "video" else features[key]["dtype"]
         if value.shape != tuple(features[key]["shape"]) or value.dtype != dtype:
             wanted, came = f"{features[key]['shape']} {dtype}", f"{value.shape} {value.dtype}"
             raise ContractError(expected(key, wanted, came, "Convert it before add()."))
         if value.dtype.kind == "f" and not np.isfinite(value).all():
-            raise ContractError(expected(key, "finite numbers", "NaN or inf", "Check where it comes from."))
+            raise ContractError(
+                expected(key, "finite numbers", "NaN or inf", "Check where it comes from.")
+            )

@@ -23,9 +23,11 @@ class FilmReference:
     read: int  # frames
     refused: dict[int, str]  # frame → why it couldn't be read
     why: str = ""  # why there is no reference; empty where there is one
-    of: str = ""  # film that the reference is a frame of: another one than ``film`` where it is borrowed
+    # film that the reference is a frame of: another one than ``film`` where it is borrowed
+    of: str = ""
     frame: int = -1  # in that film, from 0
-    off_px: float = 0.0  # rms over markers, from the frame that most objects of the pad share; 0 for that frame itself
+    # rms over markers, from the frame that most objects of the pad share; 0 for that frame itself
+    off_px: float = 0.0
     pad: int = -1  # which of the session's
 
     @property
@@ -47,7 +49,9 @@ def film_references(folder: str | Path, sensor: str, borrow: bool = False) -> li
     frames of another size than most, says so in ``why``.
     """
     if get_sensor(sensor).signal != "camera":
-        raise ContractError(expected("sensor", "a camera sensor", sensor, "Counts of taxels are not filmed."))
+        raise ContractError(
+            expected("sensor", "a camera sensor", sensor, "Counts of taxels are not filmed.")
+        )
     root = existing_folder(folder)
     found: dict[Path, FilmReference] = {}
     markers: dict[Path, FilmMarkers] = {}
@@ -58,7 +62,9 @@ def film_references(folder: str | Path, sensor: str, borrow: bool = False) -> li
         except UniForceError as error:
             found[path] = FilmReference(name, held, 0, {}, why=str(error))
             continue
-        found[path] = FilmReference(name, held, len(seen.numbers), seen.refused, why=_unread(name, seen))
+        found[path] = FilmReference(
+            name, held, len(seen.numbers), seen.refused, why=_unread(name, seen)
+        )
         if seen.numbers:
             markers[path] = seen
     session = _of_one_size(found, markers)
@@ -84,12 +90,17 @@ def _of_one_size(found: dict[Path, FilmReference], markers: dict[Path, FilmMarke
     for path, seen in markers.items():
         if seen.shape != usual:
             do = "Films of another camera setting are another session: put them in a folder of their own."
-            found[path] = replace(found[path], why=expected(found[path].film, usual, seen.shape, do))
+            found[path] = replace(
+                found[path], why=expected(found[path].film, usual, seen.shape, do)
+            )
     return [path for path, seen in markers.items() if seen.shape == usual]
 
 
 def _place(
-    found: dict[Path, FilmReference], session: list[Path], markers: dict[Path, FilmMarkers], borrow: bool
+    found: dict[Path, FilmReference],
+    session: list[Path],
+    markers: dict[Path, FilmMarkers],
+    borrow: bool,
 ) -> None:
     """Put the references of a session's films in."""
     films = [Film(found[path].held, markers[path].centres_px) for path in session]
@@ -105,12 +116,19 @@ def _place(
             continue
         source = session[reference.film]
         frame = markers[source].numbers[reference.frame]
-        found[path] = replace(own, of=found[source].film, frame=frame, off_px=reference.off_px, pad=reference.pad)
+        found[path] = replace(
+            own, of=found[source].film, frame=frame, off_px=reference.off_px, pad=reference.pad
+        )
 
 
 def _missing(name: str, pad: int | None) -> str:
     if pad is None:
         wanted = f"a free frame, in which {FEWEST_OBJECTS} objects show the same markers"
-        return expected(name, wanted, "none", "Begin each film in free air, and film more objects with this pad.")
+        return expected(
+            name,
+            wanted,
+            "none",
+            "Begin each film in free air, and film more objects with this pad.",
+        )
     do = "It shows contact only: begin in free air, or borrow=true takes another film's."
     return expected(name, f"a free frame of pad {pad}", "none", do)

@@ -9,12 +9,21 @@ from typing import Literal, get_args
 from uniforce_datasets.dataset_info import INFO, is_foreign
 from uniforce_datasets.staging import COMMIT, STAGING
 from uniforce_vtla.errors import DatasetError, expected, require_one_of
-from uniforce_vtla.file_hashes import HASHES, Entries, Entry, differences, hash_files, read_hashes, store_hashes
+from uniforce_vtla.file_hashes import (
+    HASHES,
+    Entries,
+    Entry,
+    differences,
+    hash_files,
+    read_hashes,
+    store_hashes,
+)
 from uniforce_vtla.keys import VIEW_MARKER
 
 logger = logging.getLogger(__name__)
 Verify = Literal["full", "quick", "off"]
-PARTS = ("data", "videos", "raw", "cards", "meta")  # folders of a dataset; whatever else lies there isn't its
+# folders of a dataset; whatever else lies there isn't its
+PARTS = ("data", "videos", "raw", "cards", "meta")
 LOOKS = 5  # at files that a recorder moved in since the look before
 VIDEO = ".mp4"  # quick compares the sizes of these only
 
@@ -28,8 +37,14 @@ def check_verify(verify: str) -> Verify:
 def files_of(root: Path) -> list[str]:
     """Return the files that count as a dataset's or view's, relative to its folder; not a system's own."""
     parts = (".",) if (root / VIEW_MARKER).is_file() else PARTS
-    walked = (Path(folder, name) for part in parts for folder, _, names in os.walk(root / part) for name in names)
-    paths = [path.relative_to(root) for path in walked if path.is_file()]  # rglob fails where a recorder drops a folder
+    walked = (
+        Path(folder, name)
+        for part in parts
+        for folder, _, names in os.walk(root / part)
+        for name in names
+    )
+    # rglob fails where a recorder drops a folder
+    paths = [path.relative_to(root) for path in walked if path.is_file()]
     names = [str(path) for path in paths if not any(map(is_foreign, path.parts))]
     return [name for name in names if name != HASHES]
 
@@ -56,7 +71,8 @@ def stage_hashes(root: Path, episode: int | None = None) -> None:
     if known is None and (root / INFO).exists():
         return
     staged = root / STAGING
-    names = files_of(staged)  # info, statistics and tasks, in meta/ itself, are rewritten with every episode
+    # info, statistics and tasks, in meta/ itself, are rewritten with every episode
+    names = files_of(staged)
     episodes = {name: episode for name in names if Path(name).parent != INFO.parent}
     store_hashes(staged, (known or {}) | _with_episodes(hash_files(staged, names), episodes))
 
@@ -76,7 +92,9 @@ def check_hashes(root: Path, verify: Verify = "full") -> None:
     if verify == "off":
         return
     if not any((folder / HASHES).exists() for folder in (root, root / COMMIT)):
-        logger.warning("%s", expected(str(root / HASHES), "hashes of its files", "none", _what_to_do(root)))
+        logger.warning(
+            "%s", expected(str(root / HASHES), "hashes of its files", "none", _what_to_do(root))
+        )
         return
     saved, doubted = _saved(root), None
     for _ in range(LOOKS):
@@ -97,16 +115,23 @@ def _saved(root: Path) -> tuple[dict[str, list[Entry]], dict[str, Path]]:
     stored = [read_hashes(folder, DatasetError) or {} for folder in (root, root / COMMIT)]
     names = {name: None for entries in stored for name in entries}
     wanted = {name: [entries[name] for entries in stored if name in entries] for name in names}
-    return wanted, {name: folder / name for folder in (root / COMMIT, root) for name in files_of(folder)}
+    return wanted, {
+        name: folder / name for folder in (root / COMMIT, root) for name in files_of(folder)
+    }
 
 
 def _wrong(
-    wanted: Mapping[str, list[Entry]], found: Mapping[str, Path], verify: Verify, doubted: set[str] | None
+    wanted: Mapping[str, list[Entry]],
+    found: Mapping[str, Path],
+    verify: Verify,
+    doubted: set[str] | None,
 ) -> dict[str, str]:
     """Return by name what is not as it was saved, and what it is instead; ``doubted``: only these are looked at."""
     strange = {name: "one that was never saved here" for name in found if name not in wanted}
     is_video = (lambda path: path.suffix == VIDEO) if verify == "quick" else None
-    asked = {name: entries for name, entries in wanted.items() if doubted is None or name in doubted}
+    asked = {
+        name: entries for name, entries in wanted.items() if doubted is None or name in doubted
+    }
     return strange | dict(differences(asked, found, is_video))
 
 

@@ -37,9 +37,13 @@ def open_dataset(
     for file in source.root.rglob("*.parquet"):
         if is_foreign(file.name):
             raise DatasetError(
-                expected(str(file), "none, LeRobot opens it as a table", "a system's file", "Delete it.")
+                expected(
+                    str(file), "none, LeRobot opens it as a table", "a system's file", "Delete it."
+                )
             )
-    return LeRobotDataset(repo_id, **({"root": source.root, "revision": LOCAL, "video_backend": "pyav"} | options))
+    return LeRobotDataset(
+        repo_id, **({"root": source.root, "revision": LOCAL, "video_backend": "pyav"} | options)
+    )
 
 
 def check_dataset(root: str | Path, verify: str = "quick", within: Path | None = None) -> Source:
@@ -107,4 +111,8 @@ def _episodes(source: Source) -> dict[str, int]:
         users[file] = set(read_table(file, ["episode_index"])["episode_index"].to_pylist())
     for file in (file for part in NUMBERED for file in (source.root / part).rglob(f"{STEM}*")):
         users[file] = {int(word) for word in [file.stem.removeprefix(STEM)] if word.isdecimal()}
-    return {str(file.relative_to(source.root)): max(found) for file, found in users.items() if len(found) == 1}
+    return {
+        str(file.relative_to(source.root)): max(found)
+        for file, found in users.items()
+        if len(found) == 1
+    }

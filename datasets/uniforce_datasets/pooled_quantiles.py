@@ -33,7 +33,9 @@ def pooled_stats(values: np.ndarray) -> dict[str, np.ndarray]:
         "count": np.array([len(values)]),
     }
     quantiles = np.quantile(values, QUANTILES, axis=0)
-    return stats | {f"q{round(q * 100):02d}": row for q, row in zip(QUANTILES, quantiles, strict=True)}
+    return stats | {
+        f"q{round(q * 100):02d}": row for q, row in zip(QUANTILES, quantiles, strict=True)
+    }
 
 
 def write_pooled_stats(root: str | Path) -> None:

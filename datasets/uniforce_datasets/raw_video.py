@@ -32,7 +32,9 @@ class RawVideo:
         encoder: shared by all fingers.
     """
 
-    def __init__(self, staged: Path, shapes: Mapping[Finger, tuple[int, ...]], encoder: PerKeyEncoder) -> None:
+    def __init__(
+        self, staged: Path, shapes: Mapping[Finger, tuple[int, ...]], encoder: PerKeyEncoder
+    ) -> None:
         self._staged, self._shapes, self._encoder = staged, dict(shapes), encoder
         self._begun = False
 
@@ -48,7 +50,9 @@ class RawVideo:
             do = "Announce every raw stream when the recorder is made."
             raise ContractError(expected("raw tactile frames", self._shapes, shapes, do))
         if self._shapes and not self._begun:
-            self._encoder.start_episode([tactile_name(finger) for finger in self._shapes], self._staged)
+            self._encoder.start_episode(
+                [tactile_name(finger) for finger in self._shapes], self._staged
+            )
             self._begun = True
         for finger, frame in frames.items():
             self._encoder.feed_frame(tactile_name(finger), frame)

@@ -34,8 +34,23 @@ from uniforce_datasets.staged_writer import open_writer
 from uniforce_datasets.staging import STAGING, claim, commit, lock, recover
 from uniforce_datasets.video_encoder import PerKeyEncoder, codec_of
 from uniforce_vtla.contracts import FINGERS, Finger
-from uniforce_vtla.errors import DatasetError, DroppedFrameError, expected, not_stored, require_one_of
-from uniforce_vtla.keys import ABORT_CAUSES, CAUSE, OUTCOME, OUTCOME_NAMES, SEED, SUCCESS, TACTILE_KEYS, sensor_key
+from uniforce_vtla.errors import (
+    DatasetError,
+    DroppedFrameError,
+    expected,
+    not_stored,
+    require_one_of,
+)
+from uniforce_vtla.keys import (
+    ABORT_CAUSES,
+    CAUSE,
+    OUTCOME,
+    OUTCOME_NAMES,
+    SEED,
+    SUCCESS,
+    TACTILE_KEYS,
+    sensor_key,
+)
 
 MIN_FRAMES = 2  # LeRobot computes no video statistics for fewer
 AT_THE_END = (SUCCESS, OUTCOME, SEED, CAUSE)  # columns known only when the episode is over
@@ -81,7 +96,8 @@ class EpisodeRecorder:
         lock_wait_s: float = 0.0,
         features: dict[str, dict] | None = None,
     ) -> None:
-        disable_progress_bars()  # LeRobot's own, one per saved episode: they tear other lines, and fail with stderr
+        # LeRobot's own, one per saved episode: they tear other lines, and fail with stderr
+        disable_progress_bars()
         self.root = claim(root)
         self._repo_id, self._fps = repo_id, fps
         self._realtime, self._queue_frames = realtime, queue_frames
@@ -124,7 +140,9 @@ class EpisodeRecorder:
         """Frames waiting in the current episode."""
         return 0 if self._writer is None else self._writer.episode_buffer["size"]
 
-    def add(self, frame: Mapping[str, Any], task: str, raw: Mapping[Finger, np.ndarray] | None = None) -> None:
+    def add(
+        self, frame: Mapping[str, Any], task: str, raw: Mapping[Finger, np.ndarray] | None = None
+    ) -> None:
         """Append one observation and the action commanded at it; every array is copied.
 
         Args:
@@ -172,7 +190,9 @@ class EpisodeRecorder:
         writer, frames, episode = self._writer, self.num_frames, self.num_episodes
         if writer is None or frames < MIN_FRAMES:
             self.discard()
-            raise DatasetError(expected("episode", f"≥ {MIN_FRAMES} frames", frames, "Record longer."))
+            raise DatasetError(
+                expected("episode", f"≥ {MIN_FRAMES} frames", frames, "Record longer.")
+            )
         self._refuse_dropped()
         ends = (float(success), OUTCOME_NAMES.index(outcome), seed, ABORT_CAUSES.index(cause))
         self._write_at_the_end(writer, dict(zip(AT_THE_END, ends, strict=True)))
@@ -226,28 +246,38 @@ class EpisodeRecorder:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.close()
 
     def _open(self) -> DatasetWriter:
         """Finish an interrupted save; return a LeRobot writer whose files all go to the staging folder."""
         recover(self.root)
-        writer = open_writer(self.root, self._repo_id, self._fps, self._features, self._queue_frames, self._realtime)
+        writer = open_writer(
+            self.root, self._repo_id, self._fps, self._features, self._queue_frames, self._realtime
+        )
         refuse_other_features(writer._meta, self._fps, self._features)
         encoder = PerKeyEncoder(self._fps, self._queue_frames, self._realtime)
         self._raw = RawVideo(self.root / STAGING, self._raw_shapes, encoder)
-        self._ends: dict[str, tuple[np.ndarray, ...]] = {}  # first and last marker images of the episode
+        # first and last marker images of the episode
+        self._ends: dict[str, tuple[np.ndarray, ...]] = {}
         self._stored = writer._meta.total_episodes, int(writer._meta.total_frames)
         self._writer = writer
         return writer
 
     def _refuse_dropped(self) -> None:
-        dropped = self._raw.dropped | (self._writer._streaming_encoder.dropped if self._writer else {})
+        dropped = self._raw.dropped | (
+            self._writer._streaming_encoder.dropped if self._writer else {}
+        )
         if dropped:
             self.discard()
             do = "Episode discarded; record it again."
-            raise DroppedFrameError(expected("video", "every frame stored", f"{dropped} dropped", do))
+            raise DroppedFrameError(
+                expected("video", "every frame stored", f"{dropped} dropped", do)
+            )
 
     def _write_at_the_end(self, writer: DatasetWriter, ends: Mapping[str, float]) -> None:
         buffer = writer.episode_buffer

@@ -52,9 +52,13 @@ def stored_settings(root: Path) -> list[dict[str, Any]]:
         return []
     stretches = read_object(root / RIG, DatasetError).get("stretches")
     entries: list[Any] = stretches if isinstance(stretches, list) else [None]
-    if all(isinstance(entry, dict) and isinstance(entry.get("settings"), dict) for entry in entries):
+    if all(
+        isinstance(entry, dict) and isinstance(entry.get("settings"), dict) for entry in entries
+    ):
         return entries
-    raise DatasetError(expected(str(root / RIG), "settings of a rig", "something else", "Restore it from a copy."))
+    raise DatasetError(
+        expected(str(root / RIG), "settings of a rig", "something else", "Restore it from a copy.")
+    )
 
 
 def agreed_changes(root: Path, settings: Settings, accept: bool) -> dict[str, tuple[Any, Any]]:
@@ -72,7 +76,9 @@ def agreed_changes(root: Path, settings: Settings, accept: bool) -> dict[str, tu
     if changes and not accept:
         came = ", ".join(f"{name} {before!r} → {now!r}" for name, (before, now) in changes.items())
         do = "Put them back, record into another root, or go on with settings_changed=accept."
-        raise ContractError(expected("settings", "those that this dataset was recorded with", came, do))
+        raise ContractError(
+            expected("settings", "those that this dataset was recorded with", came, do)
+        )
     return changes
 
 

@@ -17,7 +17,8 @@ from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.keys import tactile_key
 from uniforce_vtla.options import absolute
 
-BROKEN_VIDEO = (av.error.FFmpegError, OSError, IndexError, ValueError)  # the last: metadata that is no text, no codec
+# the last: metadata that is no text, no codec
+BROKEN_VIDEO = (av.error.FFmpegError, OSError, IndexError, ValueError)
 MAX_PIXELS = 4096 * 2304  # of a frame; a damaged header may announce gigabytes
 LONGEST_VIDEO_S = 1e6  # eleven days; a start beyond is no number anybody wrote on purpose
 
@@ -74,9 +75,14 @@ class Source:
         columns = read_columns(self.root, ("index", *keys))
         order = np.argsort(columns["index"], kind="stable")
         order = order[columns["index"][order] < self.num_frames]
-        if len(order) != self.num_frames or (columns["index"][order] != np.arange(self.num_frames)).any():
+        if (
+            len(order) != self.num_frames
+            or (columns["index"][order] != np.arange(self.num_frames)).any()
+        ):
             do = "Files are missing."
-            raise DatasetError(expected(str(self.root / "data"), f"{self.num_frames} frames", len(order), do))
+            raise DatasetError(
+                expected(str(self.root / "data"), f"{self.num_frames} frames", len(order), do)
+            )
         return {key: columns[key][order] for key in keys}
 
 
@@ -92,7 +98,11 @@ def read_source(root: str | Path, within: Path | None = None) -> Source:
 
 def _episodes(root: Path, info: dict[str, Any]) -> tuple[Episode, ...]:
     keys = videos(info)
-    spans = [f"videos/{k}/{part}" for k in keys for part in ("chunk_index", "file_index", "from_timestamp")]
+    spans = [
+        f"videos/{k}/{part}"
+        for k in keys
+        for part in ("chunk_index", "file_index", "from_timestamp")
+    ]
     columns = ["episode_index", "dataset_from_index", "length", "tasks", *spans]
     files = parquet_files(root / "meta" / "episodes")
     rows = [row for file in files for row in read_table(file, columns).to_pylist()]
@@ -101,10 +111,15 @@ def _episodes(root: Path, info: dict[str, Any]) -> tuple[Episode, ...]:
         _check_row(where, row, keys)
     rows = sorted(rows, key=lambda row: row["episode_index"])[:total]
     starts = list(itertools.accumulate((row["length"] for row in rows), initial=0))
-    in_order = all(row["episode_index"] == i and row["dataset_from_index"] == starts[i] for i, row in enumerate(rows))
+    in_order = all(
+        row["episode_index"] == i and row["dataset_from_index"] == starts[i]
+        for i, row in enumerate(rows)
+    )
     if len(rows) != total or not in_order or starts[-1] != info["total_frames"]:
         wanted = f"{total} episodes of {info['total_frames']} frames, one after another"
-        raise DatasetError(expected(where, wanted, f"{len(rows)} of {starts[-1]}", "Files are missing."))
+        raise DatasetError(
+            expected(where, wanted, f"{len(rows)} of {starts[-1]}", "Files are missing.")
+        )
     return tuple(_episode(root, info, row, keys) for row in rows)
 
 
@@ -115,10 +130,14 @@ def _check_row(where: str, row: dict[str, Any], keys: list[str]) -> None:
     seconds = [row[f"videos/{key}/from_timestamp"] for key in keys]
     timed = all(type(value) is float and 0 <= value < LONGEST_VIDEO_S for value in seconds)
     tasks = row["tasks"]
-    worded = isinstance(tasks, str) or (isinstance(tasks, list) and tasks and isinstance(tasks[0], str))
+    worded = isinstance(tasks, str) or (
+        isinstance(tasks, list) and tasks and isinstance(tasks[0], str)
+    )
     if not (whole and timed and worded):
         came = repr({name: row[name] for name in counts[:3]} | {"tasks": tasks})[:200]
-        raise DatasetError(expected(where, "counts, seconds and a task", came, "Restore it from a copy."))
+        raise DatasetError(
+            expected(where, "counts, seconds and a task", came, "Restore it from a copy.")
+        )
 
 
 def _episode(root: Path, info: dict[str, Any], row: dict[str, Any], keys: list[str]) -> Episode:
@@ -139,14 +158,18 @@ def read_columns(root: Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
     """
     files = parquet_files(root / "data")
     if not files:
-        raise DatasetError(expected(str(root), "data/**/*.parquet", "none", "Record episodes first."))
+        raise DatasetError(
+            expected(str(root), "data/**/*.parquet", "none", "Record episodes first.")
+        )
     tables = {file: read_table(file, list(keys)) for file in files}
     return {key: _joined(root / "data", key, tables) for key in keys}
 
 
 def _joined(data: Path, key: str, tables: dict[Path, pa.Table]) -> np.ndarray:
     """Join a column's numbers: as arrays, since LeRobot's tools store the same rows as another Arrow type."""
-    parts = [_as_array(str(file), key, table[key].combine_chunks()) for file, table in tables.items()]
+    parts = [
+        _as_array(str(file), key, table[key].combine_chunks()) for file, table in tables.items()
+    ]
     kinds = {f"{part.dtype}{list(part.shape[1:])}" for part in parts}
     if len(kinds) > 1:
         do = "Files of different recordings lie together."
@@ -163,7 +186,9 @@ def _as_array(where: str, key: str, column: pa.Array) -> np.ndarray:
     ragged = values is not column and (not rows or len(flat) % rows)
     if column.null_count or ragged or flat.dtype.kind not in "biuf":
         came = f"{column.type} with {column.null_count} missing"
-        raise DatasetError(expected(f"{key} in {where}", "rows of numbers", came, "Restore it from a copy."))
+        raise DatasetError(
+            expected(f"{key} in {where}", "rows of numbers", came, "Restore it from a copy.")
+        )
     return flat if values is column else flat.reshape(rows, -1)
 
 
@@ -172,7 +197,9 @@ def read_table(file: Path, keys: list[str]) -> pa.Table:
     try:
         return pq.ParquetFile(file).read(columns=keys).select(keys).replace_schema_metadata(None)
     except KeyError as error:
-        raise DatasetError(expected(str(file), f"columns {keys}", error, "Record it with this version.")) from error
+        raise DatasetError(
+            expected(str(file), f"columns {keys}", error, "Record it with this version.")
+        ) from error
     except (pa.ArrowException, OSError, ValueError) as error:
         do = "It is truncated: restore it from a copy."
         raise DatasetError(expected(str(file), "a whole parquet file", error, do)) from error

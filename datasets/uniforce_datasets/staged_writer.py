@@ -17,7 +17,8 @@ from uniforce_datasets.staging import STAGING
 from uniforce_datasets.video_encoder import PerKeyEncoder, camera_codec
 from uniforce_vtla.errors import DatasetError, expected
 
-LOCAL = "local"  # a revision that is no version number: LeRobot then doesn't look for one on the hub
+# a revision that is no version number: LeRobot then doesn't look for one on the hub
+LOCAL = "local"
 PLACES = ("chunk_index", "file_index")
 
 
@@ -26,7 +27,9 @@ class StagedMetadata(LeRobotDatasetMetadata):
 
     def _load_metadata(self) -> None:
         if not (self.root / "meta" / "info.json").is_file():  # never ask the hub instead
-            raise DatasetError(expected(str(self.root), "meta/info.json", "none", "Give a dataset's folder."))
+            raise DatasetError(
+                expected(str(self.root), "meta/info.json", "none", "Give a dataset's folder.")
+            )
         try:
             self.info = load_info(self.root)
             self.tasks = load_tasks(self.root) if self.total_tasks else None
@@ -35,7 +38,9 @@ class StagedMetadata(LeRobotDatasetMetadata):
         except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
             do = "Restore it from a copy, or record into a new folder."
             came = f"{type(error).__name__}: {error}"
-            raise DatasetError(expected(f"{self.root}/meta", "a dataset's metadata", came, do)) from error
+            raise DatasetError(
+                expected(f"{self.root}/meta", "a dataset's metadata", came, do)
+            ) from error
 
 
 def _last_row(root: Path, video_keys: list[str]) -> dict[str, Any]:
@@ -43,7 +48,11 @@ def _last_row(root: Path, video_keys: list[str]) -> dict[str, Any]:
     prefixes = ["data", "meta/episodes", *(f"videos/{key}" for key in video_keys)]
     columns = [f"{prefix}/{place}" for prefix in prefixes for place in PLACES]
     file = parquet_files(root / "meta" / "episodes")[-1]
-    rows = pq.ParquetFile(file).read(columns=["episode_index", "dataset_to_index", *columns]).to_pylist()
+    rows = (
+        pq.ParquetFile(file)
+        .read(columns=["episode_index", "dataset_to_index", *columns])
+        .to_pylist()
+    )
     return max(rows, key=lambda row: row["episode_index"])
 
 

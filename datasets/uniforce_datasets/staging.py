@@ -20,11 +20,19 @@ from uniforce_vtla.errors import DatasetError, expected, not_stored
 from uniforce_vtla.file_hashes import HASHES
 from uniforce_vtla.options import absolute
 
-UNSYNCED = (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS)  # of file systems that can't, e.g. for a folder on a network
+# of file systems that can't, e.g. for a folder on a network
+UNSYNCED = (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS)
 STAGING, COMMIT = ".staging", ".commit"
 ORDER = (
     *("data", "videos", "raw", "cards"),
-    *("meta/episodes", "meta/tasks.parquet", "meta/stats.json", "meta/rig.json", "meta/info.json", HASHES),
+    *(
+        "meta/episodes",
+        "meta/tasks.parquet",
+        "meta/stats.json",
+        "meta/rig.json",
+        "meta/info.json",
+        HASHES,
+    ),
 )
 
 
@@ -44,7 +52,11 @@ def claim(root: str | Path) -> Path:
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
         raise not_stored(f"root={root}", "a folder to write to", error, do) from error
     if foreign and not any((folder / name).exists() for name in (COMMIT, "meta/info.json")):
-        raise DatasetError(expected(str(folder), "an empty folder or a dataset", foreign[:3], "Choose another root."))
+        raise DatasetError(
+            expected(
+                str(folder), "an empty folder or a dataset", foreign[:3], "Choose another root."
+            )
+        )
     return folder
 
 
@@ -58,9 +70,14 @@ def lock(root: Path, wait_s: float) -> FileLock:
         held.acquire(timeout=wait_s)
     except Timeout as error:
         do = "Wait, or use another root."
-        raise DatasetError(expected(str(root), "one recorder at a time", "another one", do)) from error
-    except (OSError, NotImplementedError) as error:  # another user's file, a file system without locks
-        raise not_stored(str(held.lock_file), "a file that can be locked", error, "Use another root.") from error
+        raise DatasetError(
+            expected(str(root), "one recorder at a time", "another one", do)
+        ) from error
+    # another user's file, a file system without locks
+    except (OSError, NotImplementedError) as error:
+        raise not_stored(
+            str(held.lock_file), "a file that can be locked", error, "Use another root."
+        ) from error
     return held
 
 
@@ -95,7 +112,9 @@ def _move_in(root: Path) -> None:
     staged = root / COMMIT
     for part in ORDER:
         source = staged / part
-        for file in [source] if source.is_file() else sorted(p for p in source.rglob("*") if p.is_file()):
+        for file in (
+            [source] if source.is_file() else sorted(p for p in source.rglob("*") if p.is_file())
+        ):
             target = root / file.relative_to(staged)
             target.parent.mkdir(parents=True, exist_ok=True)
             os.replace(file, target)

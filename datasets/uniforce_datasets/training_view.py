@@ -30,7 +30,11 @@ logger = logging.getLogger(__name__)
 LOCAL_NAMES = "local/"  # begin of repo ids of datasets that never were on the hub
 SNAPSHOTS = "snapshots"  # of the hub's cache: links into the folder beside it
 TOUCH = ("latent", "wrench", "descriptor", "marker_pair", "none")
-STREAM_KEYS = {"latent": keys.latent_key, "descriptor": keys.descriptor_key, "marker_pair": keys.marker_pair_key}
+STREAM_KEYS = {
+    "latent": keys.latent_key,
+    "descriptor": keys.descriptor_key,
+    "marker_pair": keys.marker_pair_key,
+}
 
 
 @dataclass(frozen=True)
@@ -94,10 +98,13 @@ class TrainingView(Dataset):
         self._deltas = np.asarray(action_deltas, dtype=np.int64)
         self._touch = self._touch_columns(self.marker["slots"] if slots is None else slots, touch)
         self.episodes = None if episodes is None else list(episodes)
-        self.absolute_to_relative_idx = None  # samples are addressed by their index in the whole view
+        # samples are addressed by their index in the whole view
+        self.absolute_to_relative_idx = None
         self._transform = image_transforms
         self._tasks = [episode["task"] for episode in self.marker["episodes"]]
-        self._starts = np.concatenate([[0], np.cumsum([e["length"] for e in self.marker["episodes"]])])
+        self._starts = np.concatenate(
+            [[0], np.cumsum([e["length"] for e in self.marker["episodes"]])]
+        )
         self._task_names = sorted(set(self._tasks))
         _ = self._arrays
         self.meta = self._metadata()
@@ -127,11 +134,17 @@ class TrainingView(Dataset):
         """Return one sample as LeRobotDataset would, images as uint8."""
         episode = int(np.searchsorted(self._starts, index, side="right")) - 1
         start, end = self._starts[episode], self._starts[episode + 1]
-        sample: dict[str, Any] = {keys.camera_key(camera): self._image(camera, index) for camera in keys.CAMERAS}
+        sample: dict[str, Any] = {
+            keys.camera_key(camera): self._image(camera, index) for camera in keys.CAMERAS
+        }
         sample[keys.STATE] = torch.from_numpy(self._arrays[keys.STATE][index].copy())
         wanted = index + self._deltas  # (T,)
-        sample[keys.ACTION] = torch.from_numpy(self._arrays[keys.ACTION][wanted.clip(start, end - 1)])  # (T, 5)
-        sample[f"{keys.ACTION}_is_pad"] = torch.from_numpy((wanted < start) | (wanted >= end))  # (T,)
+        # (T, 5)
+        sample[keys.ACTION] = torch.from_numpy(
+            self._arrays[keys.ACTION][wanted.clip(start, end - 1)]
+        )
+        # (T,)
+        sample[f"{keys.ACTION}_is_pad"] = torch.from_numpy((wanted < start) | (wanted >= end))
         for key, name in self._touch.items():
             sample[key] = torch.from_numpy(self._arrays[name][index].copy())
         return sample | self._place(index, episode, int(index - start))
@@ -155,7 +168,9 @@ class TrainingView(Dataset):
         """Images stay on disk, mapped; numbers are read."""
         names = (*keys.CAMERAS, keys.STATE, keys.ACTION, *self._touch.values())
         files = {name: self.root / f"{name}.npy" for name in names}
-        arrays = {name: read_array(file, mapped=name in keys.CAMERAS) for name, file in files.items()}
+        arrays = {
+            name: read_array(file, mapped=name in keys.CAMERAS) for name, file in files.items()
+        }
         for name, array in arrays.items():
             _check_array(files[name], array, self.marker, picture=name in keys.CAMERAS)
         return arrays
@@ -171,15 +186,23 @@ class TrainingView(Dataset):
             raise DatasetError(expected(str(self.root), "the true wrench", "none", do))
         if touch in STREAM_KEYS:
             key = STREAM_KEYS[touch]
-            return {key(slot): touch_stream(touch, check_finger(finger)) for slot, finger in slots.items()}
+            return {
+                key(slot): touch_stream(touch, check_finger(finger))
+                for slot, finger in slots.items()
+            }
         if touch == "wrench":
-            return {keys.wrench_key(s): keys.truth_wrench_key(check_finger(finger)) for s, finger in slots.items()}
+            return {
+                keys.wrench_key(s): keys.truth_wrench_key(check_finger(finger))
+                for s, finger in slots.items()
+            }
         return {}
 
     def _metadata(self) -> ViewMetadata:
-        vectors = {keys.STATE: keys.STATE, keys.ACTION: keys.ACTION, **self._touch}  # feature key → array name
+        # feature key → array name
+        vectors = {keys.STATE: keys.STATE, keys.ACTION: keys.ACTION, **self._touch}
         used = self._used_frames()
-        vectors = {key: name for key, name in vectors.items() if self._arrays[name].ndim == 2}  # no pictures
+        # no pictures
+        vectors = {key: name for key, name in vectors.items() if self._arrays[name].ndim == 2}
         stats = {key: pooled_stats(self._arrays[name][used]) for key, name in vectors.items()}
         starts, ends = self._starts[:-1].tolist(), self._starts[1:].tolist()
         return ViewMetadata(
@@ -187,7 +210,11 @@ class TrainingView(Dataset):
             fps=self.marker["fps"],
             features=self._features(),
             stats=stats,
-            episodes={"dataset_from_index": starts, "dataset_to_index": ends, "tasks": [[t] for t in self._tasks]},
+            episodes={
+                "dataset_from_index": starts,
+                "dataset_to_index": ends,
+                "tasks": [[t] for t in self._tasks],
+            },
             sensors=self._sensors(),
             camera_keys=[keys.camera_key(camera) for camera in keys.CAMERAS],
             total_episodes=len(self._tasks),
@@ -208,7 +235,9 @@ class TrainingView(Dataset):
         """Return finger → kinds worn in the episodes sampled from."""
         facts = self.marker["episodes"]
         used = facts if self.episodes is None else [facts[number] for number in self.episodes]
-        return {finger: sorted({episode[f"{finger}_sensor"] for episode in used}) for finger in FINGERS}
+        return {
+            finger: sorted({episode[f"{finger}_sensor"] for episode in used}) for finger in FINGERS
+        }
 
     def _used_frames(self) -> np.ndarray:
         """(N,) bool: frames of the episodes sampled from."""
@@ -221,28 +250,54 @@ class TrainingView(Dataset):
 
     def _features(self) -> dict[str, dict]:
         side = self.marker["image_side"]
-        picture = {"dtype": "image", "shape": (side, side, 3), "names": ["height", "width", "channels"]}
-        features: dict[str, dict] = {keys.camera_key(camera): dict(picture) for camera in keys.CAMERAS}
+        picture = {
+            "dtype": "image",
+            "shape": (side, side, 3),
+            "names": ["height", "width", "channels"],
+        }
+        features: dict[str, dict] = {
+            keys.camera_key(camera): dict(picture) for camera in keys.CAMERAS
+        }
         features |= {key: vector_column(keys.AXES) for key in (keys.STATE, keys.ACTION)}
         for key, name in self._touch.items():
             size = self._arrays[name].shape[1]
             if self._arrays[name].ndim > 2:
                 shape = self._arrays[name].shape[1:]
-                features[key] = {"dtype": "uint8", "shape": shape, "names": ["pair", "height", "width"]}
+                features[key] = {
+                    "dtype": "uint8",
+                    "shape": shape,
+                    "names": ["pair", "height", "width"],
+                }
                 continue
-            features[key] = vector_column(WRENCH_AXES if size == len(WRENCH_AXES) else [f"z{i}" for i in range(size)])
+            features[key] = vector_column(
+                WRENCH_AXES if size == len(WRENCH_AXES) else [f"z{i}" for i in range(size)]
+            )
         return features
 
 
 def _check_array(file: Path, array: np.ndarray, marker: dict[str, Any], picture: bool) -> None:
     side = marker["image_side"]
-    fits = array.shape[1:] == (side, side, 3) if picture else array.ndim > 1 and array.dtype.kind in "fu"
-    if array.shape[:1] != (marker["num_frames"],) or not fits or (picture and array.dtype != np.uint8):
+    fits = (
+        array.shape[1:] == (side, side, 3)
+        if picture
+        else array.ndim > 1 and array.dtype.kind in "fu"
+    )
+    if (
+        array.shape[:1] != (marker["num_frames"],)
+        or not fits
+        or (picture and array.dtype != np.uint8)
+    ):
         came = f"{array.shape} {array.dtype}"
-        raise DatasetError(expected(str(file), f"{marker['num_frames']} frames of it", came, "Build the view again."))
+        raise DatasetError(
+            expected(
+                str(file), f"{marker['num_frames']} frames of it", came, "Build the view again."
+            )
+        )
 
 
-def make_training_dataset(cfg: Any, stock_make_dataset: Callable[[Any], Any], verify: str = "") -> Any:
+def make_training_dataset(
+    cfg: Any, stock_make_dataset: Callable[[Any], Any], verify: str = ""
+) -> Any:
     """Return a TrainingView where ``cfg.dataset.root`` is one, else what LeRobot itself makes.
 
     The policy's own settings choose the action frames, slots and touch input; a policy without touch slots gets
@@ -261,16 +316,22 @@ def make_training_dataset(cfg: Any, stock_make_dataset: Callable[[Any], Any], ve
         return _stock_dataset(cfg, stock_make_dataset, verify)
     policy = cfg.trainable_config
     if getattr(policy, "observation_delta_indices", None) is not None:
-        raise DatasetError(expected("policy", "single observations", "a history", "Train on the dataset itself."))
+        raise DatasetError(
+            expected("policy", "single observations", "a history", "Train on the dataset itself.")
+        )
     slots = {slot: policy.finger_by_slot()[slot] for slot in getattr(policy, "slots", ())}
     touch = policy.touch_in_view if slots else "none"
     marker = read_marker(Path(root))
     if touch == "latent" and policy.latent_grid != marker["latent_grid"]:
         do = f"Build the view with latent_grid={policy.latent_grid}."
-        raise DatasetError(expected("latent_grid of the view", policy.latent_grid, marker["latent_grid"], do))
+        raise DatasetError(
+            expected("latent_grid of the view", policy.latent_grid, marker["latent_grid"], do)
+        )
     deltas = policy.action_delta_indices
     deltas, transforms = (0,) if deltas is None else deltas, _transforms(cfg)
-    return TrainingView(root, deltas, slots, touch, cfg.dataset.episodes, transforms, verify or "quick")
+    return TrainingView(
+        root, deltas, slots, touch, cfg.dataset.episodes, transforms, verify or "quick"
+    )
 
 
 def _stock_dataset(cfg: Any, stock_make_dataset: Callable[[Any], Any], verify: str) -> Any:

@@ -86,7 +86,11 @@ class EncoderThread(_CameraEncoderThread):
         return stream
 
     def _picture(self, frame: np.ndarray, number: int) -> av.VideoFrame:
-        picture = self._unchanged(frame) if self.still else av.VideoFrame.from_ndarray(frame, format="rgb24")
+        picture = (
+            self._unchanged(frame)
+            if self.still
+            else av.VideoFrame.from_ndarray(frame, format="rgb24")
+        )
         picture.pts, picture.time_base = number, Fraction(1, self.fps)
         return picture
 
@@ -107,7 +111,8 @@ def _pixels(frame: np.ndarray) -> np.ndarray:
 PATIENCE_s = 60.0  # how long a simulation waits for a stuck encoder before it gives the episode up
 POLL_s = 0.002  # between looks at a full queue
 REFERENCE_KEYS = tuple(tactile_key(finger, reference=True) for finger in FINGERS)
-RAW_NAMES = tuple(tactile_name(finger) for finger in FINGERS)  # of raw streams: names, never LeRobot keys
+# of raw streams: names, never LeRobot keys
+RAW_NAMES = tuple(tactile_name(finger) for finger in FINGERS)
 
 
 def camera_codec() -> RGBEncoderConfig:
@@ -143,11 +148,15 @@ class PerKeyEncoder(StreamingVideoEncoder):
     """
 
     def __init__(self, fps: int, queue_frames: int, realtime: bool) -> None:
-        super().__init__(fps=fps, rgb_encoder=camera_codec(), queue_maxsize=queue_frames, encoder_threads=1)
+        super().__init__(
+            fps=fps, rgb_encoder=camera_codec(), queue_maxsize=queue_frames, encoder_threads=1
+        )
         self._realtime = realtime
         av.logging.set_libav_level(av.logging.ERROR)  # x264 prints a page per video otherwise
 
-    def start_episode(self, video_keys: list[str], temp_dir: Path, depth_video_keys: list[str] | None = None) -> None:
+    def start_episode(
+        self, video_keys: list[str], temp_dir: Path, depth_video_keys: list[str] | None = None
+    ) -> None:
         """Start one encoder per key, each with its own codec."""
         self.cancel_episode()
         self._dropped_frames.clear()
@@ -159,7 +168,9 @@ class PerKeyEncoder(StreamingVideoEncoder):
         frames: queue.Queue = queue.Queue(self.queue_maxsize)
         result: queue.Queue = queue.Queue(1)
         stop, path = threading.Event(), Path(tempfile.mkdtemp(dir=temp_dir)) / f"{key}.mp4"
-        thread = EncoderThread(path, self.fps, codec_of(key), frames, result, stop, encoder_threads=1)
+        thread = EncoderThread(
+            path, self.fps, codec_of(key), frames, result, stop, encoder_threads=1
+        )
         thread.still = key in REFERENCE_KEYS
         thread.start()
         self._frame_queues[key], self._result_queues[key] = frames, result
@@ -176,7 +187,9 @@ class PerKeyEncoder(StreamingVideoEncoder):
         while self._frame_queues[key].full() and self._threads[key].is_alive():
             if time.monotonic() > deadline:
                 do = "Free the machine."
-                raise DatasetError(expected(key, "a video encoder that moves", f"none in {PATIENCE_s} s", do))
+                raise DatasetError(
+                    expected(key, "a video encoder that moves", f"none in {PATIENCE_s} s", do)
+                )
             time.sleep(POLL_s)
 
     @property

@@ -22,7 +22,14 @@ from tqdm import tqdm
 
 from uniforce_datasets.hashes import check_hashes, write_hashes
 from uniforce_datasets.source import Episode, episode_frames
-from uniforce_datasets.view_plan import TOUCH_STREAMS, EpisodeFacts, ViewPlan, ViewSettings, plan_view, touch_stream
+from uniforce_datasets.view_plan import (
+    TOUCH_STREAMS,
+    EpisodeFacts,
+    ViewPlan,
+    ViewSettings,
+    plan_view,
+    touch_stream,
+)
 from uniforce_vtla.contracts import FINGERS, Finger, check_marker_image
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.keys import CAMERAS, VIEW_MARKER, camera_key, tactile_key
@@ -52,7 +59,11 @@ class PooledTokenizer:
     """
 
     def __init__(self, tokenizer: Tokenizer | str | Path | None, grid: int) -> None:
-        found = tokenizer if isinstance(tokenizer, Tokenizer) else Tokenizer.from_pretrained(tokenizer or None)
+        found = (
+            tokenizer
+            if isinstance(tokenizer, Tokenizer)
+            else Tokenizer.from_pretrained(tokenizer or None)
+        )
         self._tokenizer, self._grid, self.hash = found, grid, found.hash
 
     def __call__(self, reference: np.ndarray, current: np.ndarray, finger: Finger) -> np.ndarray:
@@ -121,7 +132,9 @@ def _same_view(out: Path, plan: ViewPlan) -> bool:
         same = json.loads(marker.read_text()) == json.loads(json.dumps(plan.marker))
         return same and _whole(out)
     if out.exists() and any(out.iterdir()):
-        raise DatasetError(expected(str(out), "no folder, or an older view", "other files", "Choose another out."))
+        raise DatasetError(
+            expected(str(out), "no folder, or an older view", "other files", "Choose another out.")
+        )
     return False
 
 
@@ -197,7 +210,8 @@ def _open(building: Path, name: str, frames: int, block: np.ndarray) -> np.ndarr
         array = np.lib.format.open_memmap(path, mode="r+")
     else:
         array = np.lib.format.open_memmap(path, mode="w+", dtype=block.dtype, shape=shape)
-    with path.open("rb+") as file:  # a full disk is an error now, and none when a page is written: that is a SIGBUS
+    # a full disk is an error now, and none when a page is written: that is a SIGBUS
+    with path.open("rb+") as file:
         os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
     return array
 
@@ -228,7 +242,9 @@ def _touch(job: _Job, finger: Finger) -> dict[str, np.ndarray]:
     current = episode_frames(spans[1], episode.length, job.fps)
     parts: dict[str, list[np.ndarray]] = {name: [] for name in TOUCH_STREAMS}
     for frames in batched(current, BATCH):
-        images = np.stack([check_marker_image(frame[..., 0], tactile_key(finger)) for frame in frames])
+        images = np.stack(
+            [check_marker_image(frame[..., 0], tactile_key(finger)) for frame in frames]
+        )
         parts["latent"].append(encoder(reference, images, finger).astype(np.float32))
         parts["descriptor"].append(descriptors(reference, images, finger))
         parts["marker_pair"].append(marker_pairs(reference, images, finger))

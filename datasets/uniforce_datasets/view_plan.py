@@ -22,7 +22,8 @@ from uniforce_vtla.json_file import read_object
 from uniforce_vtla.sensors import list_sensors
 
 FORMAT = 2  # of the view folder; a view of another format is built anew
-TOUCH_STREAMS = ("latent", "descriptor", "marker_pair")  # arrays per finger; the last two feed controls
+# arrays per finger; the last two feed controls
+TOUCH_STREAMS = ("latent", "descriptor", "marker_pair")
 
 
 def touch_stream(name: str, finger: Finger) -> str:
@@ -73,12 +74,16 @@ class ViewPlan:
     @property
     def starts(self) -> np.ndarray:
         """(E + 1,) first frame of each episode, and N."""
-        return np.concatenate([[0], np.cumsum([fact.length for fact in self.facts])]).astype(np.int64)
+        return np.concatenate([[0], np.cumsum([fact.length for fact in self.facts])]).astype(
+            np.int64
+        )
 
     @property
     def marker(self) -> dict[str, Any]:
         """Content of ``uniforce_view.json``."""
-        sensors = {f: sorted({getattr(fact, f"{f}_sensor") for fact in self.facts}) for f in FINGERS}
+        sensors = {
+            f: sorted({getattr(fact, f"{f}_sensor") for fact in self.facts}) for f in FINGERS
+        }
         return asdict(self.settings) | {
             "format": FORMAT,
             "fps": self.fps,
@@ -92,14 +97,19 @@ class ViewPlan:
 
     def _content(self) -> str:
         """Hash of settings, episodes and numbers: equal for a view that needs no rebuilding."""
-        digest = hashlib.sha256(json.dumps([asdict(self.settings), *map(asdict, self.facts)]).encode())
+        digest = hashlib.sha256(
+            json.dumps([asdict(self.settings), *map(asdict, self.facts)]).encode()
+        )
         for key in sorted(self.columns):
             digest.update(np.ascontiguousarray(self.columns[key]).tobytes())
         return digest.hexdigest()
 
 
 def plan_view(
-    roots: Sequence[str | Path], settings: ViewSettings, wanted: Callable[[EpisodeFacts], bool], verify: str = "quick"
+    roots: Sequence[str | Path],
+    settings: ViewSettings,
+    wanted: Callable[[EpisodeFacts], bool],
+    verify: str = "quick",
 ) -> ViewPlan:
     """Check the datasets and choose their episodes.
 
@@ -126,7 +136,9 @@ def _check_streams(source: Source, fps: int) -> None:
     missing = [key for key in needed if key not in source.features]
     if missing or source.fps != fps:
         came = f"{source.fps} Hz, without {missing}" if missing else f"{source.fps} Hz"
-        raise DatasetError(expected(str(source.root), f"{fps} Hz and {needed}", came, "Leave it out."))
+        raise DatasetError(
+            expected(str(source.root), f"{fps} Hz and {needed}", came, "Leave it out.")
+        )
 
 
 def episode_facts(source: Source) -> list[tuple[Episode, EpisodeFacts]]:
@@ -168,14 +180,18 @@ def read_marker(root: Path) -> dict[str, Any]:
     """
     file = root / keys.VIEW_MARKER
     if not file.is_file():
-        raise DatasetError(expected(str(root), keys.VIEW_MARKER, "none", "Build the view with uniforce view."))
+        raise DatasetError(
+            expected(str(root), keys.VIEW_MARKER, "none", "Build the view with uniforce view.")
+        )
     check_links(root, root)
     marker = read_object(file, DatasetError)
     arrays = (*keys.CAMERAS, keys.STATE, keys.ACTION, *TOUCH)
     missing = [name for name in arrays if not (root / f"{name}.npy").is_file()]
     if marker.get("format") != FORMAT or missing:
         came = f"format {marker.get('format')}, missing {missing}"
-        raise DatasetError(expected(str(root), f"a whole view of format {FORMAT}", came, "Build it again."))
+        raise DatasetError(
+            expected(str(root), f"a whole view of format {FORMAT}", came, "Build it again.")
+        )
     counted = all(type(marker.get(name)) is int and marker[name] > 0 for name in COUNTS)
     if not (counted and _described(marker) and _filled(marker)):
         raise DatasetError(expected(str(file), "the facts of a view", "others", "Build it again."))

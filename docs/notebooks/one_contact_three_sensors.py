@@ -44,7 +44,8 @@ np.set_printoptions(precision=2, suppress=True)
 # The same force goes deeper into a soft pad than into a stiff one.
 
 # %%
-FORCE_N = np.array([(0.75, -0.375, 2.0), (1.5, -0.75, 4.0), (2.25, -1.125, 6.0)], np.float32)  # (3, 3)
+# (3, 3)
+FORCE_N = np.array([(0.75, -0.375, 2.0), (1.5, -0.75, 4.0), (2.25, -1.125, 6.0)], np.float32)
 ball = np.repeat(gap_map("sphere", center_mm=(0.0, 0.0), angle_rad=0.0)[None], len(FORCE_N), axis=0)
 contact = ContactState(ball, FORCE_N, torsion_Nmm=np.zeros(len(FORCE_N), np.float32))
 simulators = {name: TactileSimulator(name) for name in ("gelsight", "tactip", "uskin")}
@@ -80,8 +81,12 @@ plt.show()
 
 # %%
 tokenizer = Tokenizer.from_pretrained()
-latents = {name: [tokenizer.encode(pair) for pair in shown] for name, shown in pairs.items()}  # (1, P, L) each
-change = {name: np.stack([(z - free)[0].numpy() for z in loaded]) for name, (free, *loaded) in latents.items()}
+# (1, P, L) each
+latents = {name: [tokenizer.encode(pair) for pair in shown] for name, shown in pairs.items()}
+change = {
+    name: np.stack([(z - free)[0].numpy() for z in loaded])
+    for name, (free, *loaded) in latents.items()
+}
 
 grid, numbers = tokenizer.config.grid, tokenizer.config.latent
 most = max(np.abs(z[-1]).max() for z in change.values())
@@ -89,7 +94,9 @@ figure, panels = plt.subplots(3, numbers, figsize=(10, 5.2), layout="constrained
 for line, (name, z) in zip(panels, change.items(), strict=True):
     line[0].set_ylabel(name)
     for number, panel in enumerate(line):
-        picture = panel.imshow(z[-1, :, number].reshape(grid, grid), cmap="RdBu_r", vmin=-most, vmax=most)
+        picture = panel.imshow(
+            z[-1, :, number].reshape(grid, grid), cmap="RdBu_r", vmin=-most, vmax=most
+        )
         panel.set(xticks=[], yticks=[], title=f"number {number}")
 figure.colorbar(picture, ax=panels, shrink=0.7, label="latent − free air")
 plt.show()
@@ -103,7 +110,9 @@ plt.show()
 def alike(one: np.ndarray, other: np.ndarray) -> tuple[float, float]:
     """Return the cosine between two changes of latents (P, L), and their distance over the length of the second."""
     length = np.linalg.norm(other)
-    return float((one * other).sum() / np.linalg.norm(one) / length), float(np.linalg.norm(one - other) / length)
+    return float((one * other).sum() / np.linalg.norm(one) / length), float(
+        np.linalg.norm(one - other) / length
+    )
 
 
 def compare(label: str, one: np.ndarray, other: np.ndarray) -> None:
@@ -129,16 +138,24 @@ compare("tactip, 2 N to 6 N", change["tactip"][0], change["tactip"][2])
 
 # %%
 head = ForceHead.from_pretrained("tactip")
-read_N = {name: np.concatenate([head(z).numpy() for z in loaded]) for name, (_, *loaded) in latents.items()}
+read_N = {
+    name: np.concatenate([head(z).numpy() for z in loaded])
+    for name, (_, *loaded) in latents.items()
+}
 print("fx, fy, fz in N".ljust(16) + "".join(f"{name:21}" for name in ("truth", *read_N)))
 for step in range(len(FORCE_N)):
-    cells = (",".join(f"{newton:6.2f}" for newton in forces_N[step]) for forces_N in (FORCE_N, *read_N.values()))
+    cells = (
+        ",".join(f"{newton:6.2f}" for newton in forces_N[step])
+        for forces_N in (FORCE_N, *read_N.values())
+    )
     print(" " * 15 + " ".join(cells))
 for name, forces_N in read_N.items():
     print(f"{name}: mean error {np.abs(forces_N - FORCE_N).mean(axis=0)} N")
 
 figure, panels = plt.subplots(1, 3, figsize=(10, 3.4), layout="constrained")
-for panel, axis, label in zip(panels, range(3), ("fx, right", "fy, down", "fz, compression"), strict=True):
+for panel, axis, label in zip(
+    panels, range(3), ("fx, right", "fy, down", "fz, compression"), strict=True
+):
     panel.plot(FORCE_N[:, 2], FORCE_N[:, axis], "k--", label="truth")
     for name, forces_N in read_N.items():
         panel.plot(FORCE_N[:, 2], forces_N[:, axis], "o-", label=name)
@@ -168,14 +185,18 @@ for right in ("tactip", "uskin"):
     result = rollouts[right].result
     reasons = "; ".join(result.reasons) or "none"
     ink, share = result.metrics["residual"], result.metrics.get("in_band_share", 0.0)
-    print(f"{right}: {result.outcome}, events: {reasons}; {ink:.0%} of the ink left, {share:.0%} wiped in the band")
+    print(
+        f"{right}: {result.outcome}, events: {reasons}; {ink:.0%} of the ink left, {share:.0%} wiped in the band"
+    )
 
 # %%
 SHOWN = 6
 figure, panels = plt.subplots(2, SHOWN, figsize=(12, 4.4), layout="constrained")
 for line, (right, rollout) in zip(panels, rollouts.items(), strict=True):
     line[0].set_ylabel(right)
-    for panel, number in zip(line, np.linspace(0, len(rollout.frames) - 1, SHOWN).astype(int), strict=True):
+    for panel, number in zip(
+        line, np.linspace(0, len(rollout.frames) - 1, SHOWN).astype(int), strict=True
+    ):
         panel.imshow(rollout.frames[number])
         at_s = number / len(rollout.frames) * rollout.trace.time_s[-1]
         panel.set(xticks=[], yticks=[], title=f"{at_s:.1f} s")
@@ -188,7 +209,10 @@ press.axhspan(low_N, high_N, color="tab:green", alpha=0.15, label="asked for")
 for right, rollout in rollouts.items():
     press.plot(rollout.trace.time_s, rollout.trace.press_N, label=right)
     ink.plot(rollout.trace.time_s, 100 * rollout.trace.residual, label=right)
-press.set(ylabel="press on the board [N]", title="the same scene, two sensors (true press of the simulator)")
+press.set(
+    ylabel="press on the board [N]",
+    title="the same scene, two sensors (true press of the simulator)",
+)
 ink.set(ylabel="ink left [%]", xlabel="time [s]")
 press.legend(loc="upper left")
 plt.show()

@@ -57,9 +57,9 @@ class AbortedEpisodes(gymnasium.Wrapper):
     def _as_drawn(self, seed: int | None) -> tuple[dict[str, Any], dict[str, Any]]:
         scene = self._scene
         left, right = (f"{scene.sensors[finger]}:drawing" for finger in ("left", "right"))
-        return WipeEnv(scene.level.name, left, right, scene.drawn, scene.expose_wrench, gripper=scene.gripper).reset(
-            seed=seed
-        )
+        return WipeEnv(
+            scene.level.name, left, right, scene.drawn, scene.expose_wrench, gripper=scene.gripper
+        ).reset(seed=seed)
 
 
 def make_scene(**settings: Any) -> AbortedEpisodes:

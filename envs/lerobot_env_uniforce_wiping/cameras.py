@@ -11,8 +11,10 @@ from lerobot_env_uniforce_wiping.scene_params import SceneParams
 from uniforce_vtla.keys import CAMERAS
 
 FOV_rad = {"front": 0.54, "wrist": 1.35}
-FRONT_m, FRONT_LOOK_m = np.array([1.15, -0.05, 0.44]), np.array([0.47, -0.045, 0.045])  # robot base frame
-WRIST_m, WRIST_LOOK_m = np.array([0.0, -0.095, 0.045]), np.array([0.0, -0.035, TCP_m + 0.045])  # hand frame
+# robot base frame
+FRONT_m, FRONT_LOOK_m = np.array([1.15, -0.05, 0.44]), np.array([0.47, -0.045, 0.045])
+# hand frame
+WRIST_m, WRIST_LOOK_m = np.array([0.0, -0.095, 0.045]), np.array([0.0, -0.035, TCP_m + 0.045])
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,9 @@ def rotation(turn_rad: tuple[float, ...]) -> np.ndarray:
     return matrix.reshape(3, 3)
 
 
-def _mounted(scene: SceneParams, index: int, position_m: np.ndarray, look_m: np.ndarray, up_z: float) -> Camera:
+def _mounted(
+    scene: SceneParams, index: int, position_m: np.ndarray, look_m: np.ndarray, up_z: float
+) -> Camera:
     shift = np.array(scene.camera_shift_m[index])
     pointing = look_at(position_m + shift, look_m + shift, np.array([0.0, 0.0, up_z]))
     focal = CAMERA_PX / 2 / float(np.tan(FOV_rad[CAMERAS[index]] / 2))
@@ -68,4 +72,6 @@ def wrist_camera(scene: SceneParams) -> Camera:
 
 def carried(camera: Camera, body_m: np.ndarray, body_axes: np.ndarray) -> Camera:
     """Return a camera given in a body's frame in the world frame, for the body's pose."""
-    return Camera(body_m + body_axes @ camera.position_m, camera.rotation @ body_axes.T, camera.focal_px)
+    return Camera(
+        body_m + body_axes @ camera.position_m, camera.rotation @ body_axes.T, camera.focal_px
+    )

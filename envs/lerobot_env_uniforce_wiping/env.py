@@ -42,7 +42,10 @@ class WipeEnv(gymnasium.Env):
         gripper: what moves the fingers: "servo", the level's own, or "hand", under the rules of the robot's hand.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": int(CONTROL_HZ)}
+    metadata: ClassVar[dict[str, Any]] = {
+        "render_modes": ["rgb_array"],
+        "render_fps": int(CONTROL_HZ),
+    }
 
     def __init__(
         self,
@@ -75,7 +78,11 @@ class WipeEnv(gymnasium.Env):
             return spaces.Box(0, 255, (*shape, 3), np.uint8)
 
         pixels = {name: picture((CAMERA_PX, CAMERA_PX)) for name in CAMERAS}
-        pixels |= {tactile_name(f, r): picture(MARKER_IMAGE_SHAPE) for f in self.drawn for r in (False, True)}
+        pixels |= {
+            tactile_name(f, r): picture(MARKER_IMAGE_SHAPE)
+            for f in self.drawn
+            for r in (False, True)
+        }
         state = spaces.Box(-10.0, 10.0, (len(AXES),), np.float32)
         content: dict[str, spaces.Space] = {"pixels": spaces.Dict(pixels), "agent_pos": state}
         if self.expose_wrench:
@@ -177,11 +184,19 @@ class WipeEnv(gymnasium.Env):
         try:
             values = np.asarray(action, dtype=np.float64)
         except (TypeError, ValueError) as error:
-            raise ContractError(expected("action", "(5,) numbers", type(action), "See keys.AXES.")) from error
+            raise ContractError(
+                expected("action", "(5,) numbers", type(action), "See keys.AXES.")
+            ) from error
         if values.shape != (len(AXES),):
-            raise ContractError(expected("action", f"({len(AXES)},) {AXES}", values.shape, "See keys.AXES."))
+            raise ContractError(
+                expected("action", f"({len(AXES)},) {AXES}", values.shape, "See keys.AXES.")
+            )
         if not np.isfinite(values).all():
-            raise RolloutError(expected("action", "finite numbers", values, "The target is held; check the policy."))
+            raise RolloutError(
+                expected(
+                    "action", "finite numbers", values, "The target is held; check the policy."
+                )
+            )
         return values
 
     def _wiped_and_lifted(self) -> bool:

@@ -18,13 +18,18 @@ if TYPE_CHECKING:
     from lerobot_env_uniforce_wiping.env import WipeEnv
 
 FingersUsed = Literal["both", "left", "right"]
-FINGERS_USED: dict[str, tuple[Finger, ...]] = {"both": FINGERS, "left": ("left",), "right": ("right",)}
+FINGERS_USED: dict[str, tuple[Finger, ...]] = {
+    "both": FINGERS,
+    "left": ("left",),
+    "right": ("right",),
+}
 GRAVITY_m_s2 = 9.81
 CLEARANCE_m = 0.008  # above the nominal contact height, where lowering slows down
 FAST_m_s, SLOW_m_s = 0.050, 0.018  # lowering
 LOWERING_GAIN = 3.5  # 1/s: speed per distance left above the clearance
 CLOSING_m_s = 0.040  # gripper in free air
-INSIDE_m = 0.008  # of what is held: where a hand that holds by itself is asked to stay, far from asking it to open
+# of what is held: where a hand that holds by itself is asked to stay, far from asking it to open
+INSIDE_m = 0.008
 
 
 def lowering_speed(target_m: float, layout: Layout) -> float:
@@ -112,7 +117,9 @@ class TouchRegulator:
             step_m = CLOSING_m_s / CONTROL_HZ
             return float(target_m + np.clip(measured[4] - INSIDE_m - target_m, -step_m, step_m))
         s = self._settings
-        speed = np.clip(s.grip_rate_m_s_N * (self._contact().grip_N - s.grip_N), -CLOSING_m_s, CLOSING_m_s)
+        speed = np.clip(
+            s.grip_rate_m_s_N * (self._contact().grip_N - s.grip_N), -CLOSING_m_s, CLOSING_m_s
+        )
         return float(target_m + speed / CONTROL_HZ)
 
     def lower(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
@@ -153,7 +160,9 @@ class WipeExpert:
         late_steps: int = 0,
     ) -> None:
         if fingers not in FINGERS_USED:
-            raise ContractError(expected("fingers", " | ".join(FINGERS_USED), repr(fingers), "Name one."))
+            raise ContractError(
+                expected("fingers", " | ".join(FINGERS_USED), repr(fingers), "Name one.")
+            )
         self.fingers = FINGERS_USED[fingers]
         self.noise = noise or ExpertNoise()
         self._given = settings
@@ -183,7 +192,9 @@ class WipeExpert:
         self._holds = lambda: env.sim.gripper.holds
         regulator = self._regulator(level.layout, press, grip)
         start = env.state.astype(np.float64)
-        self._sequence = WipeSequence(level, regulator, start, lambda: look_back(env), pace, self._stray)
+        self._sequence = WipeSequence(
+            level, regulator, start, lambda: look_back(env), pace, self._stray
+        )
 
     def _stray(self) -> np.ndarray:
         """Draw by how much the hand arrives beside a row, (2,) m."""
@@ -225,7 +236,8 @@ class WipeExpert:
     def _estimate(self, wrench: dict[Finger, np.ndarray]) -> Contact:
         """Estimate grip and press from the pads it may use; one pad stands for both."""
         noisy = [
-            wrench[f][:3] * self._gain[f] + self.noise.force_sd_N * self._rng.standard_normal(3) for f in self.fingers
+            wrench[f][:3] * self._gain[f] + self.noise.force_sd_N * self._rng.standard_normal(3)
+            for f in self.fingers
         ]
         _, up, grip = np.mean(noisy, axis=0)
         return Contact(grip_N=float(grip), press_N=float(self._weight_N - 2 * up))

@@ -19,7 +19,8 @@ GRIPPERS = ("servo", "hand")
 ACTUATOR = 6  # of the width, after the arm's six
 MAX_WIDTH_m = 0.08
 STATE_PERIOD_s = 0.1  # of the hand's readings
-FORCE_ERROR = 0.2  # a grasp's force is off by up to this share, once per episode: the real one is specified no better
+# a grasp's force is off by up to this share, once per episode: the real one is specified no better
+FORCE_ERROR = 0.2
 STILL_m = 0.0002  # fingers that go less than this within ``STILL_s`` have arrived
 STILL_s = 0.1
 ARRIVED_m = 0.001  # of a plain move's goal
@@ -46,7 +47,9 @@ class Gripper(Protocol):
 class Servo:
     """The fingers follow each width that differs by more than the dead band."""
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, width_m: float, dead_band_m: float) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, data: mujoco.MjData, width_m: float, dead_band_m: float
+    ) -> None:
         self._data = data
         self._addresses = finger_addresses(model)
         self._dead_band_m = dead_band_m

@@ -24,7 +24,9 @@ def _draw_word(word: str, rows: int, columns: int) -> np.ndarray:
     cv2.putText(canvas, word, (3, height + 3), font, 1.0, 255, thickness)
     r, c = np.nonzero(canvas)
     tight = canvas[r.min() : r.max() + 1, c.min() : c.max() + 1]
-    return (cv2.resize(tight, (columns, rows), interpolation=cv2.INTER_AREA) > 100).astype(np.float32)
+    return (cv2.resize(tight, (columns, rows), interpolation=cv2.INTER_AREA) > 100).astype(
+        np.float32
+    )
 
 
 class InkField:
@@ -78,18 +80,28 @@ class InkField:
     def written_box_m(self) -> tuple[np.ndarray, np.ndarray]:
         """(2,) centre and (2,) extent of the first writing, board x and y."""
         low, high = (
-            np.array([edge(axis[self._first > 0]) for axis in (self.x_m, self.y_m)]) for edge in (np.min, np.max)
+            np.array([edge(axis[self._first > 0]) for axis in (self.x_m, self.y_m)])
+            for edge in (np.min, np.max)
         )
         return (low + high) / 2, high - low
 
     def rewrite(self, center_m: np.ndarray, size_m: np.ndarray, strength: float) -> None:
         """Bring back what was written inside a box on the board, at ``strength`` of its first darkness."""
         half_m = np.asarray(size_m) / 2
-        inside = (np.abs(self.x_m - center_m[0]) <= half_m[0]) & (np.abs(self.y_m - center_m[1]) <= half_m[1])
+        inside = (np.abs(self.x_m - center_m[0]) <= half_m[0]) & (
+            np.abs(self.y_m - center_m[1]) <= half_m[1]
+        )
         self.ink = np.where(inside, np.maximum(self.ink, strength * self._first), self.ink)
         self.version += 1
 
-    def wipe(self, center_m: np.ndarray, yaw_rad: float, size_m: np.ndarray, press: np.ndarray, slide_m: float) -> None:
+    def wipe(
+        self,
+        center_m: np.ndarray,
+        yaw_rad: float,
+        size_m: np.ndarray,
+        press: np.ndarray,
+        slide_m: float,
+    ) -> None:
         """Wear ink under a footprint.
 
         Args:
@@ -109,9 +121,11 @@ class InkField:
             return
         c, s = np.cos(yaw_rad), np.sin(yaw_rad)
         dx, dy = self.x_m[rows, columns] - center_m[0], self.y_m[rows, columns] - center_m[1]
-        u, v = (c * dx + s * dy) / size_m[0], (c * dy - s * dx) / size_m[1]  # in felt halves of ±0.5
+        # in felt halves of ±0.5
+        u, v = (c * dx + s * dy) / size_m[0], (c * dy - s * dx) / size_m[1]
         inside = (np.abs(u) <= 0.5) & (np.abs(v) <= 0.5)
-        tilt = 1 + 12 * (press[1] / size_m[0] * u + press[2] / size_m[1] * v)  # bilinear, right moment
+        # bilinear, right moment
+        tilt = 1 + 12 * (press[1] / size_m[0] * u + press[2] / size_m[1] * v)
         wearing_kPa = wearing_N / (size_m[0] * size_m[1]) / 1000 * np.maximum(tilt, 0) * inside
         worn = np.exp(-self.wear * wearing_kPa * slide_m / self.adhesion[rows, columns])
         self.ink[rows, columns] *= worn

@@ -21,7 +21,10 @@ def _features() -> dict[str, PolicyFeature]:
     cameras = {camera_key(c): PolicyFeature(visual, (CAMERA_PX, CAMERA_PX, 3)) for c in CAMERAS}
     tactile = {key: PolicyFeature(visual, pad) for key in TACTILE_KEYS}
     axes = (len(AXES),)
-    own = {ACTION: PolicyFeature(FeatureType.ACTION, axes), STATE: PolicyFeature(FeatureType.STATE, axes)}
+    own = {
+        ACTION: PolicyFeature(FeatureType.ACTION, axes),
+        STATE: PolicyFeature(FeatureType.STATE, axes),
+    }
     return own | cameras | tactile
 
 

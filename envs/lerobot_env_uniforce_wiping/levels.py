@@ -92,7 +92,8 @@ class Level:
     pads: PadSettings = PadSettings()
     pull: PullSettings | None = None  # hidden force on the hand
     uneven: UnevenSettings | None = None  # hidden heights of the board
-    in_band_share: float | None = None  # of the sliding that a clean wipe presses within the limits' band
+    # of the sliding that a clean wipe presses within the limits' band
+    in_band_share: float | None = None
 
 
 SHORT_WORDS = ("hi", "ok", "go", "abc", "VLA", "2+2", "tea", "map")
@@ -145,7 +146,8 @@ TOUCH = Level(
     light_gain=(0.75, 1.15),
     light_tint=0.05,
     light_turn_rad=0.4,
-    stiffness_scale=(0.9, 1.8),  # a softer arm leaves regulation by touch too little gain against the pull
+    # a softer arm leaves regulation by touch too little gain against the pull
+    stiffness_scale=(0.9, 1.8),
     gripper_gain=(0.45, 2.0),
     eraser_width_offset_m=(-0.004, 0.004),
     pull=PullSettings(),
@@ -158,7 +160,9 @@ LEVELS: dict[str, Level] = {level.name: level for level in (EASY, TOUCH)}
 def get_level(name: str) -> Level:
     """Return the level called ``name``; raise ContractError listing the known ones."""
     if name not in LEVELS:
-        raise ContractError(expected("level", " | ".join(LEVELS), repr(name), "Check the spelling."))
+        raise ContractError(
+            expected("level", " | ".join(LEVELS), repr(name), "Check the spelling.")
+        )
     return LEVELS[name]
 
 

@@ -32,7 +32,8 @@ JOINT_LIMITS = (
     (-0.0175, 3.7525),
     (-2.8973, 2.8973),
 )
-LINK_MASS_kg = (4.0, 2.5, 3.0, 2.5, 2.0, 1.5, 0.6)  # plausible; gravity is compensated as on the real arm
+# plausible; gravity is compensated as on the real arm
+LINK_MASS_kg = (4.0, 2.5, 3.0, 2.5, 2.0, 1.5, 0.6)
 STICTION_SHARE = (1.0, 1.0, 1.0, 1.0, 0.3, 0.3, 0.3)  # small wrist gears stick less
 LINK_CAPSULES = (  # from, to in the link's frame; radius m
     ((0, 0, -0.19), (0, 0, 0), 0.065),
@@ -58,7 +59,8 @@ GRIPPER_FORCE_N = 70.0  # servo limit
 # MuJoCo carries a box at its corners. At the radius of gyration of a 25 mm pad they give way to rocking as an even gel
 # does, and hold as much twist as it, 9.6 mm times friction; corners of the pad itself would hold 18 mm
 GYRATION_m = 0.0072
-TOOL_DOWN = np.diag([1.0, -1.0, -1.0])  # tool frame in the base frame at yaw 0: x closes, z points down
+# tool frame in the base frame at yaw 0: x closes, z points down
+TOOL_DOWN = np.diag([1.0, -1.0, -1.0])
 READS = 4  # force samples averaged over a control step
 
 
@@ -66,7 +68,8 @@ READS = 4  # force samples averaged over a control step
 class SolverSettings:
     """How finely the physics is solved; ``benchmarks.physics`` draws what that buys (docs/results/physics.png)."""
 
-    substeps: int = 4  # physics steps per force sample: 480 Hz; at 240 Hz the pads' shear springs break loose
+    # physics steps per force sample: 480 Hz; at 240 Hz the pads' shear springs break loose
+    substeps: int = 4
     noslip_iterations: int = 8  # without them a held eraser creeps out of the hand
 
     @property
@@ -163,7 +166,8 @@ def _board(scene: SceneParams) -> str:
     x, y = np.add(scene.level.layout.board_center_m, scene.board_shift_m)
     tilt_x, tilt_y = scene.board_tilt_rad
     friction = f'friction="{scene.board_friction} 0.005 0.0001" priority="1"'
-    soft = 'solref="-20000 -250" solimp="0.5 0.5 0.001"'  # felt: some tenths of a mm at wiping force
+    # felt: some tenths of a mm at wiping force
+    soft = 'solref="-20000 -250" solimp="0.5 0.5 0.001"'
     return (
         f'<body name="board" pos="{x} {y} {scene.board_height_m}" euler="{tilt_x} {tilt_y} {scene.board_turn_rad}">'
         f'<geom name="board" type="box" size="{_text((*BOARD_HALF_m, 0.005))}" pos="0 0 -0.005"'
@@ -192,7 +196,9 @@ def _actuators(scene: SceneParams) -> str:
     return text
 
 
-def build_mjcf(scene: SceneParams, left_sensor: str, right_sensor: str, solver: SolverSettings) -> str:
+def build_mjcf(
+    scene: SceneParams, left_sensor: str, right_sensor: str, solver: SolverSettings
+) -> str:
     """Return the MJCF of a scene wearing the two named sensors."""
     opening, closing = _arm(scene)
     layout = scene.level.layout

@@ -8,13 +8,20 @@ import cv2
 import mujoco
 import numpy as np
 
-from lerobot_env_uniforce_wiping.cameras import Camera, carried, front_camera, rotation, wrist_camera
+from lerobot_env_uniforce_wiping.cameras import (
+    Camera,
+    carried,
+    front_camera,
+    rotation,
+    wrist_camera,
+)
 from lerobot_env_uniforce_wiping.ink import PIXEL_m
 from lerobot_env_uniforce_wiping.levels import CAMERA_PX
 from lerobot_env_uniforce_wiping.simulation import WipeSimulation
 
 BACKGROUND = np.array([206.0, 212.0, 218.0])  # RGB under plain light
-LIGHT = np.array([0.45, 0.25, 0.86])  # direction towards the light, world frame, unless a scene turns it
+# direction towards the light, world frame, unless a scene turns it
+LIGHT = np.array([0.45, 0.25, 0.86])
 ROUND_NORMAL = np.array([0.6, 0.0, 0.8])  # capsules are shaded flat, as if facing this way
 AMBIENT = 0.62
 NEAR_m = 0.012  # nothing closer is painted
@@ -23,8 +30,12 @@ FAR_px = 4000  # corners further out are clamped: fixed-point numbers stay small
 _TURNS = np.linspace(0, 2 * np.pi, 16, endpoint=False)
 RING = np.stack([np.cos(_TURNS), np.sin(_TURNS), np.zeros(16)], axis=-1)
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
-FACES = np.array([(4, 6, 7, 5), (0, 1, 3, 2), (2, 3, 7, 6), (0, 4, 5, 1), (1, 5, 7, 3), (0, 2, 6, 4)])
-NORMALS = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], dtype=float)
+FACES = np.array(
+    [(4, 6, 7, 5), (0, 1, 3, 2), (2, 3, 7, 6), (0, 4, 5, 1), (1, 5, 7, 3), (0, 2, 6, 4)]
+)
+NORMALS = np.array(
+    [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], dtype=float
+)
 HIDDEN_GROUP = 4  # collision pads: what is drawn is the same skin for every sensor
 INK_COLOUR = np.array([30, 30, 120], dtype=np.float32)
 MARGIN = 1  # clear cells around the writing
@@ -40,7 +51,9 @@ class Painter:
         self._front, self._wrist = front_camera(sim.scene), wrist_camera(sim.scene)
         gain = np.array(sim.scene.light_gain)
         self._light = rotation(sim.scene.light_turn_rad) @ LIGHT
-        self._background = np.full((CAMERA_PX, CAMERA_PX, 3), np.minimum(BACKGROUND * gain, 255), np.uint8)
+        self._background = np.full(
+            (CAMERA_PX, CAMERA_PX, 3), np.minimum(BACKGROUND * gain, 255), np.uint8
+        )
         self._ink = InkView(sim)
         shown = np.flatnonzero(model.geom_group != HIDDEN_GROUP)
         is_box = model.geom_type[shown] == mujoco.mjtGeom.mjGEOM_BOX
@@ -60,7 +73,8 @@ class Painter:
         picture = self._background.copy()
         polygons = [*self._box_polygons(camera), *self._round_polygons(camera)]
         centers = self._data.geom_xpos[np.concatenate([self._boxes, self._rounds])]
-        away = np.linalg.norm(centers - camera.position_m, axis=1) + 100.0 * self._layer  # ground first
+        # ground first
+        away = np.linalg.norm(centers - camera.position_m, axis=1) + 100.0 * self._layer
         inked = False
         for index in np.argsort(-away):
             if not inked and self._layer[index] == 0:
@@ -83,7 +97,9 @@ class Painter:
         seen = (normals * towards).sum(-1) < 0
         bright = self._brightness(normals)
         local = camera.to_camera(corners.reshape(-1, 3)).reshape(corners.shape)
-        pixels = _fixed(camera.to_pixels(_before(local).reshape(-1, 3))).reshape(*corners.shape[:2], 2)
+        pixels = _fixed(camera.to_pixels(_before(local).reshape(-1, 3))).reshape(
+            *corners.shape[:2], 2
+        )
         near = local[..., 2].min(axis=1) < NEAR_m
         polygons = []
         for b, geom in enumerate(self._boxes):
@@ -143,8 +159,11 @@ class InkView:
         self._columns = slice(columns.min() - MARGIN, columns.max() + 1 + MARGIN)
         x0 = (self._rows.start + 0.5 - sim.ink.rows / 2) * PIXEL_m
         y0 = (self._columns.start + 0.5 - sim.ink.columns / 2) * PIXEL_m
-        self._to_board = np.array([[0, PIXEL_m, x0], [PIXEL_m, 0, y0], [0, 0, 0]])  # (column, row, 1) → board
-        self._colour = np.minimum(INK_COLOUR * np.array(sim.scene.light_gain, dtype=np.float32), 255)
+        # (column, row, 1) → board
+        self._to_board = np.array([[0, PIXEL_m, x0], [PIXEL_m, 0, y0], [0, 0, 0]])
+        self._colour = np.minimum(
+            INK_COLOUR * np.array(sim.scene.light_gain, dtype=np.float32), 255
+        )
         self._version = -1
         self._cover: np.ndarray = np.zeros((1, 1), np.uint8)
 
@@ -159,8 +178,11 @@ class InkView:
         cover = self._texture()
         homography = self._homography(camera)
         height, width = cover.shape
-        corners = np.array([[0, 0, 1], [width, 0, 1], [0, height, 1], [width, height, 1]]) @ homography.T
-        if corners[:, 2].min() <= 0:  # partly behind the camera: the hand is over the tray, nothing to see
+        corners = (
+            np.array([[0, 0, 1], [width, 0, 1], [0, height, 1], [width, height, 1]]) @ homography.T
+        )
+        # partly behind the camera: the hand is over the tray, nothing to see
+        if corners[:, 2].min() <= 0:
             return
         spots = corners[:, :2] / corners[:, 2:]
         low = np.clip(np.floor(spots.min(axis=0)).astype(int) - 1, 0, CAMERA_PX)

@@ -50,7 +50,10 @@ class TraceRecorder:
             self.phase, self._at_lift = 1, sim.eraser_in_tool()
         elif self.phase in (1, 3) and sim.press_N > WIPING_PRESS_N:
             self.phase = 2
-        elif self.phase == 2 and height_m > sim.scene.board_height_m + layout.grasp_height_m + CLEAR_m:
+        elif (
+            self.phase == 2
+            and height_m > sim.scene.board_height_m + layout.grasp_height_m + CLEAR_m
+        ):
             self.phase = 3
 
     def _held(self) -> bool:

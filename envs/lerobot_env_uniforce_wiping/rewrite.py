@@ -16,7 +16,8 @@ class RewriteSettings:
     after_s: tuple[float, float] = (3.5, 5.8)  # of wiping; the sweep takes six
     height_m: tuple[float, float] = (0.020, 0.040)  # along board x, of a writing 34 to 48 mm high
     length_m: tuple[float, float] = (0.030, 0.080)  # along board y, of a writing 70 to 100 mm long
-    strength: tuple[float, float] = (0.4, 1.0)  # of the first ink: faint as a light stroke leaves it, or dark
+    # of the first ink: faint as a light stroke leaves it, or dark
+    strength: tuple[float, float] = (0.4, 1.0)
 
 
 class Rewrite:

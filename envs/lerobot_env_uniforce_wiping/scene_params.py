@@ -52,7 +52,9 @@ def draw_scene(seed: int, level_name: str) -> SceneParams:
     """Draw a scene; equal arguments give an equal scene on any machine."""
     level, rng = get_level(level_name), np.random.default_rng([seed, 20260])
     drawn = _drawn(level, rng)
-    return SceneParams(seed=seed, level=level, **drawn | _drawn_later(level, rng, drawn["word_offset_m"]))
+    return SceneParams(
+        seed=seed, level=level, **drawn | _drawn_later(level, rng, drawn["word_offset_m"])
+    )
 
 
 def _drawn(level: Level, rng: np.random.Generator) -> dict[str, Any]:
@@ -62,12 +64,17 @@ def _drawn(level: Level, rng: np.random.Generator) -> dict[str, Any]:
         return float(rng.uniform(*span))
 
     def factor(span: Range) -> float:
-        return float(np.exp(rng.uniform(*np.log(span))))  # twice as much is as likely as half as much
+        # twice as much is as likely as half as much
+        return float(np.exp(rng.uniform(*np.log(span))))
 
     def spread(half: float, n: int) -> tuple[float, ...]:
         return tuple(float(v) for v in rng.uniform(-half, half, n))
 
-    layout, friction, place = level.layout, uniform(level.pad_friction), spread(level.placement_m, 2)
+    layout, friction, place = (
+        level.layout,
+        uniform(level.pad_friction),
+        spread(level.placement_m, 2),
+    )
     return {
         "pad_friction": (friction, friction),
         "eraser_offset_m": place,
@@ -90,7 +97,9 @@ def _drawn(level: Level, rng: np.random.Generator) -> dict[str, Any]:
     }
 
 
-def _drawn_later(level: Level, rng: np.random.Generator, word_offset_m: tuple[float, ...]) -> dict[str, Any]:
+def _drawn_later(
+    level: Level, rng: np.random.Generator, word_offset_m: tuple[float, ...]
+) -> dict[str, Any]:
     """Return what came to scenes later, drawn last: what was drawn before stays as it was."""
     scale = float(rng.uniform(*level.letter_scale))
     room = (1 - scale) / 2 * np.array([level.letter_height_m, level.word_length_m])
@@ -103,7 +112,8 @@ def _drawn_later(level: Level, rng: np.random.Generator, word_offset_m: tuple[fl
         "board_shift_m": tuple(shift.tolist()),
         "board_turn_rad": float(level.board_turn_rad * rng.uniform(-1, 1)),
         "eraser_turn_rad": float(level.eraser_turn_rad * rng.uniform(-1, 1)),
-        "eraser_length_m": level.layout.eraser_length_m + float(rng.uniform(*level.eraser_length_offset_m)),
+        "eraser_length_m": level.layout.eraser_length_m
+        + float(rng.uniform(*level.eraser_length_offset_m)),
         "light_gain": tuple(gain.tolist()),
         "light_turn_rad": tuple((level.light_turn_rad * rng.uniform(-1, 1, 3)).tolist()),
     }

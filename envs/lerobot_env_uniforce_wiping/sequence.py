@@ -77,7 +77,9 @@ class Sweep:
             start, stop = ends if k % 2 == 0 else ends[::-1]
             corners += [(x, start), (x, stop)]
         self.corners = np.array(corners)
-        self._at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.corners, axis=0), axis=1))])
+        self._at = np.concatenate(
+            [[0.0], np.cumsum(np.linalg.norm(np.diff(self.corners, axis=0), axis=1))]
+        )
 
     @property
     def length_m(self) -> float:
@@ -91,7 +93,10 @@ class Sweep:
 
     def between_rows(self, along_m: float) -> bool:
         """Whether the tool moves from one row to the next there, along the closing axis."""
-        return bool(np.searchsorted(self._at, along_m, side="right") % 2 == 0) and along_m < self.length_m
+        return (
+            bool(np.searchsorted(self._at, along_m, side="right") % 2 == 0)
+            and along_m < self.length_m
+        )
 
     def point(self, along_m: float) -> np.ndarray:
         """Return (2,) x, y at an arc length, clamped to the ends."""
@@ -172,7 +177,9 @@ class WipeSequence:
         """Move the target along the sweep, and a little closer to it."""
         stray_m = self.target[[X, Y]] - self.sweep.point(self._along_m)
         self._along_m += step_m
-        self.target[[X, Y]] = self.sweep.point(self._along_m) + (1 - STRAY_GAIN / CONTROL_HZ) * stray_m
+        self.target[[X, Y]] = (
+            self.sweep.point(self._along_m) + (1 - STRAY_GAIN / CONTROL_HZ) * stray_m
+        )
 
     def _descend(self, measured: np.ndarray) -> bool:
         layout = self.level.layout
@@ -209,7 +216,8 @@ class WipeSequence:
             self.phase, self._speed_m_s = "leave" if self._look() is None else "lower", 0.0
             return False
         shifting = self.sweep.between_rows(self._along_m + SLOW_DOWN_m)
-        if not shifting:  # drag along the closing axis loads the pads unevenly: hold still and trust the gel
+        # drag along the closing axis loads the pads unevenly: hold still and trust the gel
+        if not shifting:
             self.target[WIDTH] = self.regulator.hold(self.target[WIDTH], measured)
             self.target[Z] = self.regulator.press(self.target[Z], measured)
         wanted = self.pace.shift_m_s if shifting else self.pace.stroke_m_s

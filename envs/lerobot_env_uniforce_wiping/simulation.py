@@ -16,13 +16,15 @@ from uniforce_vtla.sensors import get_sensor
 
 LEASH_m = 0.018  # targets stay this close to the measured tool: bounds the force of any command
 LEASH_rad = 0.20
-SPEED_LIMITS = np.array([0.15, 0.15, 0.10, 1.0, 0.15])  # m/s, m/s, m/s, rad/s, m/s of the inner target
+# m/s, m/s, m/s, rad/s, m/s of the inner target
+SPEED_LIMITS = np.array([0.15, 0.15, 0.10, 1.0, 0.15])
 WIDTH_RANGE_m = (0.0, 0.08)
 YAW_RANGE_rad = (-0.5, 0.5)
 GEL_D, GEL_ZETA = 0.5, 0.7  # solimp d and damping ratio: converged in the time step, no chatter
 IK_DAMPING = 0.05**2 * 1e-2  # of the arm's pose at reset
 IK_STEP_rad = 0.3  # largest joint change per iteration
-HOME_q = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])  # joint angles, rad
+# joint angles, rad
+HOME_q = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])
 # World components of a force on a pad, in its canonical image frame: x = +y, y = −z, and z into the pad.
 INTO_PAD_x = {"left": -1.0, "right": 1.0}
 
@@ -61,7 +63,9 @@ class WipeSimulation:
     ) -> None:
         self.scene, self.solver = scene, solver or SolverSettings()
         self.sensors = {"left": left_sensor, "right": right_sensor}
-        self.model = mujoco.MjModel.from_xml_string(build_mjcf(scene, left_sensor, right_sensor, self.solver))
+        self.model = mujoco.MjModel.from_xml_string(
+            build_mjcf(scene, left_sensor, right_sensor, self.solver)
+        )
         self.data = mujoco.MjData(self.model)
         self.ink = InkField(scene)
         self._find_ids()
@@ -102,7 +106,9 @@ class WipeSimulation:
     def _draw_hidden(self) -> None:
         level, seed = self.scene.level, self.scene.seed
         steps = round(level.time_limit_s * CONTROL_HZ)
-        self._pull_N = hand_pull(seed, level.pull, steps, CONTROL_HZ) if level.pull else np.zeros((1, 3))
+        self._pull_N = (
+            hand_pull(seed, level.pull, steps, CONTROL_HZ) if level.pull else np.zeros((1, 3))
+        )
         self._uneven = UnevenBoard(seed, level.uneven) if level.uneven else None
         self._flat_m = float(self.model.geom_pos[self._board, 2])
         self._steps = 0
@@ -148,7 +154,9 @@ class WipeSimulation:
         """Advance 1/30 s, averaging touch over the step and wearing ink."""
         forces = {f: np.zeros(5) for f in FINGERS}  # fx, fy, fz, torsion, depth
         press = np.zeros(3)
-        self.data.xfrc_applied[self._hand, :3] = self._pull_N[self._steps % len(self._pull_N)] + self.push_N
+        self.data.xfrc_applied[self._hand, :3] = (
+            self._pull_N[self._steps % len(self._pull_N)] + self.push_N
+        )
         self._steps += 1
         for _ in range(READS):
             self._raise_board()
@@ -175,33 +183,48 @@ class WipeSimulation:
         role = self._role[contact.geom]  # (C, 2): 0 other, 1 left pad, 2 right pad, 3 board
         kind = role.max(axis=1)
         address = contact.efc_address
-        local = self.data.efc_force[address[:, None] + np.arange(3)]  # (C, 3) on geom2, contact frame
+        # (C, 3) on geom2, contact frame
+        local = self.data.efc_force[address[:, None] + np.arange(3)]
         frame = contact.frame.reshape(-1, 3, 3)
         for code, finger in enumerate(FINGERS, start=1):
             rows = np.flatnonzero((kind == code) & (address >= 0))
             if len(rows):
-                sign = np.where(role[rows, 0] == code, -1.0, 1.0)  # of the force on the pad, whichever comes first
+                # of the force on the pad, whichever comes first
+                sign = np.where(role[rows, 0] == code, -1.0, 1.0)
                 turn = self.data.efc_force[address[rows] + 3]
-                world = (frame[rows].transpose(0, 2, 1) @ local[rows, :, None])[..., 0] * sign[:, None]
+                world = (frame[rows].transpose(0, 2, 1) @ local[rows, :, None])[..., 0] * sign[
+                    :, None
+                ]
                 twist = frame[rows, 0, :] * (sign * turn)[:, None]
-                forces[finger] += self._on_pad(finger, contact.pos[rows], world, twist, contact.dist[rows])
+                forces[finger] += self._on_pad(
+                    finger, contact.pos[rows], world, twist, contact.dist[rows]
+                )
         rows = np.flatnonzero((kind == 3) & (address >= 0))
         if len(rows):
             at = self._in_eraser(contact.pos[rows])
             press += local[rows, 0] @ np.column_stack([np.ones(len(rows)), at[:, :2]])
 
     def _on_pad(
-        self, finger: Finger, point: np.ndarray, force: np.ndarray, twist: np.ndarray, gap_m: np.ndarray
+        self,
+        finger: Finger,
+        point: np.ndarray,
+        force: np.ndarray,
+        twist: np.ndarray,
+        gap_m: np.ndarray,
     ) -> np.ndarray:
         """Return canonical fx, fy, fz N, torsion Nmm and mean depth mm of a pad's (C, 3) contacts."""
         tool = self.data.site_xmat[self._tcp].reshape(3, 3)  # x closes, y = world −y, z down
         pad = self.data.geom_xpos[self._skin[finger]]
         pushes, arms = force @ tool, (point - pad) @ tool
         total = pushes.sum(axis=0)
-        moment_x = np.sum(arms[:, 1] * pushes[:, 2] - arms[:, 2] * pushes[:, 1] + twist @ tool[:, 0])
+        moment_x = np.sum(
+            arms[:, 1] * pushes[:, 2] - arms[:, 2] * pushes[:, 1] + twist @ tool[:, 0]
+        )
         depth_mm = max(float(-gap_m.mean() * 1000), 0.0)
         # Image x = world +y = tool −y, image y = world −z = tool z; torsion mirrors with the image.
-        return np.array([-total[1], total[2], INTO_PAD_x[finger] * total[0], -moment_x * 1000, depth_mm])
+        return np.array(
+            [-total[1], total[2], INTO_PAD_x[finger] * total[0], -moment_x * 1000, depth_mm]
+        )
 
     def _in_eraser(self, points: np.ndarray) -> np.ndarray:
         rotation = self.data.xmat[self._eraser].reshape(3, 3)
@@ -238,7 +261,9 @@ class WipeSimulation:
         return tool.T @ (self.data.xpos[self._eraser] - self.data.site_xpos[self._tcp])
 
 
-def solve_arm(model: mujoco.MjModel, data: mujoco.MjData, position_m: np.ndarray, rotation: np.ndarray) -> None:
+def solve_arm(
+    model: mujoco.MjModel, data: mujoco.MjData, position_m: np.ndarray, rotation: np.ndarray
+) -> None:
     """Set the arm's seven joints so that site ``tcp`` meets a pose, by damped least squares; used at reset only."""
     site, first = model.site("tcp").id, model.joint("joint1")
     joints = slice(first.qposadr[0], first.qposadr[0] + len(HOME_q))
@@ -249,7 +274,10 @@ def solve_arm(model: mujoco.MjModel, data: mujoco.MjData, position_m: np.ndarray
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         turn = rotation @ data.site_xmat[site].reshape(3, 3).T
-        axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
+        axis = (
+            np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+            / 2
+        )
         error = np.concatenate([position_m - data.site_xpos[site], axis])
         if np.linalg.norm(error) < 1e-6:
             break

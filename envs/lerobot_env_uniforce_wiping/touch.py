@@ -57,7 +57,9 @@ class PadImages:
         self._steps += 1
         wrench = sim.pads[self.finger].wrench.astype(np.float64)
         if creep := self._worn.creep:
-            self._late += (1 - np.exp(-1 / (creep.relaxation_s * CONTROL_HZ))) * (wrench - self._late)
+            self._late += (1 - np.exp(-1 / (creep.relaxation_s * CONTROL_HZ))) * (
+                wrench - self._late
+            )
             wrench = (1 - creep.share) * wrench + creep.share * self._late
         self._past.append(Load(wrench, *sim.block_from_pad(self.finger)))
 
@@ -70,7 +72,8 @@ class PadImages:
         if self._shown is not None and self._steps % STALL_EVERY < self._worn.stall_steps:
             return self._shown
         contact = pad_contact(self._past[0], sim, self.finger)
-        if not self._view.simulator.faces_object(contact)[0]:  # forces are the step's mean: the eraser left within it
+        # forces are the step's mean: the eraser left within it
+        if not self._view.simulator.faces_object(contact)[0]:
             contact = free_air(1)
         with self._named():
             self._shown = self._view.images(contact)[0]
@@ -92,7 +95,9 @@ def pad_contact(load: Load, sim: WipeSimulation, finger: Finger) -> ContactState
     if fz < TOUCHING_N:
         return free_air(1)
     force = np.array([[mirror * fx, fy, fz]], dtype=np.float32)
-    return ContactState(eraser_gap(load, sim, finger), force, np.array([mirror * torsion], dtype=np.float32))
+    return ContactState(
+        eraser_gap(load, sim, finger), force, np.array([mirror * torsion], dtype=np.float32)
+    )
 
 
 def eraser_gap(load: Load, sim: WipeSimulation, finger: Finger) -> np.ndarray:

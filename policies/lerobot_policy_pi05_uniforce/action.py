@@ -27,9 +27,12 @@ from uniforce_vtla.errors import ContractError, RolloutError, expected
 from uniforce_vtla.keys import AXES
 
 YAW = AXES.index("yaw.pos")
-STRIDE = 0.4  # of the leash per step since the pose was measured: 8 mm, the robot's 0.25 m/s; free motion isn't cut
-MARGIN, LEAST_ROOM = 0.5, 0.05  # around the demos: of an axis' span, and m or rad where it hardly moved
-LARGEST_LEAP = 10.0  # of ``delta_scale`` in one control step: 40 mm in x, 0.5 rad; demos stay below 2
+# of the leash per step since the pose was measured: 8 mm, the robot's 0.25 m/s; free motion isn't cut
+STRIDE = 0.4
+# around the demos: of an axis' span, and m or rad where it hardly moved
+MARGIN, LEAST_ROOM = 0.5, 0.05
+# of ``delta_scale`` in one control step: 40 mm in x, 0.5 rad; demos stay below 2
+LARGEST_LEAP = 10.0
 
 
 class NetworkUnits(nn.Module):
@@ -63,7 +66,9 @@ class NetworkUnits(nn.Module):
         return torch.where(self.bent, units.sinh(), units) * self.unit
 
 
-def to_deltas(actions: Tensor, is_pad: Tensor | None, measured: Tensor, units: NetworkUnits) -> Tensor:
+def to_deltas(
+    actions: Tensor, is_pad: Tensor | None, measured: Tensor, units: NetworkUnits
+) -> Tensor:
     """Return (B, chunk, A) changes since the last command, in network units.
 
     Args:
@@ -93,7 +98,8 @@ class IssuedTarget:
 
     def __init__(self, steps: int = 0) -> None:
         self._targets: deque[Tensor] = deque(maxlen=steps + 1)
-        self.asked: Tensor | None = None  # (B, A) of the network, before the leash; a chunk's steps follow each other
+        # (B, A) of the network, before the leash; a chunk's steps follow each other
+        self.asked: Tensor | None = None
 
     def reset(self) -> None:
         """Forget all targets."""
@@ -118,7 +124,9 @@ class IssuedTarget:
             return measured
         if self.last.shape != measured.shape:
             came = tuple(measured.shape)
-            raise RolloutError(expected("batch", tuple(self.last.shape), came, "Call policy.reset() first."))
+            raise RolloutError(
+                expected("batch", tuple(self.last.shape), came, "Call policy.reset() first.")
+            )
         return self.last
 
     def moved(self, measured: Tensor) -> Tensor:
@@ -143,7 +151,9 @@ def check_axes(state_size: int, action_size: int, settings: ActionSettings) -> N
     if knee and (len(knee) != len(scale) or min(knee) < 0):
         do = "Give one per axis, 0 where moves stay linear, or [] for none."
         raise ContractError(expected("delta_knee", f"{len(scale)} numbers from 0 on", knee, do))
-    if settings.form == "target_delta" and not (len(leash) == len(scale) and all(0 < way < math.inf for way in leash)):
+    if settings.form == "target_delta" and not (
+        len(leash) == len(scale) and all(0 < way < math.inf for way in leash)
+    ):
         do = "Give one per axis: how far a target may lead the measured pose."
         raise ContractError(expected("leash", f"{len(scale)} numbers above 0", leash, do))
 
@@ -157,7 +167,9 @@ def check_leap(target: Tensor, last: Tensor | None, scale: Tensor) -> None:
         axis = int(leap.argmax())
         wanted = f"at most {LARGEST_LEAP * float(scale[axis]):.3f} a step"
         came = f"{float((target - last).abs()[:, axis].max()):.3f}"
-        raise RolloutError(expected(f"change of target, axis {axis}", wanted, came, "Hold the robot."))
+        raise RolloutError(
+            expected(f"change of target, axis {axis}", wanted, came, "Hold the robot.")
+        )
 
 
 def on_leash(target: Tensor, measured: Tensor, leash: Tensor, steps: int = 0) -> Tensor:
@@ -182,7 +194,11 @@ def stops_outside(where: str) -> bool:
 
 
 def check_within(
-    action: Tensor, low: Tensor, high: Tensor, margin: float = MARGIN, least_room: float = LEAST_ROOM
+    action: Tensor,
+    low: Tensor,
+    high: Tensor,
+    margin: float = MARGIN,
+    least_room: float = LEAST_ROOM,
 ) -> None:
     """Raise RolloutError where an action (…, A) lies outside (A,) ``low`` … ``high``, widened by ``margin``."""
     room = (margin * (high - low)).clamp_min(least_room)

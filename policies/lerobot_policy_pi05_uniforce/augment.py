@@ -19,8 +19,10 @@ class VariationRange:
     gain: float = 0.25  # ± log brightness
     tint: float = 0.08  # ± log gain of each colour
     contrast: float = 0.15  # ± log contrast about the picture's mean
-    shade: float = 0.12  # ± log gain at the picture's borders, a slope in any direction: light from elsewhere
-    shift: float = 0.03  # ± of the picture's side: .015 rad of a camera that sees .9 rad, and 5 mm of .5 m
+    # ± log gain at the picture's borders, a slope in any direction: light from elsewhere
+    shade: float = 0.12
+    # ± of the picture's side: .015 rad of a camera that sees .9 rad, and 5 mm of .5 m
+    shift: float = 0.03
     turn_rad: float = 0.03
     zoom: float = 0.02  # ± log size
 
@@ -33,11 +35,15 @@ def vary(images: Tensor, strength: float, ranges: VariationRange | None = None) 
     if not strength:
         return images
     r = ranges or VariationRange()
-    moved = grid_sample(images, _places(images, r, strength), padding_mode="border", align_corners=False)
+    moved = grid_sample(
+        images, _places(images, r, strength), padding_mode="border", align_corners=False
+    )
     light = (moved + 1) / 2
     mean = light.mean(dim=(1, 2, 3), keepdim=True)
     light = mean + (light - mean) * _drawn(images, r.contrast * strength, 1).exp()
-    light = light * (_drawn(images, r.gain * strength, 1) + _drawn(images, r.tint * strength, 3)).exp()
+    light = (
+        light * (_drawn(images, r.gain * strength, 1) + _drawn(images, r.tint * strength, 3)).exp()
+    )
     return (light * _shade(images, r.shade * strength)).clamp(0, 1) * 2 - 1
 
 
@@ -51,7 +57,8 @@ def _places(images: Tensor, r: VariationRange, strength: float) -> Tensor:
     turn, zoom = (_drawn(images, s * strength, 1).flatten() for s in (r.turn_rad, r.zoom))
     shift = _drawn(images, 2 * r.shift * strength, 2)[..., 0]  # (B, 2, 1); a side is 2 long
     cos, sin = turn.cos() * zoom.exp(), turn.sin() * zoom.exp()
-    rotation = torch.stack([torch.stack([cos, -sin], 1), torch.stack([sin, cos], 1)], 1)  # (B, 2, 2)
+    # (B, 2, 2)
+    rotation = torch.stack([torch.stack([cos, -sin], 1), torch.stack([sin, cos], 1)], 1)
     return affine_grid(torch.cat([rotation, shift], 2), list(images.shape), align_corners=False)
 
 

@@ -42,7 +42,9 @@ class GatedBackbone(stock.PaliGemmaWithExpertModel):
         cond = adarms_cond or [None, None]
         return self.run_layers(attention_mask, position_ids, past_key_values, inputs_embeds, cond)
 
-    def run_layers(self, mask: Tensor, positions: Tensor, past: Any, streams: list, cond: list) -> Any:
+    def run_layers(
+        self, mask: Tensor, positions: Tensor, past: Any, streams: list, cond: list
+    ) -> Any:
         """Run LeRobot's own layers; a prefix alone fills the cache."""
         cached = streams[1] is None
         return super().forward(mask, positions, past, streams, use_cache=cached, adarms_cond=cond)
@@ -64,14 +66,18 @@ class TinyBackbone(GatedBackbone):
             projection_dim=width,
             image_token_index=VOCABULARY - 1,
         )
-        expert = stock.CONFIG_MAPPING["gemma"](use_adarms=True, adarms_cond_dim=width, **_gemma(config))
+        expert = stock.CONFIG_MAPPING["gemma"](
+            use_adarms=True, adarms_cond_dim=width, **_gemma(config)
+        )
         self.paligemma = stock.PaliGemmaForConditionalGenerationWithPiGemma(config=vlm)
         self.gemma_expert = stock.PiGemmaForCausalLM(config=expert)
         self.gemma_expert.model.embed_tokens = None  # the expert only ever sees actions
         self.to_bfloat16_for_selected_params(config.dtype)
         self._set_requires_grad()
 
-    def run_layers(self, mask: Tensor, positions: Tensor, past: Any, streams: list, cond: list) -> Any:
+    def run_layers(
+        self, mask: Tensor, positions: Tensor, past: Any, streams: list, cond: list
+    ) -> Any:
         """Run both streams, as training does, fused; one stream alone runs in LeRobot's layers."""
         if None in streams or not self.fused:
             return super().run_layers(mask, positions, past, streams, cond)
@@ -98,7 +104,9 @@ def make_backbone(config: PI05UniforceConfig) -> GatedBackbone:
     )
 
 
-def joint_layer(streams: Streams, layers: Layers, mask: Tensor, rotary: tuple, cond: list, last: bool) -> Streams:
+def joint_layer(
+    streams: Streams, layers: Layers, mask: Tensor, rotary: tuple, cond: list, last: bool
+) -> Streams:
     """Run one layer of both streams: attention over all tokens together, the rest per stream.
 
     With torch's fused attention: LeRobot's own loop builds every attention matrix, which on a CPU is half of a training
@@ -115,20 +123,28 @@ def joint_layer(streams: Streams, layers: Layers, mask: Tensor, rotary: tuple, c
     rows = zip(layers, streams, cond, strict=True)
     normed = [layernorm_forward(layer.input_layernorm, x, c) for layer, x, c in rows]
     kept = slice(-1 if last else 0, None)
-    attended = _attend([x for x, _ in normed], layers, mask, rotary, [x.shape[1] for x in streams[kept]])
+    attended = _attend(
+        [x for x, _ in normed], layers, mask, rotary, [x.shape[1] for x in streams[kept]]
+    )
     out = []
-    for layer, x, (_, gate), a, c in zip(layers[kept], streams[kept], normed[kept], attended, cond[kept], strict=True):
+    for layer, x, (_, gate), a, c in zip(
+        layers[kept], streams[kept], normed[kept], attended, cond[kept], strict=True
+    ):
         x = _gated_residual(x, layer.self_attn.o_proj(a), gate)
         hidden, gate = layernorm_forward(layer.post_attention_layernorm, x, c)
         out.append(_gated_residual(x, layer.mlp(hidden), gate))
     return out
 
 
-def _attend(normed: Streams, layers: Layers, mask: Tensor, rotary: tuple, lengths: list[int]) -> list[Tensor]:
+def _attend(
+    normed: Streams, layers: Layers, mask: Tensor, rotary: tuple, lengths: list[int]
+) -> list[Tensor]:
     """Let the last ``sum(lengths)`` tokens attend to all; return one (B, length, heads·head) per length."""
-    q, k, v = (_project(normed, layers, n) for n in ("q_proj", "k_proj", "v_proj"))  # (B, heads, L, head)
+    # (B, heads, L, head)
+    q, k, v = (_project(normed, layers, n) for n in ("q_proj", "k_proj", "v_proj"))
     q, k = apply_rotary_pos_emb(q, k, *rotary, unsqueeze_dim=1)
-    k, v = (x.expand(-1, q.shape[1], -1, -1) for x in (k, v))  # one key/value head serves all queries
+    # one key/value head serves all queries
+    k, v = (x.expand(-1, q.shape[1], -1, -1) for x in (k, v))
     q, mask = q[:, :, -sum(lengths) :], mask[:, :, -sum(lengths) :]
     scale = layers[0].self_attn.scaling
     mixed = nn.functional.scaled_dot_product_attention(q, k, v, attn_mask=mask, scale=scale)
@@ -143,7 +159,11 @@ def _project(normed: Streams, layers: Layers, name: str) -> Tensor:
 
 def _sizes(config: PI05UniforceConfig, depth: int, **others: Any) -> dict[str, Any]:
     tiny = config.tiny
-    sizes = {"hidden_size": tiny.width, "intermediate_size": tiny.mlp_dim, "num_hidden_layers": depth}
+    sizes = {
+        "hidden_size": tiny.width,
+        "intermediate_size": tiny.mlp_dim,
+        "num_hidden_layers": depth,
+    }
     return sizes | {"num_attention_heads": NUM_HEADS, **others}
 
 
@@ -154,6 +174,10 @@ def _gemma(config: PI05UniforceConfig) -> dict[str, Any]:
 
 
 def _siglip(config: PI05UniforceConfig) -> dict[str, Any]:
-    seen = {"patch_size": PATCH_PX, "image_size": config.image_resolution[0], "vision_use_head": False}
+    seen = {
+        "patch_size": PATCH_PX,
+        "image_size": config.image_resolution[0],
+        "vision_use_head": False,
+    }
     kind = {"model_type": "siglip_vision_model", "projection_dim": config.tiny.width}
     return _sizes(config, config.tiny.depth // 2, **kind, **seen)

@@ -12,7 +12,11 @@ from draccus.utils import DraccusException
 from safetensors import SafetensorError
 
 from lerobot_policy_pi05_uniforce import weights
-from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import ENCODED, NEVER_STORED, PI05UniforceConfig
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import (
+    ENCODED,
+    NEVER_STORED,
+    PI05UniforceConfig,
+)
 from uniforce_vtla.contracts import Finger, check_count
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.json_file import read_object
@@ -43,15 +47,23 @@ def check_settings(saved: dict[str, Any], where: str) -> None:
     """
     if saved.get("type") != TYPE:
         came = repr(saved.get("type"))[:80]
-        raise CheckpointError(expected(f"policy type of {where}", TYPE, came, "Choose another folder."))
+        raise CheckpointError(
+            expected(f"policy type of {where}", TYPE, came, "Choose another folder.")
+        )
     if "touch_input" in saved:
         do = "Its tokenizer is no longer shipped: run it with version 0.1.0, or train again."
-        raise CheckpointError(expected(where, "settings in groups", "the form of version 0.1.0", do))
+        raise CheckpointError(
+            expected(where, "settings in groups", "the form of version 0.1.0", do)
+        )
     for name, only in NEVER_STORED.items():
         if saved.get(name, only) != only:
             do = "Only who loads a checkpoint chooses this. Copy it again."
-            raise CheckpointError(expected(f"{name} in {where}", repr(only), repr(saved[name])[:80], do))
-    touch, tiny = ({} if not isinstance(saved.get(name), dict) else saved[name] for name in ("touch", "tiny"))
+            raise CheckpointError(
+                expected(f"{name} in {where}", repr(only), repr(saved[name])[:80], do)
+            )
+    touch, tiny = (
+        {} if not isinstance(saved.get(name), dict) else saved[name] for name in ("touch", "tiny")
+    )
     encodes = touch.get("input") in ENCODED and touch.get("slots")
     if not touch or (encodes and not isinstance(touch.get("tokenizer"), dict)):
         do = "A checkpoint names its tokenizer; a path to another one is never followed. Copy it again."
@@ -59,7 +71,9 @@ def check_settings(saved: dict[str, Any], where: str) -> None:
     came = touch.get("marker_images", 1)
     if touch.get("slots") and touch.get("input") in FROM_MARKERS and came != MARKER_IMAGES:
         do = "Train again, on demonstrations recorded with this version."
-        raise CheckpointError(expected(f"marker images of {where}", f"version {MARKER_IMAGES}", came, do))
+        raise CheckpointError(
+            expected(f"marker images of {where}", f"version {MARKER_IMAGES}", came, do)
+        )
     if touch.get("slots") and touch.get("input") == "newtons" and not touch.get("head_hash"):
         do = "Train again with this version: a policy that feels newtons names the head that reads them."
         raise CheckpointError(expected(f"touch.head_hash in {where}", "a hash", "none", do))
@@ -77,8 +91,13 @@ def check_settings(saved: dict[str, Any], where: str) -> None:
 
 def _sides(saved: dict[str, Any]) -> list[Any]:
     features = [saved.get(name) for name in ("input_features", "output_features")]
-    found = [entry for feature in features if isinstance(feature, dict) for entry in feature.values()]
-    shapes = [saved.get("image_resolution"), *(e.get("shape") for e in found if isinstance(e, dict))]
+    found = [
+        entry for feature in features if isinstance(feature, dict) for entry in feature.values()
+    ]
+    shapes = [
+        saved.get("image_resolution"),
+        *(e.get("shape") for e in found if isinstance(e, dict)),
+    ]
     return [side for shape in shapes if isinstance(shape, list) for side in shape]
 
 
@@ -95,7 +114,9 @@ def check_processors(folder: Path) -> None:
             continue
         steps = read_object(folder / name, CheckpointError).get("steps")
         if not isinstance(steps, list) or not steps:
-            raise CheckpointError(expected(str(folder / name), "steps", repr(steps)[:80], "Copy it again."))
+            raise CheckpointError(
+                expected(str(folder / name), "steps", repr(steps)[:80], "Copy it again.")
+            )
         for step in steps:
             _check_step(folder / name, step)
             state = folder / str(step.get("state_file"))
@@ -106,13 +127,19 @@ def check_processors(folder: Path) -> None:
 
 
 def _check_step(file: Path, step: Any) -> None:
-    if not isinstance(step, dict) or not isinstance(step.get("registry_name"), str) or "class" in step:
+    if (
+        not isinstance(step, dict)
+        or not isinstance(step.get("registry_name"), str)
+        or "class" in step
+    ):
         came, do = repr(step)[:80], "Only registered steps are run. Who wrote this checkpoint?"
         raise CheckpointError(expected(f"a step in {file}", "a registry_name", came, do))
     state = str(step.get("state_file") or "absent.safetensors")
     if state != Path(state).name or "\\" in state or not state.endswith(".safetensors"):
         do = "Copy the checkpoint again."
-        raise CheckpointError(expected(f"state of a step in {file}", "a file beside it", state[:80], do))
+        raise CheckpointError(
+            expected(f"state of a step in {file}", "a file beside it", state[:80], do)
+        )
 
 
 @contextmanager
@@ -132,7 +159,9 @@ def check_same(saved: Mapping[str, Any], running: PI05UniforceConfig) -> None:
     differing = [name for name in stored if stored[name] != now[name]]
     if differing:
         wanted, came = ({name: facts[name] for name in differing} for facts in (stored, now))
-        do = "Run the checkpoint with its own tokenizer and slots; only swap and sensors may change."
+        do = (
+            "Run the checkpoint with its own tokenizer and slots; only swap and sensors may change."
+        )
         raise CheckpointError(expected("touch settings", wanted, came, do))
 
 
@@ -158,7 +187,9 @@ def check_sensors(config: PI05UniforceConfig, mounted: Mapping[Finger, str]) -> 
             continue
         if getattr(config, f"{finger}_sensor") != worn and finger == config.touch.slots[slot]:
             do = f"Say swap={slot}:FINGER or {finger}_sensor={worn} if you mean it."
-            raise CheckpointError(expected(f"sensor of {slot} ({finger} finger)", trained, worn, do))
+            raise CheckpointError(
+                expected(f"sensor of {slot} ({finger} finger)", trained, worn, do)
+            )
         notes.append(f"{slot}: trained on {trained}, now {worn} on the {finger} finger")
         logger.warning("Sensor swap, as asked: %s", notes[-1])
     return notes

@@ -17,7 +17,13 @@ from uniforce_vtla.keys import SLOTS, TACTILE_KEYS
 _BY_SIZE: Any = None
 
 # settings of who loads a checkpoint, not of who wrote it: stored at these values alone
-NEVER_STORED = {"verify": "full", "monitor": "stop", "grip": "", "left_calibration": "", "right_calibration": ""}
+NEVER_STORED = {
+    "verify": "full",
+    "monitor": "stop",
+    "grip": "",
+    "left_calibration": "",
+    "right_calibration": "",
+}
 MOST_CARRIED_N = 100.0  # of a grip: no finger reads more
 FORMERLY = {"true": "always", "false": "robot"}  # action.stop_outside_demos
 ENCODED = ("latent", "newtons")  # touch inputs that come from the frozen tokenizer
@@ -40,7 +46,8 @@ CHOICES = {
 class TouchSettings:
     """Which fingers give force tokens, of what, and where they enter the network."""
 
-    slots: dict[str, str] = field(default_factory=lambda: {"touch0": "right"})  # slot → finger; {} = none
+    # slot → finger; {} = none
+    slots: dict[str, str] = field(default_factory=lambda: {"touch0": "right"})
     # "newtons" (tiny): what a frozen force head reads in the latents, three numbers | "latent" (base): the whole map,
     # as in the paper | "none" (plain π0.5); controls: "wrench" (true wrench) | "descriptor" (hand-made) | "marker_pair"
     # (CNN)
@@ -61,8 +68,10 @@ class TouchSettings:
     trained_sensors: dict[str, str] = field(default_factory=dict)
     # slot → N of grip that the demonstrations' finger read once lifted (touch/grip.py); filled from a view
     carried_N: dict[str, float] = field(default_factory=dict)
-    tokenizer_path: str | None = None  # tactile tokenizer to freeze into a new policy; None = the shipped one
-    marker_images: int = 1  # version of the marker images it was trained on; filled when the policy is made
+    # tactile tokenizer to freeze into a new policy; None = the shipped one
+    tokenizer_path: str | None = None
+    # version of the marker images it was trained on; filled when the policy is made
+    marker_images: int = 1
     # its sizes, canonicalizer and content hash; filled when the policy is made
     tokenizer: dict[str, Any] | None = None
 
@@ -118,7 +127,8 @@ class SamplerSettings:
 
     # "fast": sampler/fast.py, with CUDA graphs on cuda | "eager": without them | "stock": LeRobot's own loop
     kind: str = "fast"
-    noise_scale: float = _BY_SIZE  # of the flow's starting noise; tiny 0 (the central action), base 1
+    # of the flow's starting noise; tiny 0 (the central action), base 1
+    noise_scale: float = _BY_SIZE
 
 
 @PreTrainedConfig.register_subclass("pi05_uniforce")
@@ -129,14 +139,16 @@ class PI05UniforceConfig(PI05Config):
     Raises ContractError: an unknown choice, slot, finger or token site, or settings that don't go together.
     """
 
-    size: str = "auto"  # "tiny" (CPU, from scratch) | "base" (real π0.5) | "auto": base where CUDA is
+    # "tiny" (CPU, from scratch) | "base" (real π0.5) | "auto": base where CUDA is
+    size: str = "auto"
     swap: str = ""  # "touch0:left" lets another finger fill a slot at rollout; weights don't change
     left_sensor: str = ""  # kind mounted on the left finger; provenance, "" = not stated
     right_sensor: str = ""  # kind mounted on the right finger
     # folder of `uniforce calibrate`, for a new sensor on that finger at rollout; never stored with a policy
     left_calibration: str = ""
     right_calibration: str = ""
-    text_tokenizer_name: str | None = None  # folder or hub name; None: packaged (tiny), PaliGemma's (base)
+    # folder or hub name; None: packaged (tiny), PaliGemma's (base)
+    text_tokenizer_name: str | None = None
     # repo_id, episodes, frames, fps of the training data: provenance, for the model card
     trained_on: dict[str, str] = field(default_factory=dict)
     # loading: files are compared with hashes.json. "full": all, a second per GB | "quick": from 16 MB by size
@@ -158,12 +170,16 @@ class PI05UniforceConfig(PI05Config):
     # π0.5's own, with defaults by size
     chunk_size: int = _BY_SIZE  # [steps] tiny 16: a 1.7 s chunk can't react to touch; base 50
     n_action_steps: int = _BY_SIZE  # [steps] tiny 2 (67 ms at 30 Hz); base 50
-    image_resolution: tuple[int, int] = _BY_SIZE  # [px] tiny 56² = 16 patches of 14² per camera; base 224²
+    # [px] tiny 56² = 16 patches of 14² per camera; base 224²
+    image_resolution: tuple[int, int] = _BY_SIZE
     max_action_dim: int = _BY_SIZE  # tiny 8 (5 axes, padded); base 32, as the published weights
     max_state_dim: int = _BY_SIZE  # tiny 8; base 32
-    tokenizer_max_length: int = _BY_SIZE  # [text tokens] tiny 64 (a usual prompt is 20–40); base 200
-    optimizer_lr: float = _BY_SIZE  # tiny 1e-3 (from scratch); base 2.5e-5 (openpi's fine-tuning peak)
-    scheduler_warmup_steps: int = _BY_SIZE  # tiny: 0.03 of the decay; scaled with it when a run is shorter
+    # [text tokens] tiny 64 (a usual prompt is 20–40); base 200
+    tokenizer_max_length: int = _BY_SIZE
+    # tiny 1e-3 (from scratch); base 2.5e-5 (openpi's fine-tuning peak)
+    optimizer_lr: float = _BY_SIZE
+    # tiny: 0.03 of the decay; scaled with it when a run is shorter
+    scheduler_warmup_steps: int = _BY_SIZE
     scheduler_decay_steps: int = _BY_SIZE  # tiny 100 000: any shorter run gets its whole cosine
     scheduler_decay_lr: float = _BY_SIZE  # tiny 1e-5; base 2.5e-6
 
@@ -178,14 +194,16 @@ class PI05UniforceConfig(PI05Config):
                 setattr(owner, name, copy.deepcopy(value))
         stop = str(self.action.stop_outside_demos)
         self.action.stop_outside_demos = FORMERLY.get(stop.lower(), stop)
-        self.image_resolution = (self.image_resolution[0], self.image_resolution[1])  # lists come from JSON
+        # lists come from JSON
+        self.image_resolution = (self.image_resolution[0], self.image_resolution[1])
         for path, known in CHOICES.items():
             came = getattr(*self._owner(path))
             _require(came in known, path, " | ".join(known), came)
         self._check_together()
         if self.action.objective == "regression":
             self.num_inference_steps, self.sampler.noise_scale = 1, 0.0
-        if self.action.form == "target_delta":  # the policy itself turns deltas into targets in SI units
+        # the policy itself turns deltas into targets in SI units
+        if self.action.form == "target_delta":
             mapping = vars(self)["normalization_mapping"]
             self.normalization_mapping = {**mapping, "ACTION": NormalizationMode.IDENTITY}
         super().__post_init__()
@@ -203,14 +221,21 @@ class PI05UniforceConfig(PI05Config):
         mapped = touch.input in (*ENCODED, "descriptor") and bool(touch.slots)
         came = f"touch.input={touch.input} in {sorted(touch.slots)}"
         feels = touch.input == "newtons" and bool(touch.slots)
-        _require(feels or self.grip != "held", "grip", "read: this policy feels no newtons", self.grip)
+        _require(
+            feels or self.grip != "held", "grip", "read: this policy feels no newtons", self.grip
+        )
         for slot, held_N in touch.carried_N.items():
             fits = isinstance(held_N, int | float) and 0 < held_N < MOST_CARRIED_N
             _require(fits, f"touch.carried_N of {slot}", f"0 to {MOST_CARRIED_N} N", held_N)
         fit = mapped or not (self.left_calibration or self.right_calibration)
         _require(fit, "left_calibration, right_calibration", "latents to map", came)
         deltas = self.state_token and action.form == "target_delta"
-        _require(augment.camera_variation >= 0, "augment.camera_variation", "≥ 0", augment.camera_variation)
+        _require(
+            augment.camera_variation >= 0,
+            "augment.camera_variation",
+            "≥ 0",
+            augment.camera_variation,
+        )
         steps, axes = action.previous_steps, action.previous_axes
         fit = steps >= 0 and (deltas or not steps)
         _require(fit, "action.previous_steps", "0, or more with tiny's deltas", steps)
@@ -233,7 +258,9 @@ class PI05UniforceConfig(PI05Config):
     @property
     def slots(self) -> tuple[str, ...]:
         """Touch slots that give tokens, in a fixed order; empty when touch is off."""
-        return tuple(s for s in SLOTS if s in self.touch.slots) if self.touch.input != "none" else ()
+        return (
+            tuple(s for s in SLOTS if s in self.touch.slots) if self.touch.input != "none" else ()
+        )
 
     @property
     def touch_in_view(self) -> str:

@@ -116,7 +116,8 @@ class PolicyController:
         """Return the next (n_action_steps, 5) absolute targets [m, m, m, rad, m]."""
         begun, queued = time.perf_counter(), len(self.policy._action_queue)
         targets = self._issue(self._batch(observation, task))
-        self._missed += time.perf_counter() - begun > (queued + 1) / self._hz  # due when these and the present step end
+        # due when these and the present step end
+        self._missed += time.perf_counter() - begun > (queued + 1) / self._hz
         return targets
 
     def _issue(self, batch: dict[str, Any]) -> np.ndarray:
@@ -139,8 +140,13 @@ class PolicyController:
         wanted = {k: v for k, v in observation.items() if not k.startswith("wrench_")}
         if self.needs_true_wrench:
             for slot, finger in self.config.finger_by_slot().items():
-                wanted[wrench_key(slot).removeprefix("observation.")] = observation[f"wrench_{finger}"]
+                wanted[wrench_key(slot).removeprefix("observation.")] = observation[
+                    f"wrench_{finger}"
+                ]
         if self.policy.touch.monitors:
             return wanted
-        unread = [name for name in TACTILE_NAMES if name.split("_")[1] not in self.reads]  # tactile_FINGER[_ref]
-        return wanted | {"pixels": {k: v for k, v in observation["pixels"].items() if k not in unread}}
+        # tactile_FINGER[_ref]
+        unread = [name for name in TACTILE_NAMES if name.split("_")[1] not in self.reads]
+        return wanted | {
+            "pixels": {k: v for k, v in observation["pixels"].items() if k not in unread}
+        }

@@ -21,7 +21,9 @@ TEMPLATE = Path(__file__).parent / "assets" / "model_card.md"
 
 
 def model_card(
-    config: PI05UniforceConfig, training: Mapping[str, Any] | None = None, scores: Mapping[str, Any] | None = None
+    config: PI05UniforceConfig,
+    training: Mapping[str, Any] | None = None,
+    scores: Mapping[str, Any] | None = None,
 ) -> ModelCard:
     """Return the card of a policy, trained with ``train_config.json``'s settings, scored by ``uniforce score``.
 
@@ -34,7 +36,8 @@ def model_card(
         library_name="lerobot",
         pipeline_tag="robotics",
         tags=sorted({*(config.tags or []), "robotics", "lerobot", "tactile", config.type}),
-        datasets=None if trained_on.startswith("local/") else trained_on or None,  # local: no place on the hub
+        # local: no place on the hub
+        datasets=None if trained_on.startswith("local/") else trained_on or None,
         base_model=BASE_MODEL if base else None,
     )
     return ModelCard(
@@ -44,7 +47,9 @@ def model_card(
             config=config,
             touch=_touch(config),
             data_text=_lines(config.trained_on),
-            training=_lines({name: str(training[name]) for name in asked if training and name in training}),
+            training=_lines(
+                {name: str(training[name]) for name in asked if training and name in training}
+            ),
             scores=_scores(scores),
             licence=LICENCE[config.size],
         )
@@ -57,7 +62,11 @@ def _touch(config: PI05UniforceConfig) -> str:
     touch, known = config.touch, config.touch.trained_sensors
     worn = {slot: known.get(slot) or "a sensor not stated" for slot in config.slots}
     facts = {f"slot `{s}`": f"{touch.slots[s]} finger, trained on {worn[s]}" for s in config.slots}
-    facts |= {"input": touch.input, "token site": touch.site, "tokens per slot": str(config.tokens_per_slot)}
+    facts |= {
+        "input": touch.input,
+        "token site": touch.site,
+        "tokens per slot": str(config.tokens_per_slot),
+    }
     return _lines(facts | {"tactile tokenizer": config.tokenizer_hash or "none"})
 
 
@@ -70,7 +79,9 @@ def _scores(scores: Mapping[str, Any] | None) -> str:
     level = scores.get("level", "not stated")
     head = [f"Simulated wiping, level `{level}`:", "", "| arm | clean | success |", "|---|---|---|"]
     rows = [(name, arm["n"], arm["clean"], arm["success"]) for name, arm in scores["arms"].items()]
-    return "\n".join([*head, *(f"| {name} | {clean}/{n} | {done}/{n} |" for name, n, clean, done in rows)])
+    return "\n".join(
+        [*head, *(f"| {name} | {clean}/{n} | {done}/{n} |" for name, n, clean, done in rows)]
+    )
 
 
 def _lines(facts: Mapping[str, str]) -> str:

@@ -26,7 +26,11 @@ from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE,
 from lerobot_policy_pi05_uniforce.touch.controls import ControlInput, NewtonInput
 from lerobot_policy_pi05_uniforce.touch.encoder import ENCODER, check_hash, is_packaged
 from lerobot_policy_pi05_uniforce.touch.felt import Felt
-from lerobot_policy_pi05_uniforce.touch.touch_input import TouchInput, build_monitors, load_calibrations
+from lerobot_policy_pi05_uniforce.touch.touch_input import (
+    TouchInput,
+    build_monitors,
+    load_calibrations,
+)
 from lerobot_policy_pi05_uniforce.warm_up import LANGUAGE, WARM_LOOKS, made_up_batch
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.file_hashes import drop_hashes
@@ -97,7 +101,9 @@ class PI05UniforcePolicy(stock.PI05Policy):
         """Refuse real-time chunking of deltas: it also bypasses ``select_action``, which bounds leaps and leads."""
         if not self.supports_rtc():
             do = "Set inference.type=sync and leave rtc_config out, or train with action.form=absolute."
-            raise ContractError(expected("actions as target_delta", "no real-time chunking", came, do))
+            raise ContractError(
+                expected("actions as target_delta", "no real-time chunking", came, do)
+            )
 
     def _make_touch_input(self) -> TouchInput:
         config, encoder = self.config, self.model.tactile_encoder
@@ -147,7 +153,9 @@ class PI05UniforcePolicy(stock.PI05Policy):
         weights.check_files(source, verify, *at)
         # adapters have a folder of their own
         if config is not None and config.use_peft and config.pretrained_path:
-            weights.check_files(config.pretrained_path, verify, config.pretrained_revision, local_files_only)
+            weights.check_files(
+                config.pretrained_path, verify, config.pretrained_revision, local_files_only
+            )
         where = weights.find(source, weights.CONFIG, *at)
         saved = read_object(where, CheckpointError)
         checkpoint.check_settings(saved, str(where))
@@ -182,7 +190,9 @@ class PI05UniforcePolicy(stock.PI05Policy):
             for _ in range(WARM_LOOKS):
                 self.predict_action_chunk(batch)
         self.reset()
-        logger.info("policy warmed up in %.1f s, before any robot moves", time.perf_counter() - begun)
+        logger.info(
+            "policy warmed up in %.1f s, before any robot moves", time.perf_counter() - begun
+        )
 
     def _apply(self, fn: Callable[..., Any], recurse: bool = True) -> Self:
         """Move every tensor, those of touch too: maps and ranges of sensors are no modules of this one."""
@@ -193,7 +203,9 @@ class PI05UniforcePolicy(stock.PI05Policy):
             self.reset()
         return self
 
-    def _save_pretrained(self, save_directory: Path, state_dict: dict[str, Tensor] | None = None) -> None:
+    def _save_pretrained(
+        self, save_directory: Path, state_dict: dict[str, Tensor] | None = None
+    ) -> None:
         """Write config, weights (a tactile tokenizer that isn't the package's among them) and a model card.
 
         LeRobot saves the processors later; who calls it calls ``write_hashes`` last.
@@ -249,7 +261,10 @@ class PI05UniforcePolicy(stock.PI05Policy):
         """Area-resize larger camera frames, as training views do; base keeps π0.5's own bilinear resize."""
         if self.config.size == "base":
             return batch
-        size, shown = self.config.image_resolution, [k for k in self.config.image_features if k in batch]
+        size, shown = (
+            self.config.image_resolution,
+            [k for k in self.config.image_features if k in batch],
+        )
         large = [k for k in shown if batch[k].shape[-1] > size[1]]
         return {**batch, **{k: F.interpolate(batch[k], size, mode="area") for k in large}}
 
@@ -260,7 +275,8 @@ class PI05UniforcePolicy(stock.PI05Policy):
     def _text(self, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
         """Return text tokens and mask, (B, L); tiny drops the padding no prompt of the batch uses."""
         tokens, mask = (batch[key] for key in LANGUAGE)
-        if self.config.size == "tiny":  # base keeps one length, so that a compiled graph stays valid
+        # base keeps one length, so that a compiled graph stays valid
+        if self.config.size == "tiny":
             longest = int(mask.sum(dim=1).max())
             tokens, mask = tokens[:, :longest], mask[:, :longest]
         return tokens, mask
@@ -268,7 +284,9 @@ class PI05UniforcePolicy(stock.PI05Policy):
     def _measured(self, batch: dict[str, Tensor]) -> Tensor:
         if MEASURED_STATE not in batch:
             do = "Run the policy's own preprocessor (make_pi05_uniforce_pre_post_processors)."
-            raise ContractError(expected(MEASURED_STATE, "the state in SI units", "no such key", do))
+            raise ContractError(
+                expected(MEASURED_STATE, "the state in SI units", "no such key", do)
+            )
         return batch[MEASURED_STATE].to(self.delta_scale)
 
     def prepare_action(self, batch: dict[str, Tensor]) -> Tensor:
@@ -278,10 +296,14 @@ class PI05UniforcePolicy(stock.PI05Policy):
             is_pad = batch.get("action_is_pad")
             known = actions.shape[1] - 1 - self.config.chunk_size  # commands before the last one
             is_pad = is_pad if is_pad is None else is_pad[:, known:]
-            actions = action.to_deltas(actions[:, known:], is_pad, self._measured(batch), self.network_units)
+            actions = action.to_deltas(
+                actions[:, known:], is_pad, self._measured(batch), self.network_units
+            )
         return stock.pad_vector(actions, self.config.max_action_dim)
 
-    def forward(self, batch: dict[str, Tensor], reduction: str = "mean") -> tuple[Tensor, dict[str, Any]]:
+    def forward(
+        self, batch: dict[str, Tensor], reduction: str = "mean"
+    ) -> tuple[Tensor, dict[str, Any]]:
         """Return the flow-matching loss over real steps and axes.
 
         Args:
@@ -300,7 +322,10 @@ class PI05UniforcePolicy(stock.PI05Policy):
         keep = (~is_pad[:, -losses.shape[1] :]).to(losses)[..., None]  # (B, chunk, 1)
         axes = None if reduction == "mean" else (1, 2)
         loss = (losses * keep).sum(axes) / (keep.sum(axes) * self._action_size).clamp_min(1)
-        facts = {"loss": float(loss.detach().mean()), "target_rms": float(actions.square().mean().sqrt())}
+        facts = {
+            "loss": float(loss.detach().mean()),
+            "target_rms": float(actions.square().mean().sqrt()),
+        }
         return loss, facts
 
     def _flow_start(self, actions: Tensor) -> tuple[Tensor, Tensor]:
@@ -333,15 +358,20 @@ class PI05UniforcePolicy(stock.PI05Policy):
         """Let LeRobot's loop sample while PEFT's adapters are in: the fast one reads plain weights."""
         adapted = hasattr(self, "peft_config")
         if adapted and not self.model.adapted and self.model.fast is not None:
-            logger.warning("LoRA isn't merged: LeRobot's loop samples, slowly. uniforce share merges it.")
+            logger.warning(
+                "LoRA isn't merged: LeRobot's loop samples, slowly. uniforce share merges it."
+            )
         self.model.adapted = adapted
 
     def _targets(self, chunk: Tensor, batch: dict[str, Tensor]) -> Tensor:
         """Return what the postprocessor takes: the network's chunk, deltas put on the last command."""
         if self.config.action.form == "absolute":
             return chunk
-        targets = action.to_targets(chunk, self.issued.base(self._measured(batch)), self.network_units)
-        return targets.clamp(*self.target_range.to(targets))  # changes could add up to places no demo has shown
+        targets = action.to_targets(
+            chunk, self.issued.base(self._measured(batch)), self.network_units
+        )
+        # changes could add up to places no demo has shown
+        return targets.clamp(*self.target_range.to(targets))
 
     def _start_noise(self, batch_size: int, device: torch.device) -> Tensor:
         """Return where the flow starts, (B, chunk, max_action_dim): scaled noise; 0 gives the central action."""
@@ -361,13 +391,17 @@ class PI05UniforcePolicy(stock.PI05Policy):
         """
         before = self.issued.asked if self._action_queue else self.issued.last
         # a queued action needs no network, and LeRobot's look at every module's mode takes milliseconds
-        target = self._action_queue.popleft() if self._action_queue else super().select_action(batch)
+        target = (
+            self._action_queue.popleft() if self._action_queue else super().select_action(batch)
+        )
         if self.config.action.form == "target_delta":
             target = self._bounded(target, before, self._measured(batch), steps)
         self.issued.record(target)
         return target
 
-    def _bounded(self, target: Tensor, before: Tensor | None, measured: Tensor, steps: int) -> Tensor:
+    def _bounded(
+        self, target: Tensor, before: Tensor | None, measured: Tensor, steps: int
+    ) -> Tensor:
         """Return a (B, A) target on its leash, so that the next chunk doesn't wind up; raises as ``select_action``."""
         action.check_leap(target, before, self.delta_scale)
         bounded = action.on_leash(target, measured, self.leash, steps)

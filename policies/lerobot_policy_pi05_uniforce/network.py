@@ -15,7 +15,12 @@ from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, drop_padding
 from lerobot_policy_pi05_uniforce.touch.controls import control_tokens
 from lerobot_policy_pi05_uniforce.touch.encoder import build_encoder
 from lerobot_policy_pi05_uniforce.touch.felt import NOTHING, Felt
-from lerobot_policy_pi05_uniforce.touch.tokens import ForceTokens, GatedColumns, SuffixTouch, TouchGate
+from lerobot_policy_pi05_uniforce.touch.tokens import (
+    ForceTokens,
+    GatedColumns,
+    SuffixTouch,
+    TouchGate,
+)
 from lerobot_policy_pi05_uniforce.training import freeze_unread
 from lerobot_policy_pi05_uniforce.weights import no_weights
 from uniforce_vtla.keys import STATE
@@ -33,7 +38,9 @@ class StateToken(nn.Module):
         super().__init__()
         size, moves = state_size(config), len(config.previous_axes)
         self.noise = (*[0.0] * size, *[PREVIOUS_NOISE] * moves)
-        self.proj = nn.Sequential(nn.Linear(size + moves, width), nn.GELU(), nn.Linear(width, width))
+        self.proj = nn.Sequential(
+            nn.Linear(size + moves, width), nn.GELU(), nn.Linear(width, width)
+        )
 
     def forward(self, state: Tensor) -> Tensor:
         """Map (B, 1, state size + moves) to (B, 1, D) of unit RMS."""
@@ -51,8 +58,11 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
     and each other, never the actions.
     """
 
-    def __init__(self, config: PI05UniforceConfig, rtc_processor: Any = None, empty: bool = False) -> None:
-        nn.Module.__init__(self)  # the parent names its own backbone, and would build both language heads
+    def __init__(
+        self, config: PI05UniforceConfig, rtc_processor: Any = None, empty: bool = False
+    ) -> None:
+        # the parent names its own backbone, and would build both language heads
+        nn.Module.__init__(self)
         self.config, self.rtc_processor = config, rtc_processor
         self.gradient_checkpointing_enabled = False
         with no_weights() if empty else nullcontext():
@@ -143,7 +153,9 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         if not self.config.compile_model:  # compiled code wants one length
             tokens, masks = drop_padding(tokens, masks)
         with self.feeling(felt):
-            return super().forward(images=images, img_masks=img_masks, tokens=tokens, masks=masks, **flow)
+            return super().forward(
+                images=images, img_masks=img_masks, tokens=tokens, masks=masks, **flow
+            )
 
     @contextmanager
     def feeling(self, felt: Felt) -> Iterator[None]:
@@ -177,21 +189,27 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
             count = embedded.shape[1]
             embs = torch.cat([embs, embedded.to(embs.dtype)], dim=1)  # (B, L + count, D)
             pads = torch.cat([pads, mask[:, None].expand(-1, count)], dim=1)
-            atts = torch.cat([atts, atts.new_zeros(embedded.shape[:2])], dim=1)  # 0: sees the whole prefix
+            # 0: sees the whole prefix
+            atts = torch.cat([atts, atts.new_zeros(embedded.shape[:2])], dim=1)
         return embs, pads, atts
 
-    def embed_suffix(self, noisy_actions: Tensor, timestep: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def embed_suffix(
+        self, noisy_actions: Tensor, timestep: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Embed noisy actions as π0.5 does, force tokens before them at ``touch.site=suffix``."""
         embs, pads, atts, cond = super().embed_suffix(noisy_actions, timestep)
         if self._touch is None:
             return embs, pads, atts, cond
         block = atts.new_zeros(self._touch.mask.shape)
         block[:, 0] = 1  # a block of its own between prefix and actions
-        embs = torch.cat([self._touch.tokens.to(embs.dtype), embs], dim=1)  # (B, N + chunk, D_expert)
+        # (B, N + chunk, D_expert)
+        embs = torch.cat([self._touch.tokens.to(embs.dtype), embs], dim=1)
         pads, atts = torch.cat([self._touch.mask, pads], dim=1), torch.cat([block, atts], dim=1)
         return embs, pads, atts, cond
 
-    def embed_felt(self, felt: Felt, before: int) -> tuple[list[tuple[Tensor, Tensor]], GatedColumns | None]:
+    def embed_felt(
+        self, felt: Felt, before: int
+    ) -> tuple[list[tuple[Tensor, Tensor]], GatedColumns | None]:
         """Return the tokens behind ``before`` ones of cameras and text, and the weight of touch, if not 1.
 
         The first is (B, ·, D) tokens and (B,) mask of the state, and at that site of every touch slot, in that order.

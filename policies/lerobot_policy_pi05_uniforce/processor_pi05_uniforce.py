@@ -35,7 +35,8 @@ logger = logging.getLogger(__name__)
 
 MEASURED_STATE = "observation.measured_state"  # the state in SI units, beside the normalised one
 FOLDER = Path(__file__).parent / "text_tokenizer"
-PACKAGED = "packaged:text_tokenizer"  # what checkpoints store, so that a moved installation still loads
+# what checkpoints store, so that a moved installation still loads
+PACKAGED = "packaged:text_tokenizer"
 SAVED = "saved:text_tokenizer"  # stored for a tokenizer in the preprocessor's own state file
 VOCABULARY = 640  # ids for the packaged one's tokens and the image token, rounded up to 64
 PALIGEMMA = "google/paligemma-3b-pt-224"  # the vocabulary of the published π0.5 weights
@@ -81,7 +82,10 @@ class UniforceTokenizerProcessorStep(TokenizerProcessorStep):
 
     def get_config(self) -> dict[str, Any]:
         """Return what the pipeline's JSON holds."""
-        return {**super().get_config(), "tokenizer_name": PACKAGED if self.tokenizer_name == PACKAGED else SAVED}
+        return {
+            **super().get_config(),
+            "tokenizer_name": PACKAGED if self.tokenizer_name == PACKAGED else SAVED,
+        }
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return the tokenizer's files as (n,) uint8; nothing for the packaged one."""
@@ -100,18 +104,24 @@ class UniforceTokenizerProcessorStep(TokenizerProcessorStep):
     def _tokenize_text(self, text: str | list[str]) -> dict[str, Tensor]:
         if self.input_tokenizer is None:
             do = "Copy the checkpoint again, with every file of its preprocessor."
-            raise CheckpointError(expected("text tokenizer", "its files in the preprocessor", "none", do))
+            raise CheckpointError(
+                expected("text tokenizer", "its files in the preprocessor", "none", do)
+            )
         tokens = super()._tokenize_text(text)
         if not self._warned and bool(tokens["attention_mask"].all(dim=-1).any()):
             self._warned = True
-            logger.warning("A prompt fills all %d text tokens; its end may be cut: %r", self.max_length, text)
+            logger.warning(
+                "A prompt fills all %d text tokens; its end may be cut: %r", self.max_length, text
+            )
         return tokens
 
 
 def _to_tensors(tokenizer: Any) -> dict[str, Tensor]:
     with TemporaryDirectory() as folder:
         tokenizer.save_pretrained(folder)
-        files = {p.name: bytearray(p.read_bytes()) for p in sorted(Path(folder).iterdir()) if p.is_file()}
+        files = {
+            p.name: bytearray(p.read_bytes()) for p in sorted(Path(folder).iterdir()) if p.is_file()
+        }
     return {name: torch.frombuffer(content, dtype=torch.uint8) for name, content in files.items()}
 
 
@@ -144,11 +154,14 @@ def make_pi05_uniforce_pre_post_processors(
         AddBatchDimensionProcessorStep(),
         KeepMeasuredStateStep(),
         NormalizerProcessorStep(
-            features={**config.input_features, **config.output_features}, normalize_observation_keys={STATE}, **norm
+            features={**config.input_features, **config.output_features},
+            normalize_observation_keys={STATE},
+            **norm,
         ),
         Pi05PrepareStateTokenizerProcessorStep(max_state_dim=config.max_state_dim),
         UniforceTokenizerProcessorStep(
-            tokenizer_name=config.text_tokenizer_name or (PACKAGED if config.size == "tiny" else PALIGEMMA),
+            tokenizer_name=config.text_tokenizer_name
+            or (PACKAGED if config.size == "tiny" else PALIGEMMA),
             max_length=config.tokenizer_max_length,
             padding_side="right",
             padding="max_length",

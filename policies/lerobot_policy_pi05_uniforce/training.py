@@ -24,9 +24,12 @@ Named = tuple[str, nn.Parameter]
 NEW_MODULES = ("force_tokens", "state_token", "touch_gate")
 NEW_MODULE_RATE = {"tiny": 1.0, "base": 4.0}  # of optimizer_lr: tiny's backbone is as new
 GATE_LR = 1e-3  # of the gate alone: it goes from 1e-6 to the order of 1
-EXPERT = r".*\.gemma_expert\.model\.layers\.\d+\.(self_attn\.(q|k|v|o)_proj|mlp\.(gate|up|down)_proj)"
+EXPERT = (
+    r".*\.gemma_expert\.model\.layers\.\d+\.(self_attn\.(q|k|v|o)_proj|mlp\.(gate|up|down)_proj)"
+)
 PROJECTIONS = r"model\.(action_in_proj|action_out_proj|time_mlp_in|time_mlp_out)"
-SCALED = {"latent": latent_key, "descriptor": descriptor_key}  # inputs standardised by the training data
+# inputs standardised by the training data
+SCALED = {"latent": latent_key, "descriptor": descriptor_key}
 
 
 def parameter_groups(named: Iterable[Named], config: PI05UniforceConfig) -> list[dict[str, Any]]:
@@ -35,7 +38,8 @@ def parameter_groups(named: Iterable[Named], config: PI05UniforceConfig) -> list
     rates: dict[str, dict[str, Any]] = {"": {}, "new": {"lr": new}, "gate": {"lr": GATE_LR}}
     groups: dict[str, list[nn.Parameter]] = {name: [] for name in rates}
     for name, parameter in named:
-        parts = set(name.split("."))  # a wrapper (PEFT) may stand before or behind the module's name
+        # a wrapper (PEFT) may stand before or behind the module's name
+        parts = set(name.split("."))
         group = "gate" if "touch_gate" in parts else "new" if parts & set(NEW_MODULES) else ""
         if parameter.requires_grad:
             groups[group].append(parameter)
@@ -46,7 +50,13 @@ def freeze_unread(network: stock.PI05Pytorch) -> None:
     """Take the gradient from the VLM's weights behind its last keys and values."""
     vlm = network.paligemma_with_expert.paligemma.model.language_model
     last, attention = vlm.layers[-1], vlm.layers[-1].self_attn
-    for unread in (vlm.norm, last.post_attention_layernorm, last.mlp, attention.q_proj, attention.o_proj):
+    for unread in (
+        vlm.norm,
+        last.post_attention_layernorm,
+        last.mlp,
+        attention.q_proj,
+        attention.o_proj,
+    ):
         unread.requires_grad_(False)
 
 
@@ -74,7 +84,9 @@ def read_touch_scale(
     rows = [stats[key(slot)] for slot in config.slots if key(slot) in stats]
     if not rows:
         return None
-    mean = torch.stack([torch.as_tensor(row["mean"]).float().reshape(shape) for row in rows]).mean(dim=0)
+    mean = torch.stack([torch.as_tensor(row["mean"]).float().reshape(shape) for row in rows]).mean(
+        dim=0
+    )
     stds = torch.stack([torch.as_tensor(row["std"]).float().reshape(shape) for row in rows])
     spreads = stds.square().mean(dim=1).sqrt().clamp_min(1e-3)  # an unused channel must not explode
     return mean, spreads.square().mean(dim=0).sqrt()

@@ -27,4 +27,6 @@ def made_up_batch(config: PI05UniforceConfig, device: torch.device) -> dict[str,
     markers = torch.ones(1, *MARKER_IMAGE_SHAPE, device=device)  # black ones hold no markers
     batch |= {name: markers for pair in PAIR_KEYS.values() for name in pair}
     tokens = torch.zeros(1, config.tokenizer_max_length, dtype=torch.int64, device=device)
-    return batch | dict(zip(LANGUAGE, (tokens, torch.ones_like(tokens, dtype=torch.bool)), strict=True))
+    return batch | dict(
+        zip(LANGUAGE, (tokens, torch.ones_like(tokens, dtype=torch.bool)), strict=True)
+    )

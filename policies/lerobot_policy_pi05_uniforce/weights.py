@@ -26,7 +26,9 @@ EMBEDDING = f"{BACKBONE}paligemma.model.language_model.embed_tokens.weight"
 HEADS = (f"{BACKBONE}paligemma.lm_head.weight", f"{BACKBONE}gemma_expert.lm_head.weight")
 
 
-def find(source: str | Path, name: str, revision: str | None = None, local_files_only: bool = False) -> Path:
+def find(
+    source: str | Path, name: str, revision: str | None = None, local_files_only: bool = False
+) -> Path:
     """Return the path of one file of a checkpoint folder or hub repository.
 
     Raises CheckpointError: there is no such file.
@@ -38,13 +40,17 @@ def find(source: str | Path, name: str, revision: str | None = None, local_files
             raise CheckpointError(expected(str(path), "a file", "none", do))
         return path
     try:
-        return Path(hf_hub_download(str(source), name, revision=revision, local_files_only=local_files_only))
+        return Path(
+            hf_hub_download(str(source), name, revision=revision, local_files_only=local_files_only)
+        )
     except (HfHubHTTPError, OSError) as error:
         do, wanted = "Check path and network.", "a folder or hub repository"
         raise CheckpointError(expected(f"{source}/{name}", wanted, error, do)) from error
 
 
-def check_files(source: str | Path, verify: str, revision: str | None, local_files_only: bool) -> None:
+def check_files(
+    source: str | Path, verify: str, revision: str | None, local_files_only: bool
+) -> None:
     """Compare every file of a checkpoint folder or hub repository with its hash, fetching those of a repository.
 
     Raises CheckpointError: a file that is missing, changed or without a hash.
@@ -61,7 +67,9 @@ def check_files(source: str | Path, verify: str, revision: str | None, local_fil
 def fill(
     module: nn.Module,
     path: Path,
-    rename: Callable[[list[str]], dict[str, str]] = lambda names: dict(zip(names, names, strict=True)),
+    rename: Callable[[list[str]], dict[str, str]] = lambda names: dict(
+        zip(names, names, strict=True)
+    ),
     fresh: tuple[str, ...] = (),
 ) -> None:
     """Put a safetensors file's tensors into ``module``, which may be empty (``no_weights``).
@@ -77,7 +85,9 @@ def fill(
     Raises CheckpointError: a truncated or damaged file, or naming the tensors that don't fit or aren't finite.
     """
     with opened(path) as stored:
-        tensors = {own: stored.get_tensor(name) for name, own in rename(list(stored.keys())).items()}
+        tensors = {
+            own: stored.get_tensor(name) for name, own in rename(list(stored.keys())).items()
+        }
     wanted = module.state_dict()
     _check(wanted, tensors, fresh)
     for name, tensor in tensors.items():
@@ -93,7 +103,9 @@ def fill(
 def finite(tensor: Tensor, what: str) -> Tensor:
     """Return ``tensor``; raise CheckpointError if it holds NaN or inf."""
     if not is_finite(tensor):
-        raise CheckpointError(expected(what, "finite numbers", "NaN or inf", "Copy the checkpoint again."))
+        raise CheckpointError(
+            expected(what, "finite numbers", "NaN or inf", "Copy the checkpoint again.")
+        )
     return tensor
 
 
@@ -114,13 +126,19 @@ def no_weights() -> AbstractContextManager:
 
 
 def _check(own: dict[str, Tensor], stored: dict[str, Tensor], fresh: tuple[str, ...]) -> None:
-    misshapen = [name for name in own.keys() & stored.keys() if own[name].shape != stored[name].shape]
+    misshapen = [
+        name for name in own.keys() & stored.keys() if own[name].shape != stored[name].shape
+    ]
     missing = [name for name in own.keys() - stored.keys() if not name.startswith(fresh)]
     kinds = {"missing": missing, "unexpected": stored.keys() - own.keys(), "misshapen": misshapen}
-    found = ", ".join(f"{len(names)} {kind} ({_some(names)})" for kind, names in kinds.items() if names)
+    found = ", ".join(
+        f"{len(names)} {kind} ({_some(names)})" for kind, names in kinds.items() if names
+    )
     if found:
         do = "Load it with the settings it was trained with (its own config.json)."
-        raise CheckpointError(expected("checkpoint tensors", f"the {len(own)} of this policy", found, do))
+        raise CheckpointError(
+            expected("checkpoint tensors", f"the {len(own)} of this policy", found, do)
+        )
 
 
 def _some(names: Iterable[str]) -> str:
@@ -138,7 +156,10 @@ def own_names(stored: Iterable[str]) -> dict[str, str]:
     names = {name: name if name.startswith("model.") else f"model.{name}" for name in stored}
     left_out = (*HEADS, *TOUCH)
     kept = {name: full for name, full in names.items() if not full.startswith(left_out)}
-    ours = {name: full.replace("model.action_time_mlp_", "model.time_mlp_") for name, full in kept.items()}
+    ours = {
+        name: full.replace("model.action_time_mlp_", "model.time_mlp_")
+        for name, full in kept.items()
+    }
     if EMBEDDING not in ours.values():
         tied = [name for name, full in names.items() if full == HEADS[0]]
         ours |= dict.fromkeys(tied, EMBEDDING)

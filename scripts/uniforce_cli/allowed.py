@@ -32,14 +32,23 @@ PROVENANCE: Mapping[str, Kind] = {
     "dirty": "numbers",
 }
 SETTINGS: Kind = {  # of uniforce record
-    **dict.fromkeys(("robot", "teleop", "level", "left_sensor", "right_sensor", "operator", "verdict"), "text"),
-    **dict.fromkeys(("episodes", "seed", "episode_s", "window", "reserve_MB", "unwell_s", "late_share"), "numbers"),
-    **dict.fromkeys(("keep_failures", "drive_between", "keep_aborted", "keep_raw", "real_time"), "numbers"),
+    **dict.fromkeys(
+        ("robot", "teleop", "level", "left_sensor", "right_sensor", "operator", "verdict"), "text"
+    ),
+    **dict.fromkeys(
+        ("episodes", "seed", "episode_s", "window", "reserve_MB", "unwell_s", "late_share"),
+        "numbers",
+    ),
+    **dict.fromkeys(
+        ("keep_failures", "drive_between", "keep_aborted", "keep_raw", "real_time"), "numbers"
+    ),
     "prompts": "text",
 }
 CARD: Kind = {  # of an episode
     **dict.fromkeys(("label", "prompt", "teleop", "rig", "level", "begun"), "text"),
-    **dict.fromkeys(("episode", "pauses", "held_s", "peak_force_N", "ticks", "guards", "sensors"), "numbers"),
+    **dict.fromkeys(
+        ("episode", "pauses", "held_s", "peak_force_N", "ticks", "guards", "sensors"), "numbers"
+    ),
     "settings": SETTINGS,
 }
 RIG: Kind = {"stretches": "numbers"}  # settings of the rig; their texts name devices
@@ -50,13 +59,16 @@ FEATURE: Kind = {
     "fps": "numbers",
     "info": {
         "*": "numbers",
-        **dict.fromkeys(("video.codec", "video.pix_fmt", "video.preset", "video.video_backend"), "text"),
+        **dict.fromkeys(
+            ("video.codec", "video.pix_fmt", "video.preset", "video.video_backend"), "text"
+        ),
     },
 }
 INFO: Kind = {  # LeRobot's meta/info.json
     **dict.fromkeys(("codebase_version", "robot_type", "data_path", "video_path"), "text"),
     **dict.fromkeys(
-        ("fps", "total_episodes", "total_frames", "total_tasks", "total_videos", "total_chunks"), "numbers"
+        ("fps", "total_episodes", "total_frames", "total_tasks", "total_videos", "total_chunks"),
+        "numbers",
     ),
     **dict.fromkeys(("chunks_size", "data_files_size_in_mb", "video_files_size_in_mb"), "numbers"),
     "splits": {"*": "text"},
@@ -64,7 +76,13 @@ INFO: Kind = {  # LeRobot's meta/info.json
 }
 ARM: Kind = {"*": "numbers", "by_seed": "text", "policies": "text"}
 TESTS: Kind = {"*": "numbers", "arms": "text"}
-SCORES: Kind = {"level": "text", "level_hash": "text", "arms": {"*": ARM}, "tests": TESTS, **PROVENANCE}
+SCORES: Kind = {
+    "level": "text",
+    "level_hash": "text",
+    "arms": {"*": ARM},
+    "tests": TESTS,
+    **PROVENANCE,
+}
 
 
 def allowed(content: Any, kind: Kind) -> Any:
@@ -75,14 +93,22 @@ def allowed(content: Any, kind: Kind) -> Any:
         kept = [allowed(entry, kind) for entry in content]
         return NOTHING if NOTHING in kept else kept
     if isinstance(content, dict):
-        return NOTHING if kind == "text" else _allowed_entries(content, {"*": kind} if kind == "numbers" else kind)
+        return (
+            NOTHING
+            if kind == "text"
+            else _allowed_entries(content, {"*": kind} if kind == "numbers" else kind)
+        )
     wanted = str if kind == "text" else int | float
     return content if isinstance(kind, str) and isinstance(content, wanted) else NOTHING
 
 
 def _allowed_entries(content: Mapping[str, Any], kinds: Mapping[str, Kind]) -> dict[str, Any]:
     known = {name: kinds.get(name, kinds.get("*")) for name in content}
-    kept = {name: allowed(value, kind) for name, value in content.items() if (kind := known[name]) is not None}
+    kept = {
+        name: allowed(value, kind)
+        for name, value in content.items()
+        if (kind := known[name]) is not None
+    }
     return {name: value for name, value in kept.items() if value is not NOTHING}
 
 
@@ -102,14 +128,22 @@ def stage_dataset(root: Path, staged: Path) -> list[str]:
     for name in names:
         target = staged / name
         target.parent.mkdir(parents=True, exist_ok=True)
-        kind = CARD if name.startswith("cards/") else {"meta/info.json": INFO, "meta/rig.json": RIG}.get(name)
+        kind = (
+            CARD
+            if name.startswith("cards/")
+            else {"meta/info.json": INFO, "meta/rig.json": RIG}.get(name)
+        )
         if kind is None or not _write_allowed(root / name, target, kind):
             target.symlink_to((root / name).resolve())
     if (hashes := read_hashes(root, DatasetError)) is None:
         return names
     (staged / HASHES).unlink()
-    written = [name for name in names if (staged / name).is_file() and not (staged / name).is_symlink()]
-    fresh = {name: hashes.get(name, {}) | entry for name, entry in hash_files(staged, written).items()}
+    written = [
+        name for name in names if (staged / name).is_file() and not (staged / name).is_symlink()
+    ]
+    fresh = {
+        name: hashes.get(name, {}) | entry for name, entry in hash_files(staged, written).items()
+    }
     store_hashes(staged, {name: entry for name, entry in (hashes | fresh).items() if name in names})
     return names
 
@@ -126,7 +160,9 @@ def _write_allowed(source: Path, target: Path, kind: Kind) -> bool:
 def refuse_others(out: Path, known: re.Pattern[str]) -> None:
     """Raise ContractError where a folder to hand on holds files that aren't of it; hidden ones are never sent."""
     found = [path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()]
-    others = sorted(name for name in found if not known.fullmatch(name) and not name.startswith("."))
+    others = sorted(
+        name for name in found if not known.fullmatch(name) and not name.startswith(".")
+    )
     if others:
         came = ", ".join(others[:3]) + (f" and {len(others) - 3} more" if len(others) > 3 else "")
         do = "Name a new folder: everything in it is handed on."
@@ -139,7 +175,9 @@ def refuse_paths(folder: Path) -> None:
         for key, text in _texts(json.loads(file.read_text())):
             if text.startswith(("/", "~")) or str(Path.home()) in text:
                 do = "It leads nowhere on another machine: take it out of the checkpoint's file."
-                raise ContractError(expected(f"{key} in {file.name}", "no path of this machine", text, do))
+                raise ContractError(
+                    expected(f"{key} in {file.name}", "no path of this machine", text, do)
+                )
 
 
 def _texts(content: Any, key: str = "") -> list[tuple[str, str]]:

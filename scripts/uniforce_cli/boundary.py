@@ -16,7 +16,13 @@ import yaml
 from draccus.utils import DraccusException
 
 from uniforce_vtla.arguments import parse, reason_of, split_words
-from uniforce_vtla.errors import ContractError, UniForceError, expected, no_room, without_credentials
+from uniforce_vtla.errors import (
+    ContractError,
+    UniForceError,
+    expected,
+    no_room,
+    without_credentials,
+)
 from uniforce_vtla.options import Names, Pattern
 from uniforce_vtla.sensors import list_sensors
 from uniforce_vtla.terminal import LastingText, stops_like_ctrl_c
@@ -32,7 +38,8 @@ OURS = (
 LONGEST_LINE = 600
 GROWN_bytes = 4_000_000_000  # a process of rollouts may grow by
 
-Verify = Literal["full", "quick", "off"]  # how files are checked: whole, sizes and samples, not at all
+# how files are checked: whole, sizes and samples, not at all
+Verify = Literal["full", "quick", "off"]
 # the environment's, which takes seconds to import; a test compares
 Level = Literal["easy", "touch"]
 Gripper = Literal["servo", "hand"]  # of the scene
@@ -64,7 +71,12 @@ class Command:
         presets: Path | None = None,
         others: tuple[str, ...] = (),
     ) -> None:
-        self._main, self.config_class, self._presets, self.others = main, config_class, presets, others
+        self._main, self.config_class, self._presets, self.others = (
+            main,
+            config_class,
+            presets,
+            others,
+        )
         module = main.__module__  # a person typed uniforce record, or benchmarks.gates
         verb = module.removeprefix("uniforce_cli.")
         self._name = module if verb == module else f"uniforce {verb}"
@@ -126,7 +138,9 @@ def guarded(name: str, run: Callable[[], int]) -> int:
     except KeyboardInterrupt:
         return _end(name, "stopped", STOPPED)
     except DraccusException as error:
-        return _end(name, expected("settings", "what it takes", reason_of(error), "See --help."), REFUSED)
+        return _end(
+            name, expected("settings", "what it takes", reason_of(error), "See --help."), REFUSED
+        )
     except (UniForceError, yaml.YAMLError, json.JSONDecodeError) as error:
         return _end(name, str(error), NO_ROOM if no_room(error) else REFUSED)
     except Exception as error:
@@ -152,7 +166,9 @@ def _surroundings(error: Exception) -> str:
         case ImportError() if not str(error.name).startswith(OURS):
             return f"{error}. Install it; README.md names what is optional."
         case Exception() if type(error).__module__.startswith("wandb."):
-            return expected("wandb", "a login", str(error).rstrip("."), "wandb.enable=false does without.")
+            return expected(
+                "wandb", "a login", str(error).rstrip("."), "wandb.enable=false does without."
+            )
     return ""
 
 
@@ -170,7 +186,12 @@ def _said_by_hub(error: Exception) -> str:
         case httpx.TransportError():
             return expected("hub", "a connection", error, "Is the network there? Try again.")
         case errors.HfHubHTTPError() | errors.EntryNotFoundError() | errors.HFValidationError():
-            return expected("hub", "what was asked for", str(error).rstrip("."), "Check the name and your login.")
+            return expected(
+                "hub",
+                "what was asked for",
+                str(error).rstrip("."),
+                "Check the name and your login.",
+            )
     return ""
 
 

@@ -7,7 +7,12 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 from uniforce_cli.boundary import command, one_thread
-from uniforce_cli.paired_grasps import pooled_latents, recorded_grasps, recorded_wipes, simulated_grasps
+from uniforce_cli.paired_grasps import (
+    pooled_latents,
+    recorded_grasps,
+    recorded_wipes,
+    simulated_grasps,
+)
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import (
     Count,
@@ -29,7 +34,10 @@ if TYPE_CHECKING:
     from uniforce_vtla.tokenizer.calibration_choice import Choice
 
 Unit = Annotated[
-    str, Pattern("a sensor and which unit of it", r"\w+(:(drawing|\d{1,6}))?(\+[a-z]+=[\d.]+)*", "uskin:7")
+    str,
+    Pattern(
+        "a sensor and which unit of it", r"\w+(:(drawing|\d{1,6}))?(\+[a-z]+=[\d.]+)*", "uskin:7"
+    ),
 ]
 TURN_DEG = 10.0  # pairs tell the angle between two fingers to a few degrees
 logger = logging.getLogger(__name__)
@@ -56,22 +64,27 @@ class CalibrateCommand:
     # the sensor to fit; in simulation unit 1 of it, or uskin:7 | uskin:drawing | with a fault tactip:1+gain=1.6
     new: Unit = "gelsight_stiff"
     anchor: Unit = "tactip"  # the known sensor, in the same words; its force head reads both
-    pairs: FolderPath = ""  # recorded pairs, as `uniforce pairs` writes them; empty = grasps are simulated
+    # recorded pairs, as `uniforce pairs` writes them; empty = grasps are simulated
+    pairs: FolderPath = ""
     # how new sat on its finger while pairs were recorded; the rig's rotation_deg and flip bring it upright from then on
     mounted: Literal["upright", "turned", "mirrored_x", "mirrored_y"] = "upright"
     tools: Text = "tool,flat"  # recorded objects that count as tools; all others are small
-    task: Literal["both", "small", "tool"] = "both"  # which objects must agree, or the calibration is refused
+    # which objects must agree, or the calibration is refused
+    task: Literal["both", "small", "tool"] = "both"
     grasps: Count = 600  # simulated pairs
     loads_N: Numbers = ""  # known loads instead of an anchor's grasps, three or more
     # loads_N: pad, pressed bare on a handle: one gain of all axes, of domes and taxels | tool, pressed on the scale by
     # the fingers that hold it: one gain of the shear that a task feels, for every kind
     through: Literal["pad", "tool"] = "pad"
-    rig: FilePath = ""  # loads_N: YAML file with `robot: {cameras: …}`; empty = presses are simulated
-    wipes: FolderPath = ""  # a dataset of `uniforce record` whose fingers wear new and anchor, instead of grasps
+    # loads_N: YAML file with `robot: {cameras: …}`; empty = presses are simulated
+    rig: FilePath = ""
+    # a dataset of `uniforce record` whose fingers wear new and anchor, instead of grasps
+    wipes: FolderPath = ""
     finger: Literal["left", "right"] = "right"  # that wears new: of the rig, or in recorded wipes
     out: OutFolder = "outputs/calibration"  # the map's folder
     tokenizer: TokenizerFolder = ""  # checkpoint folder; empty = shipped
-    fit: CalibrationConfig = field(default_factory=CalibrationConfig)  # what judges, and what is refused
+    # what judges, and what is refused
+    fit: CalibrationConfig = field(default_factory=CalibrationConfig)
     seed: Seed = 0  # of the grasps
 
 
@@ -89,7 +102,9 @@ def calibrate_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibrat
         grasps = simulated_grasps(*sensors, config.grasps, config.seed, pooled_latents(tokenizer))
     head = ForceHead.from_pretrained(anchor_kind, config.tokenizer or None)
     names = config.new, config.anchor
-    return calibrate(grasps.new, grasps.anchor, grasps.classes, head, *names, config.fit, grasps.numbers)
+    return calibrate(
+        grasps.new, grasps.anchor, grasps.classes, head, *names, config.fit, grasps.numbers
+    )
 
 
 def scale_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
@@ -99,21 +114,32 @@ def scale_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
     from uniforce_vtla.tokenizer.force_head import ForceHead
 
     kinds = {words: wear(words)(config.seed).kind for words in (config.new, config.anchor)}
-    of_new, of_anchor = recorded_wipes(config.wipes, kinds[config.new], kinds[config.anchor], config.finger, tokenizer)
+    of_new, of_anchor = recorded_wipes(
+        config.wipes, kinds[config.new], kinds[config.anchor], config.finger, tokenizer
+    )
     head = ForceHead.from_pretrained(kinds[config.anchor], config.tokenizer or None)
     return Calibration.beside_an_anchor(of_new, of_anchor, head, config.new, config.anchor)
 
 
 def weigh_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
     """Have loads pressed and fit the gain; raises as ``Calibration.of_loads`` and the presses do."""
-    from uniforce_cli.known_loads import finger_of, known_loads, presses_by_hand, simulated_presses, simulated_tool
+    from uniforce_cli.known_loads import (
+        finger_of,
+        known_loads,
+        presses_by_hand,
+        simulated_presses,
+        simulated_tool,
+    )
     from uniforce_vtla.contact.worn_in_words import wear
     from uniforce_vtla.tokenizer.calibration import Calibration
     from uniforce_vtla.tokenizer.force_head import ForceHead
 
     loads_N = known_loads(config.loads_N)
     worn, anchor = (wear(words)(config.seed) for words in (config.new, config.anchor))
-    head, encode = ForceHead.from_pretrained(anchor.kind, config.tokenizer or None), pooled_latents(tokenizer)
+    head, encode = (
+        ForceHead.from_pretrained(anchor.kind, config.tokenizer or None),
+        pooled_latents(tokenizer),
+    )
     by_tool = config.through == "tool"
     fit = Calibration.through_a_tool if by_tool else Calibration.of_loads
     if not config.rig:
@@ -123,7 +149,9 @@ def weigh_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
 
     wanted = finger_of(config.rig, config.finger)
     if wanted.sensor != worn.kind:
-        raise ContractError(expected(f"new, as {config.rig} has it", wanted.sensor, config.new, "Name that sensor."))
+        raise ContractError(
+            expected(f"new, as {config.rig} has it", wanted.sensor, config.new, "Name that sensor.")
+        )
     wanted.reference_on_connect = True
     finger = cast("TactileFinger", make_cameras_from_configs({"finger": wanted})["finger"])
     print(f"{wanted.label}: taking the reference, keep it in free air")
@@ -137,7 +165,9 @@ def _check_sources(config: CalibrateCommand) -> None:
     given = [name for name, value in named.items() if value]
     if len(given) > 1:
         came = " and ".join(given)
-        raise ContractError(expected("calibration", "pairs=, wipes= or loads_N=", came, "Leave all but one out."))
+        raise ContractError(
+            expected("calibration", "pairs=, wipes= or loads_N=", came, "Leave all but one out.")
+        )
     if config.mounted != "upright" and not config.pairs:
         do = "Give pairs=, or set rotation_deg and flip in the rig."
         raise ContractError(expected("mounted", "recorded pairs beside it", "none", do))
@@ -174,7 +204,9 @@ def main(config: CalibrateCommand) -> None:
     tokenizer = Tokenizer.from_pretrained(config.tokenizer or None)
     then = f"uniforce score policy=… right_sensor={config.new} right_calibration={config.out}"
     if config.loads_N or config.wipes:
-        found = weigh_sensor(config, tokenizer) if config.loads_N else scale_sensor(config, tokenizer)
+        found = (
+            weigh_sensor(config, tokenizer) if config.loads_N else scale_sensor(config, tokenizer)
+        )
         what = "gain of shear" if found.through_tool else "gain"
         print(f"{config.new}: {what} {found.gain:.2f}; in {found.save(config.out)}. Next: {then}")
         return
@@ -183,14 +215,21 @@ def main(config: CalibrateCommand) -> None:
         print(choice_in_words(found.choice))
     print(f"{config.new} against {config.anchor}, held-out grasps, R² (|r|) of the force read")
     for name, judged in found.agreement.items():
-        axes = [f"F{a} {r2:.2f} ({r:.2f})" for a, r2, r in zip(AXES, judged.r2, judged.abs_r, strict=True)]
+        axes = [
+            f"F{a} {r2:.2f} ({r:.2f})"
+            for a, r2, r in zip(AXES, judged.r2, judged.abs_r, strict=True)
+        ]
         before = " ".join(f"{r2:.2f}" for r2 in judged.r2_before)
         print(f"  {name:5} {', '.join(axes)}; before {before}; {judged.grasps} grasps")
     if abs(found.turn_deg) > TURN_DEG:
-        logger.warning("%s seems turned by %.0f°: see `uniforce touch check=angle`", config.new, found.turn_deg)
+        logger.warning(
+            "%s seems turned by %.0f°: see `uniforce touch check=angle`", config.new, found.turn_deg
+        )
     worst = check_agreement(found, config)
     if not found.reads_grip:
-        print(f"{found.grip_in_words}: a policy holds it from the lift on (grip=read | held says otherwise)")
+        print(
+            f"{found.grip_in_words}: a policy holds it from the lift on (grip=read | held says otherwise)"
+        )
     if found.worst()[1] < config.fit.warn_below:
         logger.warning("%s: grasp again, more of them and all over the pad", worst)
     print(f"{worst}; calibration in {found.save(config.out)}. Next: {then}")

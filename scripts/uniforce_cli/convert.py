@@ -23,11 +23,30 @@ if TYPE_CHECKING:
 
 KNOWN_TYPES = ("pi05", "pi05_uniforce")
 NOT_TAKEN = (  # what the new policy decides for itself, or what its own data say
-    *("type", "device", "dtype", "input_features", "output_features", "normalization_mapping", "rtc_config"),
-    *("pretrained_path", "repo_id", "trained_on", "swap", "left_sensor", "right_sensor", "touch", "augment"),
+    *(
+        "type",
+        "device",
+        "dtype",
+        "input_features",
+        "output_features",
+        "normalization_mapping",
+        "rtc_config",
+    ),
+    *(
+        "pretrained_path",
+        "repo_id",
+        "trained_on",
+        "swap",
+        "left_sensor",
+        "right_sensor",
+        "touch",
+        "augment",
+    ),
 )
 Published = Annotated[str, Existing("a checkpoint's folder or a hub id", "config.json", hub=True)]
-Revision = Annotated[str, Pattern("a branch, tag or commit", r"\w[\w.-]{0,99}(/\w[\w.-]{0,99})*", "main")]
+Revision = Annotated[
+    str, Pattern("a branch, tag or commit", r"\w[\w.-]{0,99}(/\w[\w.-]{0,99})*", "main")
+]
 
 
 @dataclass
@@ -41,11 +60,14 @@ class ConvertConfig:
     source: Published = "lerobot/pi05_base"  # a pi05, or a pi05_uniforce to change its touch
     view: View = ""  # of your demos (uniforce view image_side=224): features, statistics
     out: OutFolder = "outputs/converted"  # the new policy's folder
-    touch_input: Literal["latent", "none", "wrench", "descriptor", "marker_pair"] = "latent"  # the last three: controls
+    # the last three: controls
+    touch_input: Literal["latent", "none", "wrench", "descriptor", "marker_pair"] = "latent"
     touch_slots: Slots = "touch0:right,touch1:left"  # slot:finger, comma between them
     token_site: Literal["prefix", "suffix"] = "prefix"  # where force tokens stand (docs/design.md)
-    start_at_base: bool = True  # training starts with the source's actions, touch behind a gate (touch/tokens.py)
-    dtype: Literal["bfloat16", "float32"] = "bfloat16"  # of the backbone; a tiny source stays float32
+    # training starts with the source's actions, touch behind a gate (touch/tokens.py)
+    start_at_base: bool = True
+    # of the backbone; a tiny source stays float32
+    dtype: Literal["bfloat16", "float32"] = "bfloat16"
     revision: Revision = ""  # of a hub repository
 
 
@@ -58,11 +80,15 @@ def convert(config: ConvertConfig) -> Path:
     from lerobot.utils.feature_utils import dataset_to_policy_features
 
     from lerobot_policy_pi05_uniforce import PI05UniforcePolicy, weights
-    from lerobot_policy_pi05_uniforce import make_pi05_uniforce_pre_post_processors as make_processors
+    from lerobot_policy_pi05_uniforce import (
+        make_pi05_uniforce_pre_post_processors as make_processors,
+    )
     from uniforce_datasets.training_view import TrainingView
 
     if config.revision and Path(config.source).exists():
-        raise ContractError(expected("revision", "a hub id as source", config.source, "Leave it out."))
+        raise ContractError(
+            expected("revision", "a hub id as source", config.source, "Leave it out.")
+        )
     revision = config.revision or None
     source = read_object(weights.find(config.source, weights.CONFIG, revision), CheckpointError)
     if source.get("type") not in KNOWN_TYPES:
@@ -75,7 +101,9 @@ def convert(config: ConvertConfig) -> Path:
     features = dataset_to_policy_features(view.meta.features)
     settings.output_features = {key: feature for key, feature in features.items() if key == ACTION}
     settings.input_features = {key: feature for key, feature in features.items() if key != ACTION}
-    policy = PI05UniforcePolicy(settings, dataset_stats=view.meta.stats, dataset_meta=view.meta, empty=True)
+    policy = PI05UniforcePolicy(
+        settings, dataset_stats=view.meta.stats, dataset_meta=view.meta, empty=True
+    )
     file = weights.find(config.source, weights.WEIGHTS, revision)
     weights.fill(policy, file, weights.own_names, weights.FRESH)
     before, after = make_processors(settings, view.meta.stats)
@@ -86,17 +114,25 @@ def convert(config: ConvertConfig) -> Path:
     return Path(config.out)
 
 
-def _settings(source: dict[str, Any], config: ConvertConfig, slots: dict[str, str]) -> PI05UniforceConfig:
+def _settings(
+    source: dict[str, Any], config: ConvertConfig, slots: dict[str, str]
+) -> PI05UniforceConfig:
     """Return the source's sizes and flow with this project's touch."""
     from lerobot_policy_pi05_uniforce import PI05UniforceConfig
     from lerobot_policy_pi05_uniforce import configuration_pi05_uniforce as groups
 
     known = PI05UniforceConfig.__dataclass_fields__.keys() - set(NOT_TAKEN)
     taken = {name: value for name, value in source.items() if name in known}
-    kinds = {"action": groups.ActionSettings, "tiny": groups.TinySettings, "sampler": groups.SamplerSettings}
+    kinds = {
+        "action": groups.ActionSettings,
+        "tiny": groups.TinySettings,
+        "sampler": groups.SamplerSettings,
+    }
     taken |= {name: kind(**taken[name]) for name, kind in kinds.items() if name in taken}
     taken.setdefault("size", "base")
-    touch = groups.TouchSettings(slots, config.touch_input, site=config.token_site, start_at_base=config.start_at_base)
+    touch = groups.TouchSettings(
+        slots, config.touch_input, site=config.token_site, start_at_base=config.start_at_base
+    )
     dtype = "float32" if taken["size"] == "tiny" else config.dtype
     return PI05UniforceConfig(**taken, device="cpu", dtype=dtype, touch=touch)
 
@@ -107,7 +143,11 @@ def main(config: ConvertConfig) -> None:
 
     one_thread()
     if not config.view:
-        raise ContractError(expected("view", "a training view's folder", "none", "Build one with uniforce view."))
+        raise ContractError(
+            expected("view", "a training view's folder", "none", "Build one with uniforce view.")
+        )
     out = convert(config)
     print(f"policy in {out}; new modules start fresh: {', '.join(weights.FRESH)}")
-    print(f"next: uniforce train policy.path={out} dataset.repo_id=local/view dataset.root={config.view}")
+    print(
+        f"next: uniforce train policy.path={out} dataset.repo_id=local/view dataset.root={config.view}"
+    )

@@ -16,24 +16,33 @@ from uniforce_vtla.evaluation.episode_summary import EpisodeSummary
 
 TIME = "time"
 AXES = ("fx", "fy", "fz")
-JPEG = (".jpg", "image/jpeg", cv2.IMWRITE_JPEG_QUALITY, 85)  # for scene cameras and raw tactile frames
+# for scene cameras and raw tactile frames
+JPEG = (".jpg", "image/jpeg", cv2.IMWRITE_JPEG_QUALITY, 85)
 PNG = (".png", "image/png")
 
 
-def write_recording(rerun: ModuleType, summary: EpisodeSummary, source: Source, episode: Episode, path: Path) -> Path:
+def write_recording(
+    rerun: ModuleType, summary: EpisodeSummary, source: Source, episode: Episode, path: Path
+) -> Path:
     """Write an episode and the layout it is looked at in to an .rrd file; DatasetError for a truncated video."""
     path.parent.mkdir(parents=True, exist_ok=True)
     at = rerun.TimeColumn(TIME, duration=summary.time_s)
     with rerun.RecordingStream("uniforce show", recording_id=path.stem) as recording:
         recording.save(path, default_blueprint=_layout(rerun, summary, source, episode))
-        recording.log("events", rerun.TextDocument("\n".join(["estimated:", *summary.verdict])), static=True)
+        recording.log(
+            "events", rerun.TextDocument("\n".join(["estimated:", *summary.verdict])), static=True
+        )
         for name, pictures in streams(summary, source, episode):
             ending, kind, *options = JPEG if name.startswith(("camera", "raw")) else PNG
             blobs = [encoded(picture, ending, *options) for picture in pictures]
             kinds = [kind] * len(blobs)
-            recording.send_columns(name, [at], rerun.EncodedImage.columns(blob=blobs, media_type=kinds))
+            recording.send_columns(
+                name, [at], rerun.EncodedImage.columns(blob=blobs, media_type=kinds)
+            )
         for name, values in traces(summary).items():
-            recording.send_columns(name, [at], rerun.Scalars.columns(scalars=np.ascontiguousarray(values)))
+            recording.send_columns(
+                name, [at], rerun.Scalars.columns(scalars=np.ascontiguousarray(values))
+            )
         for frame, text, level in _notes(summary):
             recording.set_time(TIME, duration=summary.time_s[frame])
             recording.log("log", rerun.TextLog(text, level=level))
@@ -67,12 +76,16 @@ def traces(summary: EpisodeSummary) -> dict[str, np.ndarray]:
 
 def _layout(rerun: ModuleType, summary: EpisodeSummary, source: Source, episode: Episode) -> Any:
     view, judged = rerun.blueprint, summary.found is not None
-    touch = [f"raw/{finger}" for finger in FINGERS if raw_touch(source, episode, finger) is not None]
+    touch = [
+        f"raw/{finger}" for finger in FINGERS if raw_touch(source, episode, finger) is not None
+    ]
     touch += [f"{what}/{finger}" for what in ("markers", "latent") for finger in FINGERS]
     plots = [f"force_N/{finger}" for finger in FINGERS] + ["press_N"] * judged
     plots += ["friction_used"] * (judged and summary.judges_slip)
     grids = ([f"camera/{name}" for name in cameras(source)], touch)
-    pictures = [view.Grid(*(view.Spatial2DView(origin=p, name=p) for p in paths)) for paths in grids]
+    pictures = [
+        view.Grid(*(view.Spatial2DView(origin=p, name=p) for p in paths)) for paths in grids
+    ]
     texts = view.Horizontal(view.TextDocumentView(origin="events"), view.TextLogView(origin="log"))
     lines = (view.TimeSeriesView(origin=path, name=path) for path in plots)
     return view.Blueprint(view.Horizontal(view.Vertical(*pictures), view.Vertical(*lines, texts)))

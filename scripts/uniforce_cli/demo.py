@@ -29,14 +29,19 @@ class DemoConfig:
     """
 
     episodes: Count = 3  # demos recorded live; enough to see every stage, too few to learn from
-    train_steps: Count = 20  # optimiser steps on those demos; shows that training runs, not what it can reach
+    # optimiser steps on those demos; shows that training runs, not what it can reach
+    train_steps: Count = 20
     rollouts: Count = 4  # per arm, with the shipped policy; a smoke test, no claim
     level: Level = "touch"  # the level the shipped policy was trained at
     out: OutFolder = "outputs/demo"  # everything goes here; an earlier demo there is replaced
 
 
 # arm → (left, right sensor): the shipped policy learnt to feel with a TacTip on the right finger, never retrained
-ARMS = {"V+T": ("gelsight", "tactip"), "V+G": ("gelsight", "gelsight"), "V+U": ("gelsight", "uskin")}
+ARMS = {
+    "V+T": ("gelsight", "tactip"),
+    "V+G": ("gelsight", "gelsight"),
+    "V+U": ("gelsight", "uskin"),
+}
 
 
 class ProgressBars:
@@ -109,20 +114,25 @@ def run(config: DemoConfig) -> None:
 
 def _steps(config: DemoConfig, out: Path, say: Callable[[str], None]) -> Path:
     """Run every stage; return the path of the first demo's page."""
-    say(f"\n[1/5] recording {config.episodes} demos with the scripted expert (GelSight left, TacTip right)")
+    say(
+        f"\n[1/5] recording {config.episodes} demos with the scripted expert (GelSight left, TacTip right)"
+    )
     from uniforce_cli import lerobot_training, record, score, show, view
     from uniforce_vtla.evaluation.arms import table
 
     recording = record.RecordConfig(
         episodes=config.episodes, level=config.level, root=str(out / "demos"),
-        left_sensor="gelsight:drawing", right_sensor="tactip:drawing",  # raw frames take twice as long
+        # raw frames take twice as long
+        left_sensor="gelsight:drawing", right_sensor="tactip:drawing",
     )  # fmt: skip
     record.record(recording)
     say("\n[2/5] training view: cameras resized once, touch encoded once by the frozen tokenizer")
     view.make_view(view.ViewConfig(roots=str(out / "demos"), out=str(out / "view")))
     say(f"\n[3/5] training a tiny policy for {config.train_steps} steps with LeRobot's own trainer")
     lerobot_training.train(_train_arguments(config, out))
-    say("\n[4/5] rolling out the shipped policy: trained sensor, then two swapped ones, nothing retrained")
+    say(
+        "\n[4/5] rolling out the shipped policy: trained sensor, then two swapped ones, nothing retrained"
+    )
     reports = []
     for arm, (left, right) in ARMS.items():
         scoring = score.ScoreConfig(
@@ -134,7 +144,9 @@ def _steps(config: DemoConfig, out: Path, say: Callable[[str], None]) -> Path:
     arms = {report.arm: report.as_dict() for report in reports}
     content = {"level": config.level, "label": "smoke, no claim", "arms": arms}
     write_json(out / "wiping.json", content | provenance())
-    (episode,) = show.show_dataset(show.ShowDatasetConfig(root=str(out / "demos"), out=str(out / "show")))
+    (episode,) = show.show_dataset(
+        show.ShowDatasetConfig(root=str(out / "demos"), out=str(out / "show"))
+    )
     say(table(reports))
     return episode
 

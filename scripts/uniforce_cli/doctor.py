@@ -58,7 +58,9 @@ def packages() -> Iterator[Finding]:
     yield Finding("Python", "ok", platform.python_version())
     for name in NEEDED:
         if find_spec(name) is None:
-            yield Finding(name, "missing", "not installed", "Run make setup, or pip install this package.")
+            yield Finding(
+                name, "missing", "not installed", "Run make setup, or pip install this package."
+            )
         else:
             yield Finding(name, "ok", importlib.metadata.version(name))
 
@@ -105,7 +107,9 @@ def room(folder: Path) -> Finding:
     if not os.access(there, os.W_OK):
         return Finding("disk", "missing", f"{there} can't be written", "Name another folder: out=…")
     if free_GB < LEAST_FREE_GB:
-        return Finding("disk", "missing", seen, f"Free {LEAST_FREE_GB:.0f} GB, or name another folder: out=…")
+        return Finding(
+            "disk", "missing", seen, f"Free {LEAST_FREE_GB:.0f} GB, or name another folder: out=…"
+        )
     return Finding("disk", "ok", seen)
 
 
@@ -118,7 +122,9 @@ def caches() -> Finding:
         there = there.parent
     if os.access(there, os.W_OK):
         return Finding("hub cache", "ok", str(home))
-    return Finding("hub cache", "optional", f"{home} can't be written", "Set HF_HOME to a folder of yours.")
+    return Finding(
+        "hub cache", "optional", f"{home} can't be written", "Set HF_HOME to a folder of yours."
+    )
 
 
 def realtime() -> Finding:
@@ -129,7 +135,9 @@ def realtime() -> Finding:
         return Finding("real-time kernel", "optional", f"none ({platform.release()})", do)
     if not soft:
         do = "Give your group rtprio in /etc/security/limits.conf."
-        return Finding("real-time kernel", "optional", "there, but this user gets no real-time priority", do)
+        return Finding(
+            "real-time kernel", "optional", "there, but this user gets no real-time priority", do
+        )
     return Finding("real-time kernel", "ok", f"{platform.release()}, priority up to {soft}")
 
 

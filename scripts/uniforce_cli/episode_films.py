@@ -27,7 +27,9 @@ class Films:
     pictures: dict[str, tuple[bytes, ...]]  # stream → one WebP picture for each of these frames
 
 
-def streams(summary: EpisodeSummary, source: Source, episode: Episode) -> Iterator[tuple[str, Iterator[np.ndarray]]]:
+def streams(
+    summary: EpisodeSummary, source: Source, episode: Episode
+) -> Iterator[tuple[str, Iterator[np.ndarray]]]:
     """Yield the name of every stream of pictures, e.g. camera/front or latent/left, and its frames.
 
     Frames are (H, W, 3) uint8 RGB. Reading them raises DatasetError where a video is missing or truncated.
@@ -61,7 +63,9 @@ def encoded(picture: np.ndarray, ending: str, *options: int) -> bytes:
 
 def _small(picture: np.ndarray) -> bytes:
     scale = min(1.0, WIDTH_PX / picture.shape[1])
-    return encoded(cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), ".webp", *WEBP)
+    return encoded(
+        cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), ".webp", *WEBP
+    )
 
 
 def _heat(strength: np.ndarray) -> np.ndarray:

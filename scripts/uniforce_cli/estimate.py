@@ -28,7 +28,8 @@ class ScoreRecordingConfig:
     """
 
     root: Dataset = "outputs/demos"  # recorded dataset, from a robot or from the simulator
-    pad_friction: Numbers = ""  # left,right: pull slowly until the object slides, shear over grip. Needed
+    # left,right: pull slowly until the object slides, shear over grip. Needed
+    pad_friction: Numbers = ""
     # x,y of the board's four corners in the camera's picture, in order around it; empty = ink isn't judged
     board_corners: Numbers = ""
     camera: FileName = "front"  # scene camera that sees the board
@@ -53,7 +54,9 @@ def score_recording(config: ScoreRecordingConfig) -> dict[str, Any]:
     corners = numbers("board_corners", config.board_corners, 8) if config.board_corners else None
     recording = RecordingForces(config.root, descriptor_heads(config.heads), config.verify)
     source, rows = recording.source, []
-    for episode in tqdm(source.episodes[: config.episodes or None], desc="episodes", unit="episode"):
+    for episode in tqdm(
+        source.episodes[: config.episodes or None], desc="episodes", unit="episode"
+    ):
         forces = recording.read(episode)
         found, truth = forces.judge((left, right))
         row = _row(episode, found)
@@ -81,7 +84,9 @@ def _row(episode: Episode, found: FingerEstimate) -> dict[str, Any]:
         "lost": list(found.lost),
         "press_max_N": float(found.press_N.max()),
         "in_band_share": found.in_band_share,
-        "grip_mean_N": float(found.grip_N[found.press_N > 0].mean()) if (found.press_N > 0).any() else 0.0,
+        "grip_mean_N": float(found.grip_N[found.press_N > 0].mean())
+        if (found.press_N > 0).any()
+        else 0.0,
         "friction_used_max": float(found.friction_used.min(axis=1).max()),
     }
 
@@ -92,7 +97,9 @@ def _residual(source: Source, episode: Episode, camera: str, corners: np.ndarray
 
     span = episode.videos.get(camera_key(camera))
     if span is None:
-        raise DatasetError(expected(str(source.root), camera_key(camera), "no such video", "Name another."))
+        raise DatasetError(
+            expected(str(source.root), camera_key(camera), "no such video", "Name another.")
+        )
     first = next(episode_frames(span, 1, source.fps))
     last = next(episode_frames(span, episode.length, source.fps, first=episode.length - 1))
     try:
@@ -116,5 +123,9 @@ def main(config: ScoreRecordingConfig) -> None:
     one_thread()
     content = score_recording(config)
     path = write_json(Path(config.out) / "estimates.json", content | provenance())
-    print("\n".join(["Estimates, not truth:", *map(_line, content["episodes"]), f"written to {path}"]))
-    print(f"over time: uniforce show root={config.root} pad_friction={config.pad_friction} episode=0")
+    print(
+        "\n".join(["Estimates, not truth:", *map(_line, content["episodes"]), f"written to {path}"])
+    )
+    print(
+        f"over time: uniforce show root={config.root} pad_friction={config.pad_friction} episode=0"
+    )

@@ -42,7 +42,9 @@ def known_loads(text: str) -> list[float]:
     return found
 
 
-def simulated_presses(worn: WornSensor, loads_N: Sequence[float], seed: int, encode: Encode) -> Presses:
+def simulated_presses(
+    worn: WornSensor, loads_N: Sequence[float], seed: int, encode: Encode
+) -> Presses:
     """Press flat faces, as of a tool's handle, straight on the pad; what the canonicalizer refuses is left out.
 
     Raises SensorError: it refuses all of them.
@@ -56,18 +58,24 @@ def simulated_presses(worn: WornSensor, loads_N: Sequence[float], seed: int, enc
     from uniforce_vtla.contracts import ContactState
 
     load_N = np.repeat(np.asarray(loads_N, np.float32), PER_LOAD)
-    objects = sample_objects(np.random.default_rng([seed, 77]), len(load_N), PRETRAIN, flat_share=1.0)
+    objects = sample_objects(
+        np.random.default_rng([seed, 77]), len(load_N), PRETRAIN, flat_share=1.0
+    )
     force = np.column_stack([0 * load_N, 0 * load_N, load_N])
     contact = ContactState(objects.gap_mm, force, 0 * load_N)
     found = seen(WornView(worn, seed), contact, "left", encode)
     if not found:
         do = "Use lighter loads."
-        raise SensorError(expected("presses", "frames the canonicalizer reads", f"none of {len(load_N)}", do))
+        raise SensorError(
+            expected("presses", "frames the canonicalizer reads", f"none of {len(load_N)}", do)
+        )
     rows = sorted(found)
     return torch.stack([found[row] for row in rows]), load_N[rows]  # type: ignore[return-value]  # stack keeps the origin
 
 
-def simulated_tool(worn: WornSensor, loads_N: Sequence[float], seed: int, encode: Encode) -> Presses:
+def simulated_tool(
+    worn: WornSensor, loads_N: Sequence[float], seed: int, encode: Encode
+) -> Presses:
     """Press a held tool on a scale: each time grasped anew, then hanging free (0 N) and pressed by each load.
 
     Raises SensorError: the canonicalizer refuses every frame.
@@ -90,7 +98,11 @@ def simulated_tool(worn: WornSensor, loads_N: Sequence[float], seed: int, encode
     rows = sorted(found)
     if not any(load_N[row] == 0 for row in rows):
         do = "Is the tool's handle flat and as wide as the pad?"
-        raise SensorError(expected("presses", "frames the canonicalizer reads", f"{len(rows)} of {len(load_N)}", do))
+        raise SensorError(
+            expected(
+                "presses", "frames the canonicalizer reads", f"{len(rows)} of {len(load_N)}", do
+            )
+        )
     return torch.stack([found[row] for row in rows]), load_N[rows]  # type: ignore[return-value]  # stack keeps the origin
 
 
@@ -102,7 +114,9 @@ def finger_of(rig: str, finger: Finger) -> TactileFingerConfig:
     if found := [worn for worn in robot.fingers.values() if worn.finger == finger]:
         return found[0]
     do = "Name it among robot.cameras, see docs/recording.md."
-    raise ContractError(expected(f"{finger} finger of {rig}", "a tactile sensor", list(robot.cameras), do))
+    raise ContractError(
+        expected(f"{finger} finger of {rig}", "a tactile sensor", list(robot.cameras), do)
+    )
 
 
 def presses_by_hand(
@@ -125,7 +139,9 @@ def presses_by_hand(
     loads_N = [0.0, *loads_N] if through_tool else loads_N
     print(WITH_TOOL if through_tool else ON_HANDLE)
     for load_N in loads_N:
-        shown = f"until the scale shows {1000 * load_N / STANDARD_m_s2:.0f} g ({load_N:g} N); hold it"
+        shown = (
+            f"until the scale shows {1000 * load_N / STANDARD_m_s2:.0f} g ({load_N:g} N); hold it"
+        )
         ask(f"{shown if load_N else 'let the tool hang free of the scale'} and press Enter ")
         images, index = [], -1
         for _ in range(FRAMES):

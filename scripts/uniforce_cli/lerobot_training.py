@@ -26,7 +26,13 @@ from lerobot.utils.import_utils import register_third_party_plugins
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig
 from uniforce_cli.boundary import one_thread
 from uniforce_vtla.arguments import Option, check, options_of, read_value, reason_of, split_words
-from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError, UniForceError, expected
+from uniforce_vtla.errors import (
+    CheckpointError,
+    ContractError,
+    DatasetError,
+    UniForceError,
+    expected,
+)
 from uniforce_vtla.file_hashes import write_hashes
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import VIEW_MARKER
@@ -50,7 +56,8 @@ RANGES = {  # of LeRobot's own settings, which it does not check
 ARGUMENTS = (ArgumentError, ValueError, TypeError, KeyError, AttributeError, NotImplementedError)
 LEROBOTS_ERRORS = (OSError, *ARGUMENTS)  # what its parser and its checks raise over a setting
 KEPT_GROUPS: list[Any] = []  # process groups of trainings that ended, see ``TrainingAccelerator``
-MIXED_PRECISION = {"bfloat16": "bf16", "float16": "fp16", "float32": "no"}  # LeRobot's, by the policy's dtype
+# LeRobot's, by the policy's dtype
+MIXED_PRECISION = {"bfloat16": "bf16", "float16": "fp16", "float32": "no"}
 
 
 def to_lerobot(argv: Sequence[str]) -> list[str]:
@@ -119,14 +126,17 @@ def training_views(verify: str = "") -> Iterator[None]:
     """Let LeRobot's trainer read a training view where the dataset root holds one, and no dataset unchecked."""
 
     def make_dataset(stock: Any, cfg: Any) -> Any:
-        from uniforce_datasets.training_view import make_training_dataset  # pulls in the recorder's libraries
+        # pulls in the recorder's libraries
+        from uniforce_datasets.training_view import make_training_dataset
 
         root = cfg.dataset.root
         if root is None or not (Path(root) / VIEW_MARKER).is_file():
             return make_training_dataset(cfg, partial(_stock_dataset, stock), verify)
         if cfg.dataset.eval_split:
             do = "Make a view of the held-out episodes instead."
-            raise ContractError(expected("dataset.eval_split", "0 with a training view", cfg.dataset.eval_split, do))
+            raise ContractError(
+                expected("dataset.eval_split", "0 with a training view", cfg.dataset.eval_split, do)
+            )
         return make_training_dataset(cfg, stock, verify)
 
     with replaced(factory, "make_dataset", make_dataset):
@@ -140,7 +150,9 @@ def _stock_dataset(stock: Any, cfg: Any) -> Any:
         return stock(cfg)
     except (OSError, ValueError, KeyError, IndexError, TypeError) as error:
         do = "Look at it, or record it again."
-        raise ContractError(expected("dataset", f"a whole dataset in {where}", _said(error), do)) from error
+        raise ContractError(
+            expected("dataset", f"a whole dataset in {where}", _said(error), do)
+        ) from error
 
 
 def _save_hashed(stock: Any, checkpoint_dir: Path, **given: Any) -> None:
@@ -167,7 +179,8 @@ def read_settings(flags: Sequence[str]) -> TrainPipelineConfig:
     Raises ContractError: a setting LeRobot doesn't have, of a wrong type or out of range, a path that can't be used.
     """
     said = io.StringIO()
-    logging.disable(logging.WARNING)  # what LeRobot warns of here, it does again when the work begins
+    # what LeRobot warns of here, it does again when the work begins
+    logging.disable(logging.WARNING)
     try:
         _check(split_words(flags), trains_ours(flags))
         with redirect_stderr(said):
@@ -179,7 +192,9 @@ def read_settings(flags: Sequence[str]) -> TrainPipelineConfig:
         raise ContractError(f"settings: {_said(said.getvalue())} See --help.") from error
     except (*LEROBOTS_ERRORS, DraccusException) as error:
         reason = reason_of(error) if isinstance(error, DraccusException) else error
-        raise ContractError(expected("settings", "what LeRobot takes", _said(reason), "See --help.")) from error
+        raise ContractError(
+            expected("settings", "what LeRobot takes", _said(reason), "See --help.")
+        ) from error
     finally:
         logging.disable(logging.NOTSET)
     return settings
@@ -205,7 +220,9 @@ def _check(given: Mapping[str, str], ours: bool) -> None:
     root, out = given.get("dataset.root"), given.get("output_dir")
     markers = (VIEW_MARKER, "meta/info.json")
     if root is not None and not any((Path(root) / name).is_file() for name in markers):
-        raise ContractError(expected("dataset.root", "a dataset or a training view", root, "Check the path."))
+        raise ContractError(
+            expected("dataset.root", "a dataset or a training view", root, "Check the path.")
+        )
     if root is not None and (episodes := given.get(EPISODES, "null")) != "null":
         _check_episodes(Path(root), read_value(known[EPISODES], episodes))
     if out is not None:
@@ -219,7 +236,9 @@ def _check_episodes(root: Path, chosen: Sequence[int]) -> None:
     if (root / VIEW_MARKER).is_file():
         stored = len(read_marker(root)["episodes"])
     else:
-        stored = int(read_object(root / "meta" / "info.json", DatasetError).get("total_episodes") or 0)
+        stored = int(
+            read_object(root / "meta" / "info.json", DatasetError).get("total_episodes") or 0
+        )
     if not chosen or len({*chosen}) < len(chosen) or not {*chosen} <= {*range(stored)}:
         wanted = f"numbers from 0 to {stored - 1}, each once"
         raise ContractError(expected(EPISODES, wanted, chosen, "Leave it out to take all."))
@@ -237,7 +256,9 @@ def _check_config_path(given: Mapping[str, str]) -> None:
     is_missing = not file.is_file() and (file.suffix == ".json" or file.parent.exists())
     if (is_missing and named) or (not named and given.get("resume", "false").lower() == "true"):
         do = f"Give config_path=…/checkpoints/last/{PRETRAINED_MODEL_DIR}/{TRAIN_CONFIG_NAME}"
-        raise ContractError(expected("config_path", f"a checkpoint's {TRAIN_CONFIG_NAME}", named or "none", do))
+        raise ContractError(
+            expected("config_path", f"a checkpoint's {TRAIN_CONFIG_NAME}", named or "none", do)
+        )
     if file.is_file() and file.suffix == ".json":
         read_object(file, CheckpointError)
 
@@ -245,12 +266,16 @@ def _check_config_path(given: Mapping[str, str]) -> None:
 def _with_nearest(error: UniForceError) -> UniForceError:
     """Add the nearest known name to what argparse says of an unknown one."""
     _, unknown, words = str(error).partition("unrecognized arguments: ")
-    near = difflib.get_close_matches(words.partition("=")[0].removeprefix("--"), settings_known(), 1)
+    near = difflib.get_close_matches(
+        words.partition("=")[0].removeprefix("--"), settings_known(), 1
+    )
     return ContractError(f"{error} Did you mean {near[0]}=…?") if unknown and near else error
 
 
 def _said(error: object) -> str:
-    return shortened(f"{type(error).__name__}: {error}" if isinstance(error, Exception) else str(error), 300)
+    return shortened(
+        f"{type(error).__name__}: {error}" if isinstance(error, Exception) else str(error), 300
+    )
 
 
 def _at_home(flag: str) -> str:
@@ -270,11 +295,14 @@ def train(argv: Sequence[str]) -> None:
         config = read_settings(flags)
         ours = isinstance(config.policy, PI05UniforceConfig) and not config.job.is_remote
         if ours and config.policy.size == "tiny" and config.policy.device == "cpu":
-            one_thread()  # a second one buys nothing, and beside other programs they wait for each other
+            # a second one buys nothing, and beside other programs they wait for each other
+            one_thread()
         accelerator = TrainingAccelerator(config.policy) if ours else None
         with training_views(verify), replaced(lerobot_train, "save_checkpoint", _save_hashed):
             lerobot_train.train(accelerator=accelerator)
         if ours:
-            print(f"next: uniforce score policy={config.output_dir}/checkpoints/last/pretrained_model rollouts=100")
+            print(
+                f"next: uniforce score policy={config.output_dir}/checkpoints/last/pretrained_model rollouts=100"
+            )
     finally:
         sys.argv = before

@@ -6,7 +6,8 @@ import sys
 from collections.abc import Sequence
 from importlib.metadata import version
 
-GROUPS = {  # what a verb is for; the module of its name does it and is loaded when it is called, so help is quick
+# what a verb is for; the module of its name does it and is loaded when it is called, so help is quick
+GROUPS = {
     "begin": {
         "doctor": "list what this machine has, what it lacks and what to do",
         "demo": "record, train, score and show in five minutes",
@@ -43,7 +44,10 @@ def overview() -> str:
     lines = ["uniforce VERB key=value …    (uniforce VERB --help teaches a verb by example)"]
     for title, group in GROUPS.items():
         lines += ["", f"{title}:", *(f"  {name:10} {does}" for name, does in group.items())]
-    lines += ["", "What proves the project's figures: python -m benchmarks.NAME, see docs/benchmark.md."]
+    lines += [
+        "",
+        "What proves the project's figures: python -m benchmarks.NAME, see docs/benchmark.md.",
+    ]
     return "\n".join(lines)
 
 
@@ -60,7 +64,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     if name not in VERBS:
         near = difflib.get_close_matches(name, VERBS, n=1)
         hint = f"Did you mean {near[0]}?" if near else "See uniforce --help."
-        print(f"uniforce: expected a verb ({' | '.join(VERBS)}), got {name}. {hint}", file=sys.stderr)
+        print(
+            f"uniforce: expected a verb ({' | '.join(VERBS)}), got {name}. {hint}", file=sys.stderr
+        )
         return 2
     return importlib.import_module(f"uniforce_cli.{name}").main(rest) or 0
 

@@ -49,7 +49,9 @@ def pooled_latents(tokenizer: Tokenizer) -> Encode:
     """Return what encodes a finger's marker images as heads and policies read them, (n, POOL², L)."""
     from uniforce_vtla.tokenizer.latent import POOL, pool_latent
 
-    return lambda reference, current, finger: pool_latent(tokenizer.encode(reference[None], current, finger), POOL)  # type: ignore[return-value]
+    return lambda reference, current, finger: pool_latent(
+        tokenizer.encode(reference[None], current, finger), POOL
+    )  # type: ignore[return-value]
 
 
 def simulated_grasps(new: str, anchor: str, count: int, seed: int, encode: Encode) -> Grasps:
@@ -67,19 +69,25 @@ def simulated_grasps(new: str, anchor: str, count: int, seed: int, encode: Encod
     worn_new, worn_anchor = (wear(words)(seed) for words in (new, anchor))
     rng = np.random.default_rng([seed, 55])
     objects = sample_objects(rng, count, PRETRAIN, flat_share=0.5)
-    force, torsion = sample_loads(rng, count, ForceRange(flat_torsion_arm_mm=TOOL_TORSION_ARM_mm), objects.names)
+    force, torsion = sample_loads(
+        rng, count, ForceRange(flat_torsion_arm_mm=TOOL_TORSION_ARM_mm), objects.names
+    )
     contact = ContactState(objects.gap_mm, force, torsion)
     left = seen(WornView(worn_new, seed), contact, "left", encode)
     right = seen(WornView(worn_anchor, seed + 1), mirrored(contact), "right", encode)
     both = sorted(left.keys() & right.keys())
     if left_out := count - len(both):
-        logger.warning("%d of %d grasps are left out: a finger's frame was refused", left_out, count)
+        logger.warning(
+            "%d of %d grasps are left out: a finger's frame was refused", left_out, count
+        )
     classes = tuple("tool" if objects.names[row] == FLAT else "small" for row in both)
     of_new, of_anchor = (torch.stack([of[row] for row in both]) for of in (left, right))
     return Grasps(of_new, of_anchor, classes, tuple(both))  # type: ignore[arg-type]  # stack keeps the origin
 
 
-def seen(view: WornView, contact: ContactState, finger: Finger, encode: Encode) -> dict[int, Latent]:
+def seen(
+    view: WornView, contact: ContactState, finger: Finger, encode: Encode
+) -> dict[int, Latent]:
     """Return row → what ``encode`` makes of a contact as a worn unit shows it, (P, L); refused frames are left out."""
     import numpy as np
 
@@ -117,22 +125,30 @@ def recorded_grasps(
     for recording in read_uniforce_pairs(folder):
         if set(recording.kinds) != {new_name, anchor_name}:
             do = "Name them new= and anchor=."
-            raise DatasetError(expected(f"sensors of {recording}", [new_name, anchor_name], recording.kinds, do))
+            raise DatasetError(
+                expected(f"sensors of {recording}", [new_name, anchor_name], recording.kinds, do)
+            )
         left: Seen = (recording.left_reference, recording.left_frames, "left")
         right: Seen = (recording.right_reference, recording.right_frames, "right")
         is_left = recording.kinds[0] == new_name
         reference, frames, finger = left if is_left else right
-        of_new.append(encode(upright(reference), np.stack([upright(frame) for frame in frames]), finger))
+        of_new.append(
+            encode(upright(reference), np.stack([upright(frame) for frame in frames]), finger)
+        )
         of_anchor.append(encode(*(right if is_left else left)))
         kind = "tool" if recording.indenter in split(tools) else "small"
         classes += [kind] * len(recording.left_frames)
-        for frame in range(recording.first_frame, recording.first_frame + len(recording.left_frames)):
+        for frame in range(
+            recording.first_frame, recording.first_frame + len(recording.left_frames)
+        ):
             stretch = recording.name, recording.indenter, frame // STRETCH
             numbers.append(stretches.setdefault(stretch, len(stretches)))
     return Grasps(torch.cat(of_new), torch.cat(of_anchor), tuple(classes), tuple(numbers))  # type: ignore[arg-type]  # cat keeps the origin
 
 
-def recorded_wipes(folder: str, new: str, anchor: str, finger: Finger, tokenizer: Tokenizer) -> tuple[Latent, Latent]:
+def recorded_wipes(
+    folder: str, new: str, anchor: str, finger: Finger, tokenizer: Tokenizer
+) -> tuple[Latent, Latent]:
     """Read a dataset of wipes in which ``finger`` wears the kind ``new`` and the other one ``anchor``.
 
     Returns the pooled latents (n, P, L) of the new sensor and of the anchor at the same moments.
@@ -153,7 +169,9 @@ def recorded_wipes(folder: str, new: str, anchor: str, finger: Finger, tokenizer
         wanted = {finger: new, other: anchor}
         if worn != wanted:
             do = "Name them new= and anchor=, and the new one's finger=."
-            raise DatasetError(expected(f"sensors of {folder}, episode {episode.index}", wanted, worn, do))
+            raise DatasetError(
+                expected(f"sensors of {folder}, episode {episode.index}", wanted, worn, do)
+            )
         for one, found in latents.items():
             found += _encoded(episode, source.fps, one, encode)
     of_new, of_anchor = (torch.cat(latents[one]) for one in (finger, other))
@@ -171,6 +189,8 @@ def _encoded(episode: Episode, fps: int, finger: Finger, encode: Encode) -> list
 
     span = episode.videos[tactile_key(finger, reference=True)]
     reference = next(episode_frames(span, episode.length, fps))[..., 0]
-    current = islice(episode_frames(episode.videos[tactile_key(finger)], episode.length, fps), 0, None, EVERY)
+    current = islice(
+        episode_frames(episode.videos[tactile_key(finger)], episode.length, fps), 0, None, EVERY
+    )
     images = (frame[..., 0] for frame in current)
     return [encode(reference, np.stack(some), finger) for some in batched(images, BATCH)]

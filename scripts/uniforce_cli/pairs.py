@@ -39,11 +39,14 @@ class RecordPairsConfig:
     ``robot.KEY=…`` and ``rig`` are as for ``uniforce record``; of its cameras only the two fingers are read.
     """
 
-    robot: Literal["sim", "franka"] = "sim"  # sim rehearses in the simulator | franka (never run on hardware)
+    # sim rehearses in the simulator | franka (never run on hardware)
+    robot: Literal["sim", "franka"] = "sim"
     left_sensor: Sensor = "gelsight"  # sim: of the left finger; a robot's rig says it there
     right_sensor: Sensor = "tactip"  # sim: of the right one
-    rig: FilePath = ""  # franka: YAML or JSON file with `robot: {address: …, guards: …, cameras: …}`
-    indenters: Text = ""  # names, in order; any words for a robot; empty = all that pretraining knows
+    # franka: YAML or JSON file with `robot: {address: …, guards: …, cameras: …}`
+    rig: FilePath = ""
+    # names, in order; any words for a robot; empty = all that pretraining knows
+    indenters: Text = ""
     pairs: Several = 1000  # per indenter, earlier sessions included
     chunk: Several = 50  # pairs saved at once: what a kill may cost
     speed_m_s: Positive = 0.15  # a faster hand's frames are not kept
@@ -78,7 +81,9 @@ def record_pairs(
             "config": asdict(config),
             "pairs": dict(zip(store.indenters, store.counts.tolist(), strict=True)),
             "frames": dict(report.outcomes),
-            "covered": {name: c.covered for name, c in zip(store.indenters, store.coverage, strict=True)},
+            "covered": {
+                name: c.covered for name, c in zip(store.indenters, store.coverage, strict=True)
+            },
             "dataset": str(store.dataset),
             "layout": str(store.layout),
         }
@@ -101,7 +106,10 @@ def _run(
         return int(np.minimum(store.counts, config.pairs).sum())
 
     wanted = config.pairs * len(store.indenters)
-    with tqdm(total=wanted, initial=saved(), unit="pair") as bar, _rig(config, robot, store, rate_hz) as rig:
+    with (
+        tqdm(total=wanted, initial=saved(), unit="pair") as bar,
+        _rig(config, robot, store, rate_hz) as rig,
+    ):
         report = PairRecorder(rig, store, plan, _status_shown(bar, store, config.pairs)).run()
         bar.update(saved() - bar.n)
     return rig, report
@@ -131,18 +139,26 @@ def _robot(config: RecordPairsConfig, flags: Sequence[str]) -> UniforceFrankaCon
     if set(worn) != set(FINGERS) or len(robot.fingers) > len(worn):
         came = [f"{name}: {finger.label}" for name, finger in robot.fingers.items()]
         do = "Name both among robot.cameras of rig=FILE, see docs/recording.md."
-        raise ContractError(expected("tactile fingers of the rig", "a left and a right one", came, do))
+        raise ContractError(
+            expected("tactile fingers of the rig", "a left and a right one", came, do)
+        )
     config.left_sensor, config.right_sensor = worn["left"], worn["right"]
-    robot.cameras = {name: replace(finger, reference_on_connect=True) for name, finger in robot.fingers.items()}
+    robot.cameras = {
+        name: replace(finger, reference_on_connect=True) for name, finger in robot.fingers.items()
+    }
     if robot.gripper.grip_force_N not in (HandSettings().grip_force_N, config.grip_N):
         wanted, do = f"grip_N={config.grip_N:g}", "Leave the rig's out; grip_N is the force here."
-        raise ContractError(expected("robot.gripper.grip_force_N", wanted, robot.gripper.grip_force_N, do))
+        raise ContractError(
+            expected("robot.gripper.grip_force_N", wanted, robot.gripper.grip_force_N, do)
+        )
     robot.gripper = replace(robot.gripper, grip_force_N=config.grip_N)
     return robot
 
 
 @contextmanager
-def _robot_rig(config: RecordPairsConfig, robot_config: UniforceFrankaConfig, rate_hz: float) -> Iterator[RobotRig]:
+def _robot_rig(
+    config: RecordPairsConfig, robot_config: UniforceFrankaConfig, rate_hz: float
+) -> Iterator[RobotRig]:
     """Connect keyboard, fingers and a soft Franka led by hand, and let go of them in the end.
 
     Never run on hardware. The fingers' references are taken while connecting: keep them in free air.
@@ -168,9 +184,13 @@ def _robot_rig(config: RecordPairsConfig, robot_config: UniforceFrankaConfig, ra
         stack.callback(robot.disconnect)
         guide.start_from(robot.measured())
         fingers: dict[Any, TactileFinger] = {
-            camera.config.finger: camera for camera in robot.cameras.values() if isinstance(camera, TactileFinger)
+            camera.config.finger: camera
+            for camera in robot.cameras.values()
+            if isinstance(camera, TactileFinger)
         }
-        sensors: dict[Any, str] = {finger: camera.config.sensor for finger, camera in fingers.items()}
+        sensors: dict[Any, str] = {
+            finger: camera.config.sensor for finger, camera in fingers.items()
+        }
         yield RobotRig(robot, fingers, sensors, rate_hz, config.mass_kg, config.grip_N, steer=steer)
 
 
@@ -179,10 +199,14 @@ def _status_shown(bar: tqdm, store: PairStore, wanted: int) -> Callable[[Status]
 
     def show(status: Status) -> None:
         bar.set_description_str(f"indenter {status.indenter}/{len(store.indenters)} {status.name}")
-        others = sum(min(int(n), wanted) for i, n in enumerate(store.counts, 1) if i != status.indenter)
+        others = sum(
+            min(int(n), wanted) for i, n in enumerate(store.counts, 1) if i != status.indenter
+        )
         bar.update(others + status.have - bar.n)
         balance = f"{status.have}/{wanted}, off balance {status.error:.0%}"
-        bar.set_postfix_str(f"{balance}, {status.reason or 'good'}; missing: {status.coverage.missing()}")
+        bar.set_postfix_str(
+            f"{balance}, {status.reason or 'good'}; missing: {status.coverage.missing()}"
+        )
 
     return show
 
@@ -201,7 +225,9 @@ def _truth(rig: SimulatedRig, report: SessionReport) -> dict[str, Any]:
 IGNORED = {"sim": ("rig", "mass_kg", "grip_N"), "franka": ("left_sensor", "right_sensor", "seed")}
 
 
-def _check(config: RecordPairsConfig, robot_flags: Sequence[str], given: Collection[str]) -> tuple[str, ...]:
+def _check(
+    config: RecordPairsConfig, robot_flags: Sequence[str], given: Collection[str]
+) -> tuple[str, ...]:
     from uniforce_vtla.contact.indenters import HEIGHTS, PRETRAIN
 
     ignored = [name for name in IGNORED[config.robot] if name in given]
@@ -213,7 +239,11 @@ def _check(config: RecordPairsConfig, robot_flags: Sequence[str], given: Collect
     names = tuple(split(config.indenters)) or PRETRAIN
     unknown = sorted(set(names) - set(HEIGHTS)) if config.robot == "sim" else []
     if unknown or len(set(names)) < len(names):
-        raise ContractError(expected("indenters", " | ".join(HEIGHTS), unknown or config.indenters, "Name each once."))
+        raise ContractError(
+            expected(
+                "indenters", " | ".join(HEIGHTS), unknown or config.indenters, "Name each once."
+            )
+        )
     return names
 
 
@@ -224,6 +254,8 @@ def main(config: RecordPairsConfig, robot_flags: Sequence[str], given: Sequence[
     print(f"{sum(content['pairs'].values())} pairs in {content['dataset']} and {content['layout']}")
     if "truth" in content and content["truth"]["kept"]:
         truth = content["truth"]
-        print(f"rehearsal, by truth: {truth['out_of_balance']:.1%} of those kept now are out of balance")
+        print(
+            f"rehearsal, by truth: {truth['out_of_balance']:.1%} of those kept now are out of balance"
+        )
     print(f"next: uniforce pretrain preset=nano run.pairs={content['layout']}")
     print(f"session in {Path(config.out) / 'session.json'}")

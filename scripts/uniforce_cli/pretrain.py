@@ -36,7 +36,8 @@ class PretrainCommand:
     Then: uniforce view … tokenizer=outputs/mine/tokenizer and uniforce train … policy.touch.tokenizer_path=the same
     """
 
-    preset: FileName = ""  # nano | small_draw and then small: the shipped checkpoints; what else you give wins
+    # nano | small_draw and then small: the shipped checkpoints; what else you give wins
+    preset: FileName = ""
     run: PretrainSettings = field(default_factory=PretrainSettings)  # model, loss, data, optimiser
     cache: OutFolder = "outputs/pairs"  # drawn pairs, about 35 kB each; kept for the next run
     # sensors of the policy's demonstrations, comma between them: for each a force head is fitted to 80 simulated units,
@@ -59,8 +60,12 @@ def recorded_pairs(folder: str, side: int) -> RecordedPairs:
     recordings = read_uniforce_pairs(folder)
     first = next(recordings)  # a folder without pairs is refused before a bar is drawn
     for recording in tqdm(chain([first], recordings), desc="reading pairs", unit="grasp"):
-        references = (shrink(i[None], side)[0] for i in (recording.left_reference, recording.right_reference))
-        currents = (shrink(images, side) for images in (recording.left_frames, recording.right_frames))
+        references = (
+            shrink(i[None], side)[0] for i in (recording.left_reference, recording.right_reference)
+        )
+        currents = (
+            shrink(images, side) for images in (recording.left_frames, recording.right_frames)
+        )
         found.append(dict(zip(NAMES, (*references, *currents), strict=True)))
     return RecordedPairs(found)
 
@@ -80,14 +85,19 @@ def main(settings: PretrainCommand) -> None:
     data: PairCache | RecordedPairs
     if settings.run.pairs:
         data = recorded_pairs(settings.run.pairs, settings.run.model.side)
-        print(f"training on pairs of {settings.run.pairs}: nothing is drawn, run.data and cache are not used")
+        print(
+            f"training on pairs of {settings.run.pairs}: nothing is drawn, run.data and cache are not used"
+        )
     else:
         data = PairCache(Path(settings.cache), settings.run.data)  # drawn where it isn't yet
     with only_writer(Path(settings.out) / "log.csv"):
         tokenizer = Pretraining(settings.run, Path(settings.out), data).run()
         for kind in (kind for kind in split(settings.heads) if kind != "none"):
             folder = Path(settings.out) / f"force_head_{kind}"
-            if not folder.is_dir() or ForceHead.from_pretrained(kind, folder).tokenizer_hash != tokenizer.hash:
+            if (
+                not folder.is_dir()
+                or ForceHead.from_pretrained(kind, folder).tokenizer_hash != tokenizer.hash
+            ):
                 fit_head(kind, tokenizer).save(folder)
     peak_GB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # Linux counts in kB
     where = f"in {settings.out}/tokenizer, log in {settings.out}/log.csv"

@@ -43,9 +43,12 @@ class RecordConfig:
     """
 
     robot: Literal["sim", "franka"] = "sim"  # what records
-    teleop: options.FileName = "expert"  # expert (simulation) | keyboard | spacemouse | gello | hand_guide
-    rig: options.FilePath = ""  # YAML or JSON file with `robot: {type: …, cameras: …}` and, if wanted, `teleop: {…}`
-    episodes: options.Count = 50  # wanted in the dataset, earlier sessions included; aborted ones don't count
+    # expert (simulation) | keyboard | spacemouse | gello | hand_guide
+    teleop: options.FileName = "expert"
+    # YAML or JSON file with `robot: {type: …, cameras: …}` and, if wanted, `teleop: {…}`
+    rig: options.FilePath = ""
+    # wanted in the dataset, earlier sessions included; aborted ones don't count
+    episodes: options.Count = 50
     level: Level = "touch"  # simulation: locked in the environment package
     # simulation, a robot's own config says it there: unit 1 of it, or uskin:7 | uskin:any | uskin:drawing
     left_sensor: Worn = "gelsight"
@@ -56,25 +59,32 @@ class RecordConfig:
     resume: options.Dataset = ""  # the same as root, but refuses a folder without a dataset
     repo_id: options.HubName = "local/uniforce_wiping"  # LeRobot's name for it; nothing is uploaded
     seed: options.Seed = 0  # scene of the first episode; the next ones count up
-    keep_failures: bool = True  # expert: failed demos are kept, labelled; training views leave them out
-    prompts: options.Texts = field(default_factory=list)  # instructions, in turn; none = the scene's own
+    # expert: failed demos are kept, labelled; training views leave them out
+    keep_failures: bool = True
+    # instructions, in turn; none = the scene's own
+    prompts: options.Texts = field(default_factory=list)
     episode_s: EpisodeSeconds = 60.0  # s, time limit of an episode
     operator: Literal["keys", "unattended"] = "keys"  # what begins and judges an episode
-    verdict: Literal["success", "residual", "failed_grasp"] = "success"  # of every unattended episode
+    # of every unattended episode
+    verdict: Literal["success", "residual", "failed_grasp"] = "success"
     quick_notes: options.Texts = field(default_factory=list)  # notes that the digits 1, 2, … add
     drive_between: bool = True  # whether the teleoperator moves the robot between episodes
     keep_aborted: bool = True  # whether what came before a fault is stored, labelled
-    late_share: options.Share = 0.1  # of its ticks that an episode may miss; one that missed more is aborted:late
+    # of its ticks that an episode may miss; one that missed more is aborted:late
+    late_share: options.Share = 0.1
     keep_raw: bool = True  # robot: raw tactile frames beside the dataset
     window: options.Count = 17  # robot: taxel scans per tick; 17 are one tick at 500 Hz
     # where the rig's settings (mounts, turns, cameras, gains, …) are others than the dataset was recorded with
     settings_changed: Literal["refuse", "accept"] = "refuse"
     reserve_MB: options.NotNegative = 500.0  # MB that have to stay free on the disk
-    unwell_s: options.NotNegative = 10.0  # s, operator=unattended: how long to wait for a sensor to become well
+    # s, operator=unattended: how long to wait for a sensor to become well
+    unwell_s: options.NotNegative = 10.0
     real_time: bool = True  # simulation by hand: keep to the wall clock
 
 
-def record(config: RecordConfig, device_flags: Sequence[str] = (), given: Collection[str] = ()) -> SessionEnd:
+def record(
+    config: RecordConfig, device_flags: Sequence[str] = (), given: Collection[str] = ()
+) -> SessionEnd:
     """Record what is missing.
 
     ``device_flags`` are ``--robot.KEY=…`` and ``--teleop.KEY=…``, ``given`` the settings that were named, also with the
@@ -92,7 +102,9 @@ def record(config: RecordConfig, device_flags: Sequence[str] = (), given: Collec
     from uniforce_robots.recorder.session import SessionSettings
     from uniforce_robots.recorder.store import StoreSettings
 
-    robot, steering = read_devices(device_flags, config.robot == "franka", config.teleop, config.rig)
+    robot, steering = read_devices(
+        device_flags, config.robot == "franka", config.teleop, config.rig
+    )
     teleop = make_teleoperator(steering)
     store = StoreSettings(Path(config.root), config.repo_id, config.reserve_MB)
     limits = config.drive_between, config.unwell_s, config.keep_aborted, config.late_share
@@ -120,10 +132,14 @@ def _record_expert(config: RecordConfig) -> SessionEnd:
 
     drawn, settings = (config.episodes, config.seed, config.keep_failures), _scene(config)
     agreed_changes(options.absolute(config.root), settings, config.settings_changed == "accept")
-    with closing(WipeEnv(config.level, config.left_sensor, config.right_sensor, gripper=config.gripper)) as env:
+    with closing(
+        WipeEnv(config.level, config.left_sensor, config.right_sensor, gripper=config.gripper)
+    ) as env:
         new = record_expert(env, Path(config.root), config.repo_id, *drawn, settings)
     if not new:
-        return SessionEnd(0, f"nothing new, {config.root} holds {config.episodes} or more; set episodes= or root=")
+        return SessionEnd(
+            0, f"nothing new, {config.root} holds {config.episodes} or more; set episodes= or root="
+        )
     return SessionEnd(0, f"{config.episodes} episodes, {new} of them new")
 
 
@@ -174,24 +190,43 @@ def _check(config: RecordConfig) -> None:
         info = read_object(Path(config.resume) / "meta" / "info.json", DatasetError)
         if missing := [key for key in INFO_KEYS if key not in info]:
             do = "Restore it from a copy, or record into a new folder."
-            raise DatasetError(expected(f"{config.resume}/meta/info.json", list(INFO_KEYS), f"no {missing}", do))
+            raise DatasetError(
+                expected(f"{config.resume}/meta/info.json", list(INFO_KEYS), f"no {missing}", do)
+            )
     config.root = config.resume or config.root
 
 
 ROBOT = ("rig", "keep_raw", "window")
 SCENE = ("level", "left_sensor", "right_sensor", "gripper")
-BY_HAND = ("prompts", "episode_s", "operator", "verdict", "quick_notes", "drive_between", "keep_aborted")
+BY_HAND = (
+    "prompts",
+    "episode_s",
+    "operator",
+    "verdict",
+    "quick_notes",
+    "drive_between",
+    "keep_aborted",
+)
 EXPERT = ("keep_failures",)
 IGNORED = {  # by how it records: settings that would change nothing
     "robot=franka": (*SCENE, *EXPERT, "real_time"),
-    "robot=sim teleop=expert": (*ROBOT, *BY_HAND, "late_share", "reserve_MB", "unwell_s", "real_time"),
+    "robot=sim teleop=expert": (
+        *ROBOT,
+        *BY_HAND,
+        "late_share",
+        "reserve_MB",
+        "unwell_s",
+        "real_time",
+    ),
     "robot=sim, steered by hand": (*ROBOT, *EXPERT),
     "operator=keys": ("verdict", "unwell_s"),
     "operator=unattended": ("quick_notes", "drive_between"),
 }
 
 
-def _refuse_ignored(config: RecordConfig, device_flags: Sequence[str], given: Collection[str]) -> None:
+def _refuse_ignored(
+    config: RecordConfig, device_flags: Sequence[str], given: Collection[str]
+) -> None:
     """Refuse what was set and would change nothing."""
     parts: tuple[str, ...] = ()
     scripted, mode = (config.robot, config.teleop) == ("sim", "expert"), "robot=franka"
@@ -204,7 +239,9 @@ def _refuse_ignored(config: RecordConfig, device_flags: Sequence[str], given: Co
     ignored += [flag for flag in device_flags if flag.startswith(parts)]
     if ignored:
         settings = f"settings with {mode} {operator}".strip()
-        raise ContractError(expected(settings, "those it uses", ", ".join(ignored), "Leave them out."))
+        raise ContractError(
+            expected(settings, "those it uses", ", ".join(ignored), "Leave them out.")
+        )
 
 
 @command(RecordConfig, others=("robot.", "teleop."))
@@ -217,9 +254,14 @@ def main(config: RecordConfig, flags: Sequence[str], given: Sequence[str]) -> in
         end = record(config, flags, given)
     except KeyboardInterrupt:
         stopped = "" if config.robot == "sim" else "; the robot has stopped"
-        print(f"record: interrupted{stopped}. Saved episodes are whole: run the same command again to go on", file=out)
+        print(
+            f"record: interrupted{stopped}. Saved episodes are whole: run the same command again to go on",
+            file=out,
+        )
         return INTERRUPTED
     print(f"record: {end.message}", file=out)
     print(f"demos in {config.root} (LeRobot v3 dataset {config.repo_id})", file=out)
-    print(f"next: uniforce view roots={config.root} out={Path(config.root).parent / 'view'}", file=out)
+    print(
+        f"next: uniforce view roots={config.root} out={Path(config.root).parent / 'view'}", file=out
+    )
     return end.exit_code

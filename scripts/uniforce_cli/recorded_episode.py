@@ -17,7 +17,15 @@ from uniforce_vtla.contracts import FINGERS, TAXEL_SHAPE, Finger
 from uniforce_vtla.errors import CheckpointError, DatasetError, expected
 from uniforce_vtla.evaluation.episode_summary import EpisodeSummary, KeyFrame, find_key_frames
 from uniforce_vtla.evaluation.finger_estimates import FingerEstimate, estimate_events
-from uniforce_vtla.keys import AXES, STATE, TACTILE_KEYS, counts_key, sensor_key, tactile_key, truth_wrench_key
+from uniforce_vtla.keys import (
+    AXES,
+    STATE,
+    TACTILE_KEYS,
+    counts_key,
+    sensor_key,
+    tactile_key,
+    truth_wrench_key,
+)
 from uniforce_vtla.markers.mirror import to_canonical
 from uniforce_vtla.sensors import list_sensors
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
@@ -40,13 +48,17 @@ class EpisodeForces:
     force_N: np.ndarray  # (n, 2, 3) left, right, canonical frame: estimates
     true_force_N: np.ndarray | None  # the same from the simulator; None for a robot's recording
 
-    def judge(self, pad_friction: tuple[float, float]) -> tuple[FingerEstimate, FingerEstimate | None]:
+    def judge(
+        self, pad_friction: tuple[float, float]
+    ) -> tuple[FingerEstimate, FingerEstimate | None]:
         """Estimate from the fingers, and from true forces where there are any; raises as ``estimate_events``."""
 
         def judged(force_N: np.ndarray) -> FingerEstimate:
             return estimate_events(self.time_s, force_N, self.tool_m, pad_friction)
 
-        return judged(self.force_N), None if self.true_force_N is None else judged(self.true_force_N)
+        return judged(self.force_N), None if self.true_force_N is None else judged(
+            self.true_force_N
+        )
 
 
 # newtons of one finger over an episode: (n, 3) in the canonical frame
@@ -65,7 +77,8 @@ class RecordingForces:
             do = "Record marker images of both fingers."
             raise DatasetError(expected(str(root), f"fingers {FINGERS}", self.source.fingers, do))
         self._forces = forces
-        truth = tuple(truth_wrench_key(finger) for finger in FINGERS)  # a robot's recording has none
+        # a robot's recording has none
+        truth = tuple(truth_wrench_key(finger) for finger in FINGERS)
         truth = truth if set(truth) <= self.source.features.keys() else ()
         columns = self.source.columns((STATE, *truth))
         self._places_m = columns[STATE][:, PLACE].astype(np.float64)  # (N, 3)
@@ -117,27 +130,40 @@ def force_head(tokenizer: Tokenizer, head: ForceHead) -> ForceReader:
         reference, current = marker_images(source, episode, finger)
         forces, state = [], None
         for image in current:
-            force_N, state = head.step(tokenizer.encode(reference[None], image[None], finger), state)
+            force_N, state = head.step(
+                tokenizer.encode(reference[None], image[None], finger), state
+            )
             forces.append(force_N[0].numpy())
         return np.array(forces, np.float64)
 
     return read
 
 
-def latent_change(tokenizer: Tokenizer, source: Source, episode: Episode, finger: Finger) -> np.ndarray:
+def latent_change(
+    tokenizer: Tokenizer, source: Source, episode: Episode, finger: Finger
+) -> np.ndarray:
     """Return (n, g, g, L) float32: each patch's latent minus its free-air latent, as the sensor sees it."""
     reference, current = marker_images(source, episode, finger)
     rest = tokenizer.encode(reference[None], reference[None], finger)
-    latents = torch.cat([tokenizer.encode(reference[None], image[None], finger) for image in current])  # (n, P, L)
+    # (n, P, L)
+    latents = torch.cat(
+        [tokenizer.encode(reference[None], image[None], finger) for image in current]
+    )
     side = math.isqrt(tokenizer.num_patches)
     maps = (latents - rest).unflatten(1, (side, side)).movedim(-1, 1)  # (n, L, g, g)
-    return to_canonical(maps, finger).movedim(1, -1).numpy()  # undoes the encoder's mirror: its own inverse
+    # undoes the encoder's mirror: its own inverse
+    return to_canonical(maps, finger).movedim(1, -1).numpy()
 
 
-def marker_images(source: Source, episode: Episode, finger: Finger) -> tuple[np.ndarray, Iterator[np.ndarray]]:
+def marker_images(
+    source: Source, episode: Episode, finger: Finger
+) -> tuple[np.ndarray, Iterator[np.ndarray]]:
     """Return an episode's reference (H, W), and its marker images (H, W) one by one."""
     keys = (tactile_key(finger, reference=True), tactile_key(finger))
-    grey = (map(lambda image: np.ascontiguousarray(image[..., 0]), frames(source, episode, key)) for key in keys)
+    grey = (
+        map(lambda image: np.ascontiguousarray(image[..., 0]), frames(source, episode, key))
+        for key in keys
+    )
     reference, current = grey
     return next(reference), current
 
@@ -150,17 +176,23 @@ def frames(source: Source, episode: Episode, key: str) -> Iterator[np.ndarray]:
 def cameras(source: Source) -> dict[str, str]:
     """Return key by name of every recorded video that is no marker image: the scene cameras."""
     videos = [key for key, feature in source.features.items() if feature["dtype"] == "video"]
-    return {key.removeprefix("observation.images."): key for key in videos if key not in TACTILE_KEYS}
+    return {
+        key.removeprefix("observation.images."): key for key in videos if key not in TACTILE_KEYS
+    }
 
 
 def worn(source: Source, episode: Episode, finger: Finger) -> str:
     """Return the name of the sensor on a finger; raise DatasetError where the dataset names none we know."""
     key, names = sensor_key(finger), list_sensors()
     if key not in source.features:
-        raise DatasetError(expected(str(source.root), key, "no such column", "Record it with this version."))
+        raise DatasetError(
+            expected(str(source.root), key, "no such column", "Record it with this version.")
+        )
     index = int(source.columns((key,))[key][episode.start])
     if not 0 <= index < len(names):
-        raise DatasetError(expected(f"{key} in {source.root}", " | ".join(names), index, "Restore it."))
+        raise DatasetError(
+            expected(f"{key} in {source.root}", " | ".join(names), index, "Restore it.")
+        )
     return names[index]
 
 
@@ -176,11 +208,17 @@ def raw_touch(source: Source, episode: Episode, finger: Finger) -> Iterator[np.n
         rows = counts[episode.start : episode.start + episode.length].astype(np.int64)
         return map(counts_picture, (rows - rows[0]).reshape(episode.length, *TAXEL_SHAPE))
     file = raw_path(source.root, finger, episode.index)
-    return episode_frames(VideoSpan(file, 0.0), episode.length, source.fps) if file.is_file() else None
+    return (
+        episode_frames(VideoSpan(file, 0.0), episode.length, source.fps) if file.is_file() else None
+    )
 
 
 def summarise_episode(
-    recording: RecordingForces, tokenizer: Tokenizer, episode: Episode, friction: tuple[float, float] | None, title: str
+    recording: RecordingForces,
+    tokenizer: Tokenizer,
+    episode: Episode,
+    friction: tuple[float, float] | None,
+    title: str,
 ) -> EpisodeSummary:
     """Return what a page or viewer shows of an episode; raises DatasetError: a video that is missing or truncated."""
     source, forces, note = recording.source, recording.read(episode), ""
@@ -190,10 +228,14 @@ def summarise_episode(
         found, truth = forces.judge(friction or UNKNOWN_FRICTION)
     except DatasetError as error:  # it can still be looked at; the sheet says why it isn't judged
         note = str(error)
-    known_N = forces.force_N if forces.true_force_N is None else forces.true_force_N  # simulated: events by the truth
+    # simulated: events by the truth
+    known_N = forces.force_N if forces.true_force_N is None else forces.true_force_N
     named = find_key_frames(known_N, forces.tool_m[:, 2])
-    film = ((np.arange(FILM) + 0.5) / FILM * episode.length).astype(int).tolist()  # middle of each picture
-    films = {name: _chosen(frames(source, episode, key), film) for name, key in cameras(source).items()}
+    # middle of each picture
+    film = ((np.arange(FILM) + 0.5) / FILM * episode.length).astype(int).tolist()
+    films = {
+        name: _chosen(frames(source, episode, key), film) for name, key in cameras(source).items()
+    }
     return EpisodeSummary(
         title=title,
         time_s=forces.time_s,

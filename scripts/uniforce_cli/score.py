@@ -40,7 +40,9 @@ def check_policies(config: ScoreConfig) -> None:
         fitted_to = str(read_config(Path(folder)).get("new", ""))
         if _unit(fitted_to) != (worn := _unit(config.rig.mounted[finger])):
             do = f"Calibrate it: uniforce calibrate new={worn}"
-            raise ContractError(expected(f"{finger}_calibration", f"one of {worn}", f"one of {fitted_to}", do))
+            raise ContractError(
+                expected(f"{finger}_calibration", f"one of {worn}", f"one of {fitted_to}", do)
+            )
     from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint, stored_config
 
     for policy in {*config.policies} - {*SCRIPTS}:
@@ -100,7 +102,10 @@ def _score_missing(configs: Sequence[ScoreConfig], workers: int) -> list[ArmRepo
         done[index][row.seed] = row
         clean += row.clean
         bar.set_postfix_str(f"{clean} clean", refresh=False)
-    return [ArmReport(c.arm, [rows[seed] for seed in c.seeds]) for c, rows in zip(configs, done, strict=True)]
+    return [
+        ArmReport(c.arm, [rows[seed] for seed in c.seeds])
+        for c, rows in zip(configs, done, strict=True)
+    ]
 
 
 def _start(config: ScoreConfig) -> dict[int, EpisodeRow]:
@@ -115,7 +120,9 @@ def _start(config: ScoreConfig) -> dict[int, EpisodeRow]:
         if before != acts:
             do = "resume=false drops them; out=… or arm=… keeps them."
             came = "of another one, or of an older version"
-            raise ContractError(expected(f"episodes in {config.folder}", "of this policy and calibration", came, do))
+            raise ContractError(
+                expected(f"episodes in {config.folder}", "of this policy and calibration", came, do)
+            )
     write_json(settings, asdict(config) | {"acts": acts, "provenance": provenance()})
     return read_rows(rows)
 
@@ -128,7 +135,9 @@ def what_acts(config: ScoreConfig) -> dict[str, Any]:
         "level": level_hash(LEVELS[config.level]),
         "policies": [content_of(policy) for policy in config.policies],
         "first_turn": config.first_seed % len(config.policies),
-        "calibrations": {finger: content_of(folder) for finger, folder in config.rig.calibrations.items()},
+        "calibrations": {
+            finger: content_of(folder) for finger, folder in config.rig.calibrations.items()
+        },
     }
 
 
@@ -156,16 +165,26 @@ def write_report(config: ScoreConfig) -> list[ArmReport]:
     for file in sorted(out.glob("*/config.json")):
         settings, rows = json.loads(file.read_text()), read_rows(file.parent / ROWS)
         asked = range(settings["first_seed"], settings["first_seed"] + settings["rollouts"])
-        if settings["level"] == config.level and (found := [rows[seed] for seed in asked if seed in rows]):
+        if settings["level"] == config.level and (
+            found := [rows[seed] for seed in asked if seed in rows]
+        ):
             reports.append(ArmReport(settings["arm"], found))
             policies = settings.get("acts", {}).get("policies", [])
             gripper = settings.get("gripper", "servo")
-            arms[settings["arm"]] = reports[-1].as_dict() | {"policies": policies, "gripper": gripper}
+            arms[settings["arm"]] = reports[-1].as_dict() | {
+                "policies": policies,
+                "gripper": gripper,
+            }
     for first, second in itertools.combinations(reports, 2):
         one, two = paired_clean(first.clean_by_seed, second.clean_by_seed)
         if one:
-            tests.append({"arms": [first.arm, second.arm], "n": len(one), **asdict(mcnemar(one, two))})
-    content: dict[str, Any] = {"level": config.level, "level_hash": level_hash(LEVELS[config.level])}
+            tests.append(
+                {"arms": [first.arm, second.arm], "n": len(one), **asdict(mcnemar(one, two))}
+            )
+    content: dict[str, Any] = {
+        "level": config.level,
+        "level_hash": level_hash(LEVELS[config.level]),
+    }
     content |= {"arms": arms, "tests": tests}
     write_json(out / "wiping.json", content | provenance())
     draw_arms(reports, out / "wiping.png", title=f"wiping, level {config.level}, simulated")
@@ -180,4 +199,6 @@ def main(config: ScoreConfig) -> None:
     start = time.perf_counter()
     score(config)
     print(table(write_report(config)))
-    print(f"{config.rollouts} rollouts in {time.perf_counter() - start:.0f} s; results in {config.out}")
+    print(
+        f"{config.rollouts} rollouts in {time.perf_counter() - start:.0f} s; results in {config.out}"
+    )

@@ -53,7 +53,8 @@ class ScoreConfig:
     Example: uniforce score policy=outputs/train/checkpoints/last/pretrained_model swap=touch0:left
     """
 
-    policy: options.Policies = "shipped"  # checkpoint folders (several, e.g. training seeds, take turns scene by scene)
+    # checkpoint folders (several, e.g. training seeds, take turns scene by scene)
+    policy: options.Policies = "shipped"
     arm: ArmName = ""  # name of this arm in the table; "" = V+T or the script, and what it wears
     level: Level = "touch"
     # "" = gelsight, and it must be what the policy knows. Naming a sensor allows it to differ from training: unit 1 of
@@ -61,8 +62,10 @@ class ScoreConfig:
     # behind it: tactip:1+flicker=0.2 (uniforce_vtla/contact/faults.py)
     left_sensor: Worn = ""
     right_sensor: Worn = ""  # of the right finger, in the same words; "" = tactip
-    left_calibration: options.FolderPath = ""  # of `uniforce calibrate`: what the left finger's sensor wears
-    right_calibration: options.FolderPath = ""  # of `uniforce calibrate`, for the right finger's sensor
+    # of `uniforce calibrate`: what the left finger's sensor wears
+    left_calibration: options.FolderPath = ""
+    # of `uniforce calibrate`, for the right finger's sensor
+    right_calibration: options.FolderPath = ""
     # stop: where a sensor gives what no healthy one of its kind does the episode is aborted | off: go on
     monitor: Literal["stop", "off"] = "stop"
     # read: as the finger reads it | held: once lifted, as the demonstrations read it | "": held where the calibration
@@ -74,10 +77,12 @@ class ScoreConfig:
     # touch taken away | another scene's touch of the same phase | frozen half a second into the wipe
     control: Literal["", "masked", "shuffled", "frozen"] = ""
     rollouts: options.Count = 20  # 20 for parity with the paper, ≥ 200 for claims
-    first_seed: options.Seed = 10_000  # demos are recorded from seed 0 on: scored scenes are never trained on
+    # demos are recorded from seed 0 on: scored scenes are never trained on
+    first_seed: options.Seed = 10_000
     workers: options.Workers = 2  # processes, one torch thread each
     videos: options.CountOrZero = 1  # episodes filmed, the first ones
-    film: options.Seeds = field(default_factory=list)  # seeds filmed besides; rolled out again where scored unfilmed
+    # seeds filmed besides; rolled out again where scored unfilmed
+    film: options.Seeds = field(default_factory=list)
     resume: bool = True  # keep episodes already scored in `out`
     out: options.OutFolder = "outputs/score"  # rows, table, picture and videos go here
 
@@ -90,7 +95,9 @@ class ScoreConfig:
         differs += [f"grip {self.grip}"] if self.grip else []
         differs += ["hand"] if self.gripper == "hand" else []
         differs += ["unwatched"] if self.monitor == "off" else []
-        self.arm = self.arm or ", ".join([usual, *differs, *filter(None, (self.swap, self.control))])
+        self.arm = self.arm or ", ".join(
+            [usual, *differs, *filter(None, (self.swap, self.control))]
+        )
 
     @property
     def policies(self) -> list[str]:

@@ -106,12 +106,16 @@ def controlled(controller: PolicyController, control: str, env: WipeEnv, rig: Ri
     if control == "frozen":
         return FrozenTouch(controller)
     if control not in ("", "masked"):
-        raise ContractError(expected("control", "masked | shuffled | frozen", repr(control), "Name one."))
+        raise ContractError(
+            expected("control", "masked | shuffled | frozen", repr(control), "Name one.")
+        )
     controller.policy.touch.masked |= control == "masked"
     return controller
 
 
-def donated_touch(rig: Rig, fingers: tuple[Finger, ...] = FINGERS, donors: int = DONORS) -> dict[int, list[Donated]]:
+def donated_touch(
+    rig: Rig, fingers: tuple[Finger, ...] = FINGERS, donors: int = DONORS
+) -> dict[int, list[Donated]]:
     """Return marker images of expert episodes on other scenes, by phase of the task."""
     worn = rig.mounted
     env = WipeEnv(rig.level, worn["left"], worn["right"], fingers, gripper=rig.gripper)
@@ -157,7 +161,9 @@ class ShuffledTouch(OtherTouch):
         """Return the inner controller's chunk for this observation with touch exchanged."""
         bank = self._bank[max(phase for phase in self._bank if phase <= self._env.phase)]
         donated = bank[int(self._rng.integers(len(bank)))]
-        grey = {name: np.unpackbits(image, axis=-1) * np.uint8(255) for name, image in donated.items()}
+        grey = {
+            name: np.unpackbits(image, axis=-1) * np.uint8(255) for name, image in donated.items()
+        }
         exchanged = {name: np.repeat(image[..., None], 3, axis=-1) for name, image in grey.items()}
         return self._inner.chunk(observation | {"pixels": observation["pixels"] | exchanged}, task)
 
@@ -185,10 +191,14 @@ def policy_on_rig(policy: str, rig: Rig) -> tuple[WipeEnv, PolicyController]:
     path = shipped_checkpoint() if policy == "shipped" else Path(policy)
     named: dict[Finger, str] = {"left": rig.left_sensor, "right": rig.right_sensor}
     asked = {finger: rig.kinds[finger] for finger, words in named.items() if words}
-    controller = PolicyController(path, rig.kinds, rig.swap, asked, rig.calibrations, rig.monitor, rig.grip)
+    controller = PolicyController(
+        path, rig.kinds, rig.swap, asked, rig.calibrations, rig.monitor, rig.grip
+    )
     worn, reads = (rig.mounted["left"], rig.mounted["right"]), controller.reads
     exposes = controller.needs_true_wrench
-    return WipeEnv(rig.level, *worn, drawn=reads, expose_wrench=exposes, gripper=rig.gripper), controller
+    return WipeEnv(
+        rig.level, *worn, drawn=reads, expose_wrench=exposes, gripper=rig.gripper
+    ), controller
 
 
 def _keep(rollout: Rollout, config: ScoreConfig) -> None:

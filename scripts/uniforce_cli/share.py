@@ -53,10 +53,13 @@ class ShareConfig:
     scores: FilePath = ""  # wiping.json of uniforce score; "" = the card says "not scored"
     push: HubName = ""  # hub repository, name/model; "" = nothing leaves this machine
     private: bool = False  # of a new hub repository
-    dataset: Dataset = ""  # instead of a checkpoint: a recorded dataset's folder, checked in full, then pushed
-    scene: bool = False  # instead: env.py and a card, from which LeRobot's make_env("name/repository") makes the scene
+    # instead of a checkpoint: a recorded dataset's folder, checked in full, then pushed
+    dataset: Dataset = ""
+    # instead: env.py and a card, from which LeRobot's make_env("name/repository") makes the scene
+    scene: bool = False
     licence: Licence = ""  # of the dataset, as the hub spells it; "" = its card names none
-    half: bool = False  # store trained weights as float16, half the size; they are computed with as before
+    # store trained weights as float16, half the size; they are computed with as before
+    half: bool = False
 
 
 def share(config: ShareConfig) -> Path:
@@ -73,7 +76,8 @@ def share(config: ShareConfig) -> Path:
     _check_scores(scores, source)
     policy = _load(source)
     processors = make_pre_post_processors(policy.config, pretrained_path=str(source))
-    policy.config.touch.tokenizer_path = policy.config.pretrained_path = None  # paths of this machine
+    # paths of this machine
+    policy.config.touch.tokenizer_path = policy.config.pretrained_path = None
     if policy.config.text_tokenizer_name and Path(policy.config.text_tokenizer_name).exists():
         policy.config.text_tokenizer_name = None
     policy.config.repo_id = config.push or policy.config.repo_id
@@ -87,7 +91,10 @@ def share(config: ShareConfig) -> Path:
         for part in (policy, *processors):
             part.save_pretrained(fresh)
         card.save(fresh / CARD)
-        for name, content, kind in ((SCORES, scores, allowed.SCORES), (PROVENANCE, trained, allowed.PROVENANCE)):
+        for name, content, kind in (
+            (SCORES, scores, allowed.SCORES),
+            (PROVENANCE, trained, allowed.PROVENANCE),
+        ):
             if content is not None:
                 write_json(fresh / name, allowed.allowed(content, kind))
         allowed.refuse_paths(fresh)
@@ -102,7 +109,11 @@ def _check_scores(scores: dict[str, Any] | None, source: Path) -> None:
     from uniforce_cli.score import content_of
 
     arms = (scores or {}).get("arms")
-    acted = [policy for arm in arms.values() for policy in arm.get("policies", [])] if isinstance(arms, dict) else []
+    acted = (
+        [policy for arm in arms.values() for policy in arm.get("policies", [])]
+        if isinstance(arms, dict)
+        else []
+    )
     if acted and content_of(str(source)) not in acted:
         do = "Score it: uniforce score policy=… out=a new folder"
         raise ContractError(expected("scores", "those of this checkpoint", "another policy's", do))
@@ -125,14 +136,18 @@ def _load(source: Path) -> PI05UniforcePolicy:
 
 def _merged(source: Path, base: str) -> PI05UniforcePolicy:
     if find_spec("peft") is None:
-        raise CheckpointError(expected(str(source), "the package peft", "none", "pip install 'lerobot[peft]'"))
+        raise CheckpointError(
+            expected(str(source), "the package peft", "none", "pip install 'lerobot[peft]'")
+        )
     from lerobot.configs import PreTrainedConfig
     from peft import PeftModel  # an extra, for those who train adapters
 
     from lerobot_policy_pi05_uniforce import PI05UniforcePolicy, weights
 
     weights.check_files(source, "full", None, local_files_only=True)
-    policy = PeftModel.from_pretrained(PI05UniforcePolicy.from_pretrained(base, warm=False), source).merge_and_unload()
+    policy = PeftModel.from_pretrained(
+        PI05UniforcePolicy.from_pretrained(base, warm=False), source
+    ).merge_and_unload()
     policy.config = PreTrainedConfig.from_pretrained(source)
     policy.config.use_peft = False
     return policy
@@ -152,7 +167,9 @@ def push(folder: Path, config: ShareConfig) -> str:
     api, names = HfApi(), files_to_share(folder, config)
     _say(folder, names, config.push)
     repository = api.create_repo(repo_id=config.push, private=config.private, exist_ok=True)
-    api.upload_folder(repo_id=repository.repo_id, folder_path=folder, allow_patterns=_exactly(names))
+    api.upload_folder(
+        repo_id=repository.repo_id, folder_path=folder, allow_patterns=_exactly(names)
+    )
     return str(repository)
 
 
@@ -216,7 +233,9 @@ def share_scene(config: ShareConfig) -> Path:
     out = Path(config.out)
     out.mkdir(parents=True, exist_ok=True)
     for file in _scene_files():
-        (out / file.name).write_text(file.read_text().replace("NAME/REPOSITORY", config.push or "NAME/REPOSITORY"))
+        (out / file.name).write_text(
+            file.read_text().replace("NAME/REPOSITORY", config.push or "NAME/REPOSITORY")
+        )
     return out
 
 
@@ -231,9 +250,13 @@ def main(config: ShareConfig) -> int:
     named = [name for name in ("checkpoint", "dataset", "scene") if getattr(config, name)]
     if len(named) != 1:
         came = " and ".join(named) or "none"
-        raise ContractError(expected("share", "checkpoint=…, dataset=… or scene=true", came, "Name one."))
+        raise ContractError(
+            expected("share", "checkpoint=…, dataset=… or scene=true", came, "Name one.")
+        )
     if not config.dataset:
-        allowed.refuse_others(Path(config.out), SCENE_NAMES if config.scene else allowed.POLICY_FILES)
+        allowed.refuse_others(
+            Path(config.out), SCENE_NAMES if config.scene else allowed.POLICY_FILES
+        )
     if config.push:
         check_login(config)
     if config.dataset:

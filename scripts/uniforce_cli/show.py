@@ -12,7 +12,16 @@ from uniforce_vtla.arguments import numbers
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import OUTCOME, OUTCOME_NAMES, SEED, sensor_key
-from uniforce_vtla.options import Dataset, Existing, FolderPath, Numbers, OutFolder, Pattern, TokenizerFolder, split
+from uniforce_vtla.options import (
+    Dataset,
+    Existing,
+    FolderPath,
+    Numbers,
+    OutFolder,
+    Pattern,
+    TokenizerFolder,
+    split,
+)
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.sensors import list_sensors
 
@@ -35,10 +44,13 @@ class ShowDatasetConfig:
 
     root: Dataset = "outputs/demos"  # recorded dataset, from a robot or from the simulator
     episode: Episodes = "0"  # numbers, comma between them; all = every one
-    out: OutFolder = "outputs/show"  # a page, which holds its pictures, or an .rrd file, for each episode
-    form: Literal["sheet", "rerun"] = "sheet"  # sheet = HTML with a slider, PNG | rerun = .rrd (needs rerun-sdk)
+    # a page, which holds its pictures, or an .rrd file, for each episode
+    out: OutFolder = "outputs/show"
+    # sheet = HTML with a slider, PNG | rerun = .rrd (needs rerun-sdk)
+    form: Literal["sheet", "rerun"] = "sheet"
     spawn: bool = False  # open the rerun viewer on what was written (it listens on loopback only)
-    pad_friction: Numbers = ""  # left,right: pull slowly until the object slides; empty = slippage isn't judged
+    # left,right: pull slowly until the object slides; empty = slippage isn't judged
+    pad_friction: Numbers = ""
     head: Head = ""  # reads newtons from the latents; empty = descriptor heads, as for scores
     heads: FolderPath = ""  # of python -m benchmarks.descriptor_heads; empty = the wiping scene's
     tokenizer: TokenizerFolder = ""  # empty = shipped
@@ -69,14 +81,19 @@ def show_dataset(config: ShowDatasetConfig) -> list[Path]:
     recording = RecordingForces(config.root, _forces(config, tokenizer), config.verify)
     written, out = [], Path(config.out)
     for episode in tqdm(_chosen(recording.source, config.episode), desc="episodes", unit="episode"):
-        title, stem = f"{Path(config.root).name}, episode {episode.index}", f"episode_{episode.index}"
+        title, stem = (
+            f"{Path(config.root).name}, episode {episode.index}",
+            f"episode_{episode.index}",
+        )
         summary = summarise_episode(recording, tokenizer, episode, friction, title)
         facts = _facts(recording.source, episode, config)
         if rerun is None:
             films = read_films(summary, recording.source, episode)
             written.append(write_sheet(summary, films, facts, out, stem))
         else:
-            written.append(write_recording(rerun, summary, recording.source, episode, out / f"{stem}.rrd"))
+            written.append(
+                write_recording(rerun, summary, recording.source, episode, out / f"{stem}.rrd")
+            )
         content = _numbers(summary, facts) | {"tokenizer_hash": tokenizer.hash}
         write_json(out / f"{stem}.json", content | provenance())
     return written
@@ -89,7 +106,11 @@ def _forces(config: ShowDatasetConfig, tokenizer: Tokenizer) -> ForceReader:
     if not config.head:
         return descriptor_heads(config.heads)
     is_folder = Path(config.head).is_dir()
-    head = ForceHead.from_pretrained(path=config.head) if is_folder else ForceHead.from_pretrained(config.head)
+    head = (
+        ForceHead.from_pretrained(path=config.head)
+        if is_folder
+        else ForceHead.from_pretrained(config.head)
+    )
     return force_head(tokenizer, head)
 
 
@@ -108,13 +129,19 @@ def _facts(source: Source, episode: Episode, config: ShowDatasetConfig) -> dict[
     from uniforce_cli.recorded_episode import worn
 
     facts = {"task": episode.task, "length": f"{episode.length} frames at {source.fps} Hz"}
-    facts |= {f"{f} sensor": worn(source, episode, f) for f in FINGERS if sensor_key(f) in source.features}
+    facts |= {
+        f"{f} sensor": worn(source, episode, f) for f in FINGERS if sensor_key(f) in source.features
+    }
     if {OUTCOME, SEED} <= source.features.keys():
         columns = source.columns((OUTCOME, SEED))
         outcome, seed = (int(columns[key][episode.start]) for key in (OUTCOME, SEED))
-        name = OUTCOME_NAMES[outcome] if 0 <= outcome < len(OUTCOME_NAMES) else f"unknown ({outcome})"
+        name = (
+            OUTCOME_NAMES[outcome] if 0 <= outcome < len(OUTCOME_NAMES) else f"unknown ({outcome})"
+        )
         facts |= {"recorded outcome": name.replace("_", " "), "seed": str(seed)}
-    read_by = f"force head {config.head}, from latents" if config.head else "heads, from hand descriptors"
+    read_by = (
+        f"force head {config.head}, from latents" if config.head else "heads, from hand descriptors"
+    )
     return facts | {"forces read by": read_by}
 
 

@@ -12,7 +12,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from uniforce_cli.boundary import Sensor, command, one_thread
 from uniforce_vtla.contracts import QUARTERS
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.options import FolderPath, Names, NotNegative, OutFile, Positive, Range, Text, TokenizerFolder, split
+from uniforce_vtla.options import (
+    FolderPath,
+    Names,
+    NotNegative,
+    OutFile,
+    Positive,
+    Range,
+    Text,
+    TokenizerFolder,
+    split,
+)
 from uniforce_vtla.sensors import get_sensor, list_sensors
 
 if TYPE_CHECKING:
@@ -39,31 +49,43 @@ class TouchConfig:
     """
 
     sensor: Sensor = "uskin"  # what it is
-    source: Text = ""  # camera: device or http://…; uskin: serial port or ws://host:port; or standin
-    finger: Literal["left", "right"] = "left"  # that wears it; forces are in that finger's own frame
+    # camera: device or http://…; uskin: serial port or ws://host:port; or standin
+    source: Text = ""
+    # that wears it; forces are in that finger's own frame
+    finger: Literal["left", "right"] = "left"
     output: Literal["terminal", "rerun"] = "terminal"  # rerun needs rerun-sdk
     # rate, ages, losses | press where asked | drag the skin: the angle on its mount | free frames of films;
     # empty = live view
     check: Literal["", "rate", "orientation", "angle", "reference"] = ""
     films: FolderPath = ""  # reference: one session of a sensor, in it a folder for each object
-    borrow: bool = False  # reference: a film without a free frame takes that of another film of its pad
+    # reference: a film without a free frame takes that of another film of its pad
+    borrow: bool = False
     seconds: NotNegative = 0.0  # how long; 0 = until Ctrl-C (a rate check then takes 5 s)
     refresh_hz: Positive = 10.0  # pictures per second
-    rotation_deg: Degrees = 0.0  # how the sensor is turned on its finger, counter-clockwise; taxels by quarters
+    # how the sensor is turned on its finger, counter-clockwise; taxels by quarters
+    rotation_deg: Degrees = 0.0
     flip: bool = False  # uskin: columns run the other way
     controller: Controller = 0  # uskin: microcontroller id in the low bits of its CAN ids
-    lock_camera: bool = True  # lock exposure, white balance and gain; false leaves the camera's automatics
-    quarters: Quarters = "top-left,top-right,bottom-left,bottom-right"  # orientation: where to press, in order
+    # lock exposure, white balance and gain; false leaves the camera's automatics
+    lock_camera: bool = True
+    # orientation: where to press, in order
+    quarters: Quarters = "top-left,top-right,bottom-left,bottom-right"
     tokenizer: TokenizerFolder = "nano"  # makes the latents
-    head: NewtonsHead = "tactip"  # the sensor whose shipped force head reads the latents; none = no newtons
-    save: OutFile = ""  # write the last picture of the live view, or the references found (JSON), to this file
+    # the sensor whose shipped force head reads the latents; none = no newtons
+    head: NewtonsHead = "tactip"
+    # write the last picture of the live view, or the references found (JSON), to this file
+    save: OutFile = ""
 
 
 def make_finger(config: TouchConfig, source: str) -> TactileFinger:
     """Return the device that ``config`` names, not connected."""
     from uniforce_robots import sensors
 
-    common: dict[str, Any] = {"source": source, "finger": config.finger, "rotation_deg": config.rotation_deg}
+    common: dict[str, Any] = {
+        "source": source,
+        "finger": config.finger,
+        "rotation_deg": config.rotation_deg,
+    }
     common["reference_on_connect"] = False
     if get_sensor(config.sensor).signal != "camera":
         link = "server" if source.startswith("ws://") else "slcan"
@@ -101,7 +123,9 @@ def show(config: TouchConfig) -> None:
     from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 
     tokenizer, output = Tokenizer.from_pretrained(config.tokenizer), OUTPUTS[config.output]()
-    head = ForceHead.from_pretrained(config.head, config.tokenizer) if config.head != "none" else None
+    head = (
+        ForceHead.from_pretrained(config.head, config.tokenizer) if config.head != "none" else None
+    )
     with opened(config) as finger:
         label = finger.config.label + (" (stand-in)" if config.source == STAND_IN else "")
         now_s = time.monotonic()
@@ -121,11 +145,15 @@ def check_films(config: TouchConfig) -> int:
     if config.check != "reference" or not config.films or config.source:
         came = f"check={config.check} films={config.films} source={config.source}"
         do = "Films are looked at without a device."
-        raise ContractError(expected("check of films", "check=reference films=FOLDER alone", came, do))
+        raise ContractError(
+            expected("check of films", "check=reference films=FOLDER alone", came, do)
+        )
     from uniforce_cli.touch_checks import check_references
     from uniforce_datasets.film_references import film_references
 
-    return check_references(film_references(config.films, config.sensor, config.borrow), config.save)
+    return check_references(
+        film_references(config.films, config.sensor, config.borrow), config.save
+    )
 
 
 def run(config: TouchConfig) -> int:

@@ -40,7 +40,9 @@ def check_rate(finger: TactileFinger, seconds: float) -> int:
         late_ms.append(1e3 * (time.perf_counter() - asleep_s - pause_s))
         ages_ms.append(finger.latest(WAIT_MS).age_ms)
     spent_s, after = time.monotonic() - start_s, finger.counts
-    (age_p50, age_p99), (idle_p50, idle_p99) = (np.percentile(ms, [50, 99]) for ms in (ages_ms, late_ms))
+    (age_p50, age_p99), (idle_p50, idle_p99) = (
+        np.percentile(ms, [50, 99]) for ms in (ages_ms, late_ms)
+    )
     lost, bad = after.lost - before.lost, after.bad - before.bad
     samples = finger.latest(WAIT_MS).index - first
     idle = f"an idle loop here wakes late by p50 {idle_p50:.2f}, p99 {idle_p99:.2f} ms"
@@ -48,7 +50,10 @@ def check_rate(finger: TactileFinger, seconds: float) -> int:
     print(f"rate {samples / spent_s:.1f} Hz over {samples} samples, lost {lost}, bad {bad}")
     print(f"age p50 {age_p50:.2f} ms, p99 {age_p99:.2f} ms ({idle})")
     if settings := finger.settings_read_back:
-        print("settings, read back: " + ", ".join(f"{name} {value:g}" for name, value in settings.items()))
+        print(
+            "settings, read back: "
+            + ", ".join(f"{name} {value:g}" for name, value in settings.items())
+        )
     return int(lost + bad > 0)
 
 
@@ -75,19 +80,26 @@ def check_orientation(finger: TactileFinger, asked: Sequence[str], seconds: floa
 
 def check_angle(finger: TactileFinger, seconds: float) -> int:
     """Have the skin dragged towards the fingertip, once; print the angle on the mount. 0 if it is set right."""
-    print("Press a fingertip on the pad and drag the skin straight towards the sensor's tip, then let go.", flush=True)
+    print(
+        "Press a fingertip on the pad and drag the skin straight towards the sensor's tip, then let go.",
+        flush=True,
+    )
     moved_px = _longest_drag(finger, seconds)
     if moved_px is None:
         print(f"  nothing was dragged within {seconds:g} s")
         return 1
     off_deg = off_upwards_deg(moved_px)
-    print(f"  markers moved by {np.hypot(*moved_px):.1f} px, {off_deg:+.0f}° off the fingertip's direction")
+    print(
+        f"  markers moved by {np.hypot(*moved_px):.1f} px, {off_deg:+.0f}° off the fingertip's direction"
+    )
     if abs(off_deg) <= ANGLE_DEG:
         print("angle agrees")
         return 0
     now_deg = finger.config.rotation_deg
     step = 90 if get_sensor(finger.config.sensor).signal == "taxel" else 1
-    print(f"angle does not agree: set rotation_deg={round((now_deg - off_deg) / step) * step % 360}")
+    print(
+        f"angle does not agree: set rotation_deg={round((now_deg - off_deg) / step) * step % 360}"
+    )
     return 1
 
 
@@ -98,7 +110,9 @@ def check_references(found: Sequence[FilmReference], save: str = "") -> int:
     borrowed = sum(film.is_borrowed for film in found)
     missing = sum(bool(film.why) for film in found)
     own = len(found) - borrowed - missing
-    print(f"{len(found)} films: {own} with a free frame, {borrowed} borrow one, {missing} have none")
+    print(
+        f"{len(found)} films: {own} with a free frame, {borrowed} borrow one, {missing} have none"
+    )
     if save:
         content = {"films": [asdict(film) | {"borrowed": film.is_borrowed} for film in found]}
         print(f"references in {write_json(Path(save), content | provenance())}")
@@ -110,7 +124,11 @@ def _reference_line(film: FilmReference) -> str:
         return film.why
     off = f"{film.off_px:.2f} px off"
     whose = f"BORROWED from {film.of}, " if film.is_borrowed else ""
-    unread = f"; {len(film.refused)} of {film.read + len(film.refused)} frames unread" if film.refused else ""
+    unread = (
+        f"; {len(film.refused)} of {film.read + len(film.refused)} frames unread"
+        if film.refused
+        else ""
+    )
     return f"{film.film}: {whose}frame {film.frame}, pad {film.pad}, {off}{unread}"
 
 
@@ -134,7 +152,9 @@ def _longest_drag(finger: TactileFinger, seconds: float) -> np.ndarray | None:
     return None
 
 
-def _next_response(finger: TactileFinger, seconds: float, wanted: Callable[[np.ndarray], bool]) -> np.ndarray | None:
+def _next_response(
+    finger: TactileFinger, seconds: float, wanted: Callable[[np.ndarray], bool]
+) -> np.ndarray | None:
     """Return the first (4,) response of the quarters that is ``wanted``; None where none came in time."""
     index, end_s = -1, time.monotonic() + seconds
     while time.monotonic() < end_s:
@@ -154,7 +174,8 @@ def quarter_response(finger: TactileFinger, raw: np.ndarray) -> np.ndarray:
         rise = cv2.absdiff(finger.marker_image(raw), finger.reference_image()[..., 0]) / 255.0
         scale = PRESSED_SHARE * rise.size / 4
     height, width = rise.shape
-    return rise.reshape(2, height // 2, 2, width // 2).sum(axis=(1, 3)).ravel() / scale  # row by row
+    # row by row
+    return rise.reshape(2, height // 2, 2, width // 2).sum(axis=(1, 3)).ravel() / scale
 
 
 def advice(seen: dict[str, str], rotation_deg: float, flip: bool) -> str:
@@ -166,7 +187,11 @@ def advice(seen: dict[str, str], rotation_deg: float, flip: bool) -> str:
     shown = [dict(zip(QUARTERS, mount.of_frame(measured).flat, strict=True)) for mount in mounts]
     fits = [mount for mount, at in zip(mounts, shown, strict=True) if seen.items() <= at.items()]
     if len(fits) != 1:
-        came = "no turn explains this" if not fits else "several turns explain this: press all four quarters"
+        came = (
+            "no turn explains this"
+            if not fits
+            else "several turns explain this: press all four quarters"
+        )
         return f"orientation does not agree, and {came}"
     return f"orientation does not agree: set rotation_deg={fits[0].rotation_deg} flip={str(fits[0].flip).lower()}"
 

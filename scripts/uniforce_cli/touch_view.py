@@ -31,7 +31,8 @@ class TouchView:
     label: str  # which sensor on which finger
     raw: np.ndarray  # (H, W, 3) uint8 RGB, or (16, 3) int64 counts above the reference
     markers: np.ndarray  # (480, 640) uint8 marker image, as the sensor sees it
-    norms: np.ndarray  # (g, g) float32, length of each patch's latent minus its free-air latent, as the sensor sees it
+    # (g, g) float32, length of each patch's latent minus its free-air latent, as the sensor sees it
+    norms: np.ndarray
     force_N: np.ndarray | None  # (3,) in the finger's own frame, image axes; None without a head
     age_ms: float  # how old the sample was when it was looked at
     rate_hz: float  # measured
@@ -60,7 +61,9 @@ def views(
             force_N = to_finger_frame(read_N[0].numpy(), side)
         if raw.ndim == 2:  # counts mean little without their rest
             raw = raw.astype(np.int64) - finger.reference_raw
-        yield TouchView(label, raw, markers, norms, force_N, touch.age_ms, finger.rate_hz, finger.counts.lost)
+        yield TouchView(
+            label, raw, markers, norms, force_N, touch.age_ms, finger.rate_hz, finger.counts.lost
+        )
 
 
 def _terminal() -> Callable[[TouchView], None]:
@@ -100,20 +103,27 @@ OUTPUTS = {"terminal": _terminal, "rerun": _rerun}
 
 def as_text(view: TouchView) -> str:
     """Return a view as text: rate, age, force, what the sensor shows, and the map of latent lengths."""
-    force = "no head" if view.force_N is None else " ".join(f"{f:+6.2f}" for f in view.force_N) + " N"
+    force = (
+        "no head" if view.force_N is None else " ".join(f"{f:+6.2f}" for f in view.force_N) + " N"
+    )
     head = [
         f"{view.label}: {view.rate_hz:6.1f} Hz, age {view.age_ms:6.1f} ms, lost {view.lost}",
         f"force x y z {force}   latent up to {view.norms.max():.2f}",
     ]
     raw = [f"mean grey {view.raw.mean():.0f}"]
-    if view.raw.ndim == 2:  # normal counts as the pad shows them: the first taxel is at the bottom left
+    # normal counts as the pad shows them: the first taxel is at the bottom left
+    if view.raw.ndim == 2:
         grid = view.raw[:, 2].reshape(4, 4)[::-1]
         raw = ["z counts", *(" ".join(f"{z:6d}" for z in row) for row in grid)]
-    small = cv2.resize(view.norms.astype(np.float32), (TEXT_SIDE, TEXT_SIDE), interpolation=cv2.INTER_AREA)
+    small = cv2.resize(
+        view.norms.astype(np.float32), (TEXT_SIDE, TEXT_SIDE), interpolation=cv2.INTER_AREA
+    )
     shade = np.clip(small / FULL_NORM * (len(SHADES) - 1), 0, len(SHADES) - 1).round().astype(int)
     rows = ["|" + "".join(SHADES[s] * 2 for s in row) + "|" for row in shade]
     beside = [*raw, *[""] * (TEXT_SIDE - len(raw))]
-    return "\n".join([*head, *(f"{row}   {extra}" for row, extra in zip(rows, beside, strict=True))])
+    return "\n".join(
+        [*head, *(f"{row}   {extra}" for row, extra in zip(rows, beside, strict=True))]
+    )
 
 
 def panel(view: TouchView) -> np.ndarray:
@@ -124,7 +134,9 @@ def panel(view: TouchView) -> np.ndarray:
     grey = cv2.resize(_grey(view.norms), (PANEL_PX, PANEL_PX), interpolation=cv2.INTER_NEAREST)
     picture = np.concatenate([raw, markers, cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)], axis=1)
     for i, line in enumerate(as_text(view).splitlines()[:2]):
-        cv2.putText(picture, line, (10, 20 + 20 * i), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 200, 255), 1)
+        cv2.putText(
+            picture, line, (10, 20 + 20 * i), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 200, 255), 1
+        )
     return picture
 
 
@@ -136,7 +148,9 @@ def raw_picture(view: TouchView) -> np.ndarray:
 def counts_picture(change: np.ndarray) -> np.ndarray:
     """Return (120, 160, 3) uint8 RGB of (16, 3) counts above the reference: normal counts, upright."""
     z = np.clip(change[:, 2].reshape(4, 4)[::-1] / FULL_COUNTS * 255, 0, 255).astype(np.uint8)
-    return np.repeat(cv2.resize(z, (160, 120), interpolation=cv2.INTER_NEAREST)[..., None], 3, axis=2)
+    return np.repeat(
+        cv2.resize(z, (160, 120), interpolation=cv2.INTER_NEAREST)[..., None], 3, axis=2
+    )
 
 
 def save_panel(view: TouchView, path: str) -> Path:

@@ -18,8 +18,10 @@ class VerifyConfig:
     """
 
     root: FolderPath = "outputs/demos"  # recorded dataset, or a training view
-    verify: Verify = "full"  # every byte and frame | sizes, small files, some frames of every episode | nothing
-    rehash: bool = False  # check the content only, then write the hashes of the files that are there now
+    # every byte and frame | sizes, small files, some frames of every episode | nothing
+    verify: Verify = "full"
+    # check the content only, then write the hashes of the files that are there now
+    rehash: bool = False
 
 
 def verify(config: VerifyConfig) -> str:

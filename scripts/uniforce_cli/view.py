@@ -8,7 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from uniforce_cli.boundary import Verify, command, one_thread
-from uniforce_vtla.options import Datasets, OutFolder, Pixels, Range, Slots, TokenizerFolder, Workers
+from uniforce_vtla.options import (
+    Datasets,
+    OutFolder,
+    Pixels,
+    Range,
+    Slots,
+    TokenizerFolder,
+    Workers,
+)
 
 if TYPE_CHECKING:
     from uniforce_datasets.view_plan import EpisodeFacts
@@ -27,9 +35,11 @@ class ViewConfig:
     out: OutFolder = "outputs/view"  # the view's folder: give it to uniforce train as dataset.root
     image_side: Pixels = 56  # px per side of the stored camera images; the tiny policy's size
     latent_grid: LatentGrid = 4  # latents pooled to 4×4; the policy's latent_grid must match
-    slots: Slots = "touch0:right,touch1:left"  # default slot → finger; both fingers are stored anyway
+    # default slot → finger; both fingers are stored anyway
+    slots: Slots = "touch0:right,touch1:left"
     tokenizer: TokenizerFolder = ""  # folder of a tokenizer; empty = the shipped one
-    keep_events: bool = True  # take demos that wiped the board with an event, or outside the band, too
+    # take demos that wiped the board with an event, or outside the band, too
+    keep_events: bool = True
     keep_failures: bool = False  # take failed demos too
     workers: Workers = 2  # processes; each needs about 1 GB
     verify: Verify = "quick"  # how the datasets are checked first
@@ -54,7 +64,9 @@ def make_view(config: ViewConfig) -> Path:
 
 def chosen(facts: EpisodeFacts, config: ViewConfig) -> bool:
     """Return whether an episode is taken: clean successes always."""
-    return facts.success or config.keep_failures or (config.keep_events and facts.outcome == "success")
+    return (
+        facts.success or config.keep_failures or (config.keep_events and facts.outcome == "success")
+    )
 
 
 @command(ViewConfig)
@@ -65,4 +77,6 @@ def main(config: ViewConfig) -> None:
     print(f"view in {out}: {len(facts['episodes'])} episodes, {facts['num_frames']} frames")
     tiny = "policy.size=tiny policy.device=cpu steps=6000 batch_size=32"
     data = f"dataset.repo_id=local/view dataset.root={out}"
-    print(f"next: uniforce train policy=pi05_uniforce {tiny} {data} output_dir={out.parent / 'train'}")
+    print(
+        f"next: uniforce train policy=pi05_uniforce {tiny} {data} output_dir={out.parent / 'train'}"
+    )

@@ -51,13 +51,18 @@ def test_a_choice_that_does_harm_where_it_is_judged_is_called_worse() -> None:
     assert found["error"]["none"] == 0.0 < found["error"]["chosen"] and not found["never_worse"]
 
 
-def test_development_objects_alone_are_read(monkeypatch: pytest.MonkeyPatch, tiny: TokenizerConfig) -> None:
+def test_development_objects_alone_are_read(
+    monkeypatch: pytest.MonkeyPatch, tiny: TokenizerConfig
+) -> None:
     images = np.zeros((2, *MARKER_IMAGE_SHAPE), np.uint8)
     images[:, 200:280, 280:360] = 255
     both = {"left": images, "right": images}
     references = {"left": images[0], "right": images[0]}
     held = [*SEALED, *SEEN, "lemon", "lemon", "mug", "mug", "ball"]
-    trials = [GraspTrial(name, name, "close", {"left": Path(), "right": Path()}, slipped=False) for name in held]
+    trials = [
+        GraspTrial(name, name, "close", {"left": Path(), "right": Path()}, slipped=False)
+        for name in held
+    ]
     grasps = [Grasp(trial.object_name, "close", references, both) for trial in trials]  # type: ignore[arg-type]
     monkeypatch.setattr("benchmarks.calibration_choice.read_grasps", lambda folder: trials)
     monkeypatch.setattr("benchmarks.calibration_choice.find_grasps", lambda trials: grasps)
@@ -67,5 +72,8 @@ def test_development_objects_alone_are_read(monkeypatch: pytest.MonkeyPatch, tin
     by_object = cases["GelSight Mini close, left finger, a left-out object"]
     assert len(cases) == 4 and len(by_trial.new) == 10
     assert len(set(by_trial.grasps.tolist())) == 5 and len(set(by_object.grasps.tolist())) == 3
-    monkeypatch.setattr("benchmarks.calibration_choice.find_grasps", lambda trials: grasps[: len(SEALED) + len(SEEN)])
+    monkeypatch.setattr(
+        "benchmarks.calibration_choice.find_grasps",
+        lambda trials: grasps[: len(SEALED) + len(SEEN)],
+    )
     assert real_cases("", tokenizer, Numbers()) == {}  # type: ignore[arg-type]

@@ -30,7 +30,11 @@ def test_the_cheapest_and_the_best_are_never_both_beaten(rows: list[tuple[float,
 
 
 def test_slower_and_no_better_is_beaten() -> None:
-    points = [Point("a", 1, 0.8, 0, 1), Point("b", 2, 0.8 + TIE / 2, 0, 1), Point("c", 3, 0.9, 0, 1)]
+    points = [
+        Point("a", 1, 0.8, 0, 1),
+        Point("b", 2, 0.8 + TIE / 2, 0, 1),
+        Point("c", 3, 0.9, 0, 1),
+    ]
     assert front(points) == ["a", "c"]
 
 
@@ -44,7 +48,10 @@ def test_the_tokenizers_chart_at_toy_size(tmp_path: Path, monkeypatch: pytest.Mo
     names = {point["name"] for point in found["points"]["zero_shot_v2"]}
     wanted = {f"{size}, {precision}" for size in ("small", "nano") for precision in PRECISIONS}
     assert names == wanted | {"small, no cache", "nano, no cache"}
-    assert found["pareto_front"]["fe_dev_v1"] and (tmp_path / "chart_tokenizer.png").stat().st_size > 5000
+    assert (
+        found["pareto_front"]["fe_dev_v1"]
+        and (tmp_path / "chart_tokenizer.png").stat().st_size > 5000
+    )
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
@@ -62,7 +69,19 @@ def test_a_precision_changes_latents_a_little_and_only_within_its_block(precisio
 
 def test_a_policys_point_shares_a_call_among_the_steps_it_gives() -> None:
     rows = [
-        EpisodeRow(seed, "success", seed > 0, False, False, 0.0, 6.0, 8.0, 13.0, think_p50_ms=24.0, think_p95_ms=30.0)
+        EpisodeRow(
+            seed,
+            "success",
+            seed > 0,
+            False,
+            False,
+            0.0,
+            6.0,
+            8.0,
+            13.0,
+            think_p50_ms=24.0,
+            think_p95_ms=30.0,
+        )
         for seed in range(4)
     ]
     found = policy.point(ArmReport("executes 2", rows), 2, default=2)
@@ -83,15 +102,24 @@ def test_a_part_of_the_demonstrations_takes_as_many_of_each_source() -> None:
     assert data.chosen(episodes, 9) == list(range(6))
 
 
-def test_the_data_chart_at_toy_size_holds_what_ran_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_data_chart_at_toy_size_holds_what_ran_last(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(data, "pretrained", lambda run, name, seed: run.units)
     row = {"fz_r2_worst": -0.1}
-    monkeypatch.setattr(data, "measure", lambda run, units, seed, real, facts: row | {"fz_r2": units / 1000})
+    monkeypatch.setattr(
+        data, "measure", lambda run, units, seed, real, facts: row | {"fz_r2": units / 1000}
+    )
     for units in ("64,128", "256"):
         assert data.main(["part=pairs", f"units={units}", f"out={tmp_path}"]) == 0
     found = json.loads((tmp_path / "chart_data.json").read_text())["pairs"]
-    assert [(one["name"], one["cost"], one["score"]) for one in found["points"]] == [("256 units", 8192, 0.256)]
-    assert found["pareto_front"] == ["256 units"] and (tmp_path / "chart_data_pairs.png").stat().st_size > 5000
+    assert [(one["name"], one["cost"], one["score"]) for one in found["points"]] == [
+        ("256 units", 8192, 0.256)
+    ]
+    assert (
+        found["pareto_front"] == ["256 units"]
+        and (tmp_path / "chart_data_pairs.png").stat().st_size > 5000
+    )
 
 
 def test_demonstrations_need_a_view(capsys: pytest.CaptureFixture[str]) -> None:
@@ -112,15 +140,23 @@ def test_the_contact_chart_at_toy_size(tmp_path: Path, monkeypatch: pytest.Monke
 
 def test_the_scenes_points_are_what_was_rolled_out_and_presses_are_over_the_finest() -> None:
     times = {2: 20.0, 4: 10.0, 32: 1.0}
-    settings = [{"substeps": n, "times_real_time": x, "press_N": [6.0 + 3 / n, 6.0]} for n, x in times.items()]
-    clean = {"V+T, 480 Hz": {"k": 3, "n": 4, "low": 0.3, "high": 0.9}, "expert, 240 Hz": {"k": 0, "n": 4}}
+    settings = [
+        {"substeps": n, "times_real_time": x, "press_N": [6.0 + 3 / n, 6.0]}
+        for n, x in times.items()
+    ]
+    clean = {
+        "V+T, 480 Hz": {"k": 3, "n": 4, "low": 0.3, "high": 0.9},
+        "expert, 240 Hz": {"k": 0, "n": 4},
+    }
     assert scene.points(settings, clean) == [Point("480 Hz", 100.0, 0.75, 0.3, 0.9, True)]
     coarse, usual, finest = scene.pressed(settings).values()
     assert coarse[0] > usual[0] > finest[0] == 1 and coarse[1] == 1
 
 
 @pytest.mark.slow
-def test_the_scene_chart_at_toy_size_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_scene_chart_at_toy_size_goes_on_where_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     settings = [{"substeps": n, "times_real_time": 64 / n, "press_N": [6 + 1 / n]} for n in (4, 32)]
     monkeypatch.setattr(scene, "solvers", lambda asked, repeats: {"settings": settings})
     asked = ["substeps=4", "rollouts=1", "workers=1", f"out={tmp_path}"]

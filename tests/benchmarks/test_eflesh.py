@@ -34,7 +34,9 @@ def write_run(folder: Path, units: int, rows: int = 120) -> Path:
     folder.mkdir(parents=True)
     gram = 900 - 900 * np.cos(6 * np.pi * np.arange(rows) / (rows - 1))
     time_s = np.arange(rows) / 15
-    field = np.column_stack([time_s, *(gain * np.outer(gram, FIELD) for gain in (1.0, 0.7)[:units])])
+    field = np.column_stack(
+        [time_s, *(gain * np.outer(gram, FIELD) for gain in (1.0, 0.7)[:units])]
+    )
     said = np.where(np.arange(rows) % 6 == 5, -1, gram)
     state = np.column_stack([time_s, np.zeros((rows, 3)), said])
     np.savetxt(folder / "sensor_post_baselines.csv", field, delimiter=",")
@@ -53,9 +55,13 @@ def recorded(tmp_path: Path) -> Path:
 
 def test_missing_forces_are_left_out_and_grams_become_newtons(tmp_path: Path) -> None:
     run = read_run(write_run(tmp_path / "a_probe", units=2), SHEAR, 1000)
-    assert run.counts.shape == (100, 2, 5, 3) and run.force_N.max() == pytest.approx(1800 * GRAM_N, rel=0.01)
+    assert run.counts.shape == (100, 2, 5, 3) and run.force_N.max() == pytest.approx(
+        1800 * GRAM_N, rel=0.01
+    )
     assert run.force_N.min() == 0.0
-    assert np.allclose(run.counts[:, 0].reshape(100, 15), np.outer(run.force_N / GRAM_N, FIELD), atol=1e-6)
+    assert np.allclose(
+        run.counts[:, 0].reshape(100, 15), np.outer(run.force_N / GRAM_N, FIELD), atol=1e-6
+    )
     assert len(read_run(tmp_path / "a_probe", SHEAR, 30).force_N) == 30
 
 
@@ -74,7 +80,9 @@ def test_sealed_runs_are_read_when_asked_for_alone(recorded: Path) -> None:
 
 def test_open_halves_of_a_run_do_not_overlap(recorded: Path) -> None:
     shear = [
-        case for case in cases_of(read_runs(recorded, 1000, sealed=False), sealed=False) if "normal" not in case.name
+        case
+        for case in cases_of(read_runs(recorded, 1000, sealed=False), sealed=False)
+        if "normal" not in case.name
     ]
     assert len(shear) == 4
     for case in shear:
@@ -96,10 +104,17 @@ def test_discs_move_and_grow_with_the_field() -> None:
 
 def test_a_unit_that_answers_less_is_weighed(recorded: Path) -> None:
     runs = read_runs(recorded, 1000, sealed=False)
-    seen = {run.name: np.stack([raw_features(of) for of in run.counts.swapaxes(0, 1)], axis=1) for run in runs}
+    seen = {
+        run.name: np.stack([raw_features(of) for of in run.counts.swapaxes(0, 1)], axis=1)
+        for run in runs
+    }
     force_N = {run.name: run.force_N for run in runs}
-    other = next(case for case in cases_of(runs, sealed=False) if case.known and case.known.unit == 1)
-    errors = {name: error.mean() for name, error in absolute_errors(other, seen, force_N, 0.01).items()}
+    other = next(
+        case for case in cases_of(runs, sealed=False) if case.known and case.known.unit == 1
+    )
+    errors = {
+        name: error.mean() for name, error in absolute_errors(other, seen, force_N, 0.01).items()
+    }
     assert errors["other unit's head"] > 2.0
     assert errors["three loads"] < 0.05 and errors["ten frames"] < 0.05
 
@@ -133,9 +148,16 @@ def test_a_folder_without_the_sealed_runs_says_which(recorded: Path) -> None:
 
 
 @pytest.mark.parametrize("sealed", [False, True])
-def test_every_row_has_every_way_of_reading(recorded: Path, tiny: TokenizerConfig, sealed: bool) -> None:
+def test_every_row_has_every_way_of_reading(
+    recorded: Path, tiny: TokenizerConfig, sealed: bool
+) -> None:
     found = eflesh_rows(recorded, Tokenizer.random(tiny), 1, 400, sealed)
-    assert found["mae_N"].keys() == {"tokenizer", "untrained", "raw counts", "tokenizer − raw counts"}
+    assert found["mae_N"].keys() == {
+        "tokenizer",
+        "untrained",
+        "raw counts",
+        "tokenizer − raw counts",
+    }
     ways = {"own head, normal", "own head, shear", "other unit's head", "three loads", "ten frames"}
     for by_ridge in found["mae_N"].values():
         assert {str(way) for by_way in by_ridge.values() for way in by_way} == ways
@@ -144,14 +166,21 @@ def test_every_row_has_every_way_of_reading(recorded: Path, tiny: TokenizerConfi
     assert difference["mean"] == pytest.approx(by_hand, abs=0.05)
     assert difference["interval_95"][0] <= difference["mean"] <= difference["interval_95"][1]
     lines = eflesh_lines(found)
-    assert "grams are assumed" in lines[0] and ("sealed" if sealed else "development") in lines[0] and len(lines) == 9
+    assert (
+        "grams are assumed" in lines[0]
+        and ("sealed" if sealed else "development") in lines[0]
+        and len(lines) == 9
+    )
 
 
 def test_raw_counts_read_a_real_run_of_the_same_unit() -> None:
     if not REAL.is_dir():
         pytest.skip(f"no real recordings at {REAL}")
     runs = read_runs(REAL, 500, sealed=False)
-    seen = {run.name: np.stack([raw_features(of) for of in run.counts.swapaxes(0, 1)], axis=1) for run in runs}
+    seen = {
+        run.name: np.stack([raw_features(of) for of in run.counts.swapaxes(0, 1)], axis=1)
+        for run in runs
+    }
     force_N = {run.name: run.force_N for run in runs}
     own = [case for case in cases_of(runs, sealed=False) if case.name.startswith("own")]
     assert len(own) == 4

@@ -35,7 +35,9 @@ def test_the_turn_is_that_of_the_shear_plane_alone() -> None:
     assert in_plane_turn_rad(v, v[:, ::-1] * [-1, 1]) == pytest.approx(np.pi / 2)
 
 
-@pytest.mark.parametrize(("change", "says"), [("short", "Record more"), ("nan", "finite"), ("still", "never loaded")])
+@pytest.mark.parametrize(
+    ("change", "says"), [("short", "Record more"), ("nan", "finite"), ("still", "never loaded")]
+)
 def test_frames_that_say_too_little_are_refused(change: str, says: str) -> None:
     read, known = frames()
     if change == "short":

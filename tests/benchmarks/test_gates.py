@@ -29,14 +29,18 @@ def test_no_scene_is_in_two_blocks() -> None:
 
 
 @pytest.mark.parametrize("style", sorted(STYLES))
-def test_without_touch_the_press_depends_on_the_hidden_stiffness(style: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_touch_the_press_depends_on_the_hidden_stiffness(
+    style: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     build, grips_N = STYLES[style]
     nominal = draw_scene(SEED, "touch")
     nominal = replace(nominal, gripper_gain=1.0, board_height_m=nominal.level.layout.board_height_m)
     presses = []
     for stiffness in (0.7, 1.7):
         scene = replace(nominal, stiffness_scale=stiffness)
-        monkeypatch.setattr("lerobot_env_uniforce_wiping.env.draw_scene", lambda *_, scene=scene: scene)
+        monkeypatch.setattr(
+            "lerobot_env_uniforce_wiping.env.draw_scene", lambda *_, scene=scene: scene
+        )
         script = BlindScript(BlindSettings(5.0, grips_N[1]), build)
         presses.append(run_script(WipeEnv(level="touch"), script, SEED).metrics["press_mean_N"])
     assert presses[1] > 1.4 * presses[0] > 0
@@ -63,7 +67,9 @@ def test_the_lag_of_a_steady_motion_is_found_and_says_the_stiffness() -> None:
         meter(0.001 * k, 0.001 * k - 0.003)  # 30 mm/s, 3 mm behind
     assert meter.lag_s == pytest.approx(0.1)
     law = LagLaw(a=float(np.log(0.1)), b=-1.0)  # nominal · 0.1 s / lag
-    assert law.stiffness(800.0, 0.1) == pytest.approx(800.0) and law.stiffness(800.0, 0.2) == pytest.approx(400.0)
+    assert law.stiffness(800.0, 0.1) == pytest.approx(800.0) and law.stiffness(
+        800.0, 0.2
+    ) == pytest.approx(400.0)
 
 
 def test_an_observer_learns_a_press_that_its_inputs_hold_and_no_other() -> None:
@@ -71,17 +77,25 @@ def test_an_observer_learns_a_press_that_its_inputs_hold_and_no_other() -> None:
     seen = rng.standard_normal((40, 60, 11)).astype(np.float32)
     press = 6 + 2 * seen[..., 2]
     _, known = train_observer(list(zip(seen, press, strict=True)))
-    _, unknown = train_observer(list(zip(seen, rng.permutation(press.ravel()).reshape(press.shape), strict=True)))
+    _, unknown = train_observer(
+        list(zip(seen, rng.permutation(press.ravel()).reshape(press.shape), strict=True))
+    )
     assert known > 0.9 and unknown < 0.1
 
 
 def test_a_gate_holds_on_its_own_side_of_its_bar() -> None:
-    passes, fails = (Gate(lambda f, p: WipeExpert(), **bar) for bar in ({"at_least": 0.9}, {"at_most": 0.2}))
-    assert passes.holds(0.9) and not passes.holds(0.89) and fails.holds(0.2) and not fails.holds(0.21)
+    passes, fails = (
+        Gate(lambda f, p: WipeExpert(), **bar) for bar in ({"at_least": 0.9}, {"at_most": 0.2})
+    )
+    assert (
+        passes.holds(0.9) and not passes.holds(0.89) and fails.holds(0.2) and not fails.holds(0.21)
+    )
 
 
 @pytest.mark.slow
-def test_a_run_scores_every_script_and_a_second_one_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_scores_every_script_and_a_second_one_goes_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     small = ["level=easy", "learn_from=3", "sweep_on=1", "learn_seed=30000", "workers=2"]
     given = [*small, f"work={tmp_path / 'work'}", f"out={tmp_path / 'gates.json'}"]
     assert main([*given, "episodes=1"]) == 0
@@ -89,13 +103,20 @@ def test_a_run_scores_every_script_and_a_second_one_goes_on(tmp_path: Path, caps
     first = rows.read_text()
     assert main([*given, "episodes=1"]) == 0 and rows.read_text() == first
     written = json.loads((tmp_path / "gates.json").read_text())
-    assert set(written["must_pass"] | written["must_fail"]) == set(GATES) and written["must_pass"]["expert"]["n"] == 1
+    assert (
+        set(written["must_pass"] | written["must_fail"]) == set(GATES)
+        and written["must_pass"]["expert"]["n"] == 1
+    )
     assert "DOES NOT HOLD" in capsys.readouterr().out or written["all_hold"]
 
 
 def test_a_chart_of_the_level_counts_its_scenes_alone_and_is_drawn(tmp_path: Path) -> None:
     rows = [
-        {"cell": f"{actor}, {operator} {factor:g}", "seed": seed, "clean": actor == "expert" or factor == 0}
+        {
+            "cell": f"{actor}, {operator} {factor:g}",
+            "seed": seed,
+            "clean": actor == "expert" or factor == 0,
+        }
         for operator, factor in needed.cells()
         for actor in ("expert", "open loop")
         for seed in (3, 4, 99)

@@ -89,14 +89,19 @@ def test_the_error_is_the_mean_difference_over_the_mean_of_both() -> None:
 
 def test_objects_are_drawn_anew_and_not_trials() -> None:
     """Twenty trials of one object and one of another: the interval reaches from one object's error to the other's."""
-    scores = [Score("mug", "close", 9, 0.1, 0.9, 0.2)] * 20 + [Score("ball", "close", 9, 0.7, 0.2, 0.2)]
+    scores = [Score("mug", "close", 9, 0.1, 0.9, 0.2)] * 20 + [
+        Score("ball", "close", 9, 0.7, 0.2, 0.2)
+    ]
     found = summary(scores)
     assert (found["objects"], found["trials"], found["relative_error"]) == (2, 21, 0.1)
     assert found["relative_error_95"] == [pytest.approx(0.1), pytest.approx(0.7)]
 
 
 def test_a_borrowed_reference_is_another_films_frame_and_is_marked() -> None:
-    frames = [[np.full((2, 2, 3), 10 * film + number, np.uint8) for number in range(3)] for film in range(3)]
+    frames = [
+        [np.full((2, 2, 3), 10 * film + number, np.uint8) for number in range(3)]
+        for film in range(3)
+    ]
     films = Films(frames, [FreeFrame(0, 2, 0.1, 0), FreeFrame(0, 2, 0.1, 0), None])
     assert films.reference(0) is frames[0][2] and not films.is_borrowed(0)
     assert films.reference(1) is frames[0][2] and films.is_borrowed(1)
@@ -106,16 +111,27 @@ def test_a_borrowed_reference_is_another_films_frame_and_is_marked() -> None:
 def test_chance_pairs_fingers_that_held_different_objects() -> None:
     ball, again, mug = (
         Reading(held, "close", np.full(count, left_N), np.full(count, right_N))
-        for held, count, left_N, right_N in (("ball", 5, 1.0, 2.0), ("ball", 4, 3.0, 4.0), ("mug", 3, 5.0, 6.0))
+        for held, count, left_N, right_N in (
+            ("ball", 5, 1.0, 2.0),
+            ("ball", 4, 3.0, 4.0),
+            ("mug", 3, 5.0, 6.0),
+        )
     )
     found = by_chance([ball, again, mug])
-    assert [(one.left_N[0], one.right_N[0], len(one.left_N)) for one in found] == [(1, 6, 3), (3, 6, 3), (5, 2, 3)]
+    assert [(one.left_N[0], one.right_N[0], len(one.left_N)) for one in found] == [
+        (1, 6, 3),
+        (3, 6, 3),
+        (5, 2, 3),
+    ]
     assert by_chance([ball, again]) == []
 
 
 def test_groups_are_summed_up_apart() -> None:
     force_N = np.array([1.0, 2.0, 3.0])
-    readings = [Reading("ball", "close", force_N, force_N), Reading("mug", "wide, borrowed", force_N, 2 * force_N)]
+    readings = [
+        Reading("ball", "close", force_N, force_N),
+        Reading("mug", "wide, borrowed", force_N, 2 * force_N),
+    ]
     found = by_group(readings)
     assert list(found) == ["close", "wide, borrowed"]
     assert found["close"]["relative_error"] == 0.0 < found["wide, borrowed"]["relative_error"]  # type: ignore[index]

@@ -33,7 +33,9 @@ def test_the_plan_names_blocks_and_rows_that_exist() -> None:
     assert {claim.first for claim in CLAIMS} | {claim.second for claim in CLAIMS} <= names
     assert {name for pair in BETTER for name in pair} <= names | {"best blind"}
     final = [entry for part, entries in PARTS.items() for entry in entries if part != "grip"]
-    assert all(BLOCKS[entry.block].start >= 1_000_000 for entry in final), "development scenes stand aside"
+    assert all(BLOCKS[entry.block].start >= 1_000_000 for entry in final), (
+        "development scenes stand aside"
+    )
 
 
 def test_rows_wait_for_checkpoints_and_calibrations(tmp_path: Path) -> None:
@@ -46,9 +48,14 @@ def test_rows_wait_for_checkpoints_and_calibrations(tmp_path: Path) -> None:
     assert not configured(config, calibrated)
     (tmp_path / "maps/shipped/uskin-3").mkdir()
     first, second = configured(config, calibrated)
-    assert first.left_calibration == str(tmp_path / "maps" / "shipped" / "uskin-2") and second.left_sensor == "uskin:3"
+    assert (
+        first.left_calibration == str(tmp_path / "maps" / "shipped" / "uskin-2")
+        and second.left_sensor == "uskin:3"
+    )
     assert [Path(policy).name for policy in first.policies] == ["seed0", "seed1"]
-    assert [*first.seeds, *second.seeds] == [*range(BLOCKS["swap ladder"].start, BLOCKS["swap ladder"].start + 204)]
+    assert [*first.seeds, *second.seeds] == [
+        *range(BLOCKS["swap ladder"].start, BLOCKS["swap ladder"].start + 204)
+    ]
 
 
 def test_rows_are_picked_by_name_in_the_plans_order() -> None:
@@ -64,7 +71,13 @@ def test_a_rows_parts_are_joined_and_counted_by_training_seed(tmp_path: Path) ->
         for first in (10, 14)
     ]
     clean = [True, False, True, False]
-    one = ArmReport("S2", [EpisodeRow(k, "success", ok, False, False, 0, 0, 0, 0, 0, 0) for k, ok in enumerate(clean)])
+    one = ArmReport(
+        "S2",
+        [
+            EpisodeRow(k, "success", ok, False, False, 0, 0, 0, 0, 0, 0)
+            for k, ok in enumerate(clean)
+        ],
+    )
     scored = [one for _ in parts]
     shifted = [
         ArmReport("S2", [replace(row, seed=row.seed + part.first_seed) for row in report.rows])
@@ -84,8 +97,17 @@ def test_a_claim_holds_within_its_margin_and_bound() -> None:
 
 
 @pytest.mark.slow
-def test_the_expert_alone_is_scored_and_the_rest_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    given = ["part=arms", f"checkpoints={tmp_path}", "level=easy", "rollouts=1", "first_seed=20000", "workers=1"]
+def test_the_expert_alone_is_scored_and_the_rest_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = [
+        "part=arms",
+        f"checkpoints={tmp_path}",
+        "level=easy",
+        "rollouts=1",
+        "first_seed=20000",
+        "workers=1",
+    ]
     given += [f"work={tmp_path / 'work'}", f"out={tmp_path / 'wiping.json'}"]
     assert main(given) == 0
     assert "not scored: V+T" in capsys.readouterr().out
@@ -99,7 +121,13 @@ def test_the_expert_alone_is_scored_and_the_rest_is_named(tmp_path: Path, capsys
 
 def part_of(part: str, **counts: int) -> dict:
     rows = {
-        name: {"n": n, "clean": n, "clean_by_training_seed": ["1/1"] * 3, "seeds": [0, n - 1], "by_seed": "C" * n}
+        name: {
+            "n": n,
+            "clean": n,
+            "clean_by_training_seed": ["1/1"] * 3,
+            "seeds": [0, n - 1],
+            "by_seed": "C" * n,
+        }
         for name, n in counts.items()
     }
     return filed(part, "touch", rows)
@@ -118,10 +146,15 @@ def test_rows_stand_in_their_sections_and_small_arms_stand_aside() -> None:
 
 
 def test_claims_and_tests_are_of_rows_that_were_scored_in_different_parts() -> None:
-    ladder, arms = part_of("ladder", **{"S0": 204, "S2 uskin": 204}), part_of("arms", **{"V+T": 204, "V+T masked": 102})
+    ladder, arms = (
+        part_of("ladder", **{"S0": 204, "S2 uskin": 204}),
+        part_of("arms", **{"V+T": 204, "V+T masked": 102}),
+    )
     ladder["ladder"]["S2_uskin"]["by_seed"] = "r" * 204
     found = judged(added(ladder, arms))
-    assert [(claim["arms"], claim["holds"]) for claim in found["within"]] == [(["S2 uskin", "S0"], False)]
+    assert [(claim["arms"], claim["holds"]) for claim in found["within"]] == [
+        (["S2 uskin", "S0"], False)
+    ]
     assert [(test["arms"], test["n"]) for test in found["tests"]] == [(["V+T", "V+T masked"], 102)]
     again = judged(added(part_of("ladder", **{"S2 uskin": 68}), found))
     assert again["within"][0]["n"] == 68 and again["within"][0]["holds"]
@@ -130,7 +163,10 @@ def test_claims_and_tests_are_of_rows_that_were_scored_in_different_parts() -> N
 def test_the_best_script_without_touch_stands_beside_the_arms() -> None:
     found = part_of("arms", **{"V+T": 204})
     found["arms"]["V+T"] |= {"seeds": [10, 13], "by_seed": "CCCr"}
-    blind = {"open loop": {"clean": 0, "by_seed": "rrrr"}, "plane known": {"clean": 1, "by_seed": "Crrr"}}
+    blind = {
+        "open loop": {"clean": 0, "by_seed": "rrrr"},
+        "plane known": {"clean": 1, "by_seed": "Crrr"},
+    }
     gates = {"level_hash": found["level_hash"], "seeds": [10, 13], "must_fail": blind}
     add_best_blind(found, gates)
     assert found["arms"]["best blind"]["script"] == "plane known"
@@ -143,9 +179,16 @@ def test_the_best_script_without_touch_stands_beside_the_arms() -> None:
 def test_a_replay_takes_the_scenes_of_the_shipped_policys_turn_and_compares(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    row = {"n": 24, "seeds": [500, 523], "by_seed": 8 * "Crs", "clean_by_training_seed": ["8/8", "0/8", "0/8"]}
+    row = {
+        "n": 24,
+        "seeds": [500, 523],
+        "by_seed": 8 * "Crs",
+        "clean_by_training_seed": ["8/8", "0/8", "0/8"],
+    }
     results = tmp_path / "wiping.json"
-    results.write_text(json.dumps({"arms": {}, "side_arms": {}, "ladder": {"S1": row}, "ladder_controls": {}}))
+    results.write_text(
+        json.dumps({"arms": {}, "side_arms": {}, "ladder": {"S1": row}, "ladder_controls": {}})
+    )
     asked, ends = [], ["success"]
 
     def scored(configs: list[ScoreConfig], workers: int) -> list[ArmReport]:

@@ -7,7 +7,15 @@ import pytest
 import torch
 
 from benchmarks.real.grasps import Score
-from benchmarks.real.pair_training import ARMS, DESCRIPTOR, SHIPPED, MixedPairs, difference, half_of, table
+from benchmarks.real.pair_training import (
+    ARMS,
+    DESCRIPTOR,
+    SHIPPED,
+    MixedPairs,
+    difference,
+    half_of,
+    table,
+)
 from uniforce_vtla.tokenizer.pair_cache import Pairs, RecordedPairs
 
 OBJECTS = ("ball", "cup", "mug", "rope", "box")
@@ -56,7 +64,9 @@ def rows(errors: dict[str, float]) -> list[dict]:
         for seed in range(2 if arm in ARMS else 1):
             for half in (0, 1):
                 own = [held for held in OBJECTS if half_of(held, OBJECTS) == half]
-                scores = [asdict(Score(held, "close", 9, error + 0.1 * seed, 0.5, 4.0)) for held in own]
+                scores = [
+                    asdict(Score(held, "close", 9, error + 0.1 * seed, 0.5, 4.0)) for held in own
+                ]
                 found.append({"arm": arm, "seed": seed, "half": half, "scores": scores})
     return found
 

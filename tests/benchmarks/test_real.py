@@ -8,7 +8,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks.real.readouts import descriptor_features, fit_readout, labels_mm, latent_features, transfer
+from benchmarks.real.readouts import (
+    descriptor_features,
+    fit_readout,
+    labels_mm,
+    latent_features,
+    transfer,
+)
 from benchmarks.real.tactip_shear import SHEAR, marker_image, read_tactip_shear
 from uniforce_vtla.contact import TactileSimulator, free_air, gap_map
 from uniforce_vtla.contracts import ContactState
@@ -23,7 +29,9 @@ def presses(n: int) -> tuple[ContactState, pd.DataFrame]:
     depth, shear = rng.uniform(1, 5, n), rng.uniform(-2, 2, (n, 2))
     force = np.column_stack([0.5 * shear, 3 * depth]).astype(np.float32)
     gap = np.repeat(gap_map("sphere", (0.0, 0.0), 0.0)[None], n, axis=0)
-    table = pd.DataFrame({"sensor_image": [f"image_{k + 1}.png" for k in range(n)], "pose_z": depth})
+    table = pd.DataFrame(
+        {"sensor_image": [f"image_{k + 1}.png" for k in range(n)], "pose_z": depth}
+    )
     table[SHEAR] = shear
     return ContactState(gap, force, np.zeros(n, np.float32)), table
 
@@ -39,18 +47,31 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
         [*simulator.marker_images(free_air(1)), *simulator.marker_images(contact)],
         strict=True,
     ):  # the dome's 480 px, shrunk as theirs are
-        shrunk = cv2.resize(image[:, 80:560], (2 * RADIUS_PX, 2 * RADIUS_PX), interpolation=cv2.INTER_AREA)
-        cv2.imwrite(str(folder / "processed_images" / name), np.where(shrunk > 127, 255, 0).astype(np.uint8))
+        shrunk = cv2.resize(
+            image[:, 80:560], (2 * RADIUS_PX, 2 * RADIUS_PX), interpolation=cv2.INTER_AREA
+        )
+        cv2.imwrite(
+            str(folder / "processed_images" / name), np.where(shrunk > 127, 255, 0).astype(np.uint8)
+        )
     table.to_csv(folder / "targets_images.csv", index=False)
-    (folder / "processed_image_params.json").write_text(json.dumps({"circle_mask_radius": RADIUS_PX}))
+    (folder / "processed_image_params.json").write_text(
+        json.dumps({"circle_mask_radius": RADIUS_PX})
+    )
     return folder
 
 
 def test_pictures_come_back_at_the_sensors_scale(recording: Path) -> None:
     read = read_tactip_shear(recording, 10)
     wanted = TactileSimulator("tactip", seed=0).reference()
-    assert read.current.shape == (10, 480, 640) and read.reference_from == "free air" and read.name == "robot/train"
-    overlap = np.logical_and(read.reference > 0, wanted > 0).sum() / np.logical_or(read.reference > 0, wanted > 0).sum()
+    assert (
+        read.current.shape == (10, 480, 640)
+        and read.reference_from == "free air"
+        and read.name == "robot/train"
+    )
+    overlap = (
+        np.logical_and(read.reference > 0, wanted > 0).sum()
+        / np.logical_or(read.reference > 0, wanted > 0).sum()
+    )
     assert overlap > 0.7
 
 

@@ -5,7 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.real.references import Seen, borrowed_rows, free_rows, mean_motion, mount_rows, pad_row, placed
+from benchmarks.real.references import (
+    Seen,
+    borrowed_rows,
+    free_rows,
+    mean_motion,
+    mount_rows,
+    pad_row,
+    placed,
+)
 from uniforce_datasets.readers.gelsight_grasps import GraspTrial
 from uniforce_vtla.markers.film_markers import FilmMarkers
 from uniforce_vtla.markers.free_frame import Film, FreeFrame, pads
@@ -34,7 +42,9 @@ def film(held: str, number: int, mounted_px: tuple[float, float], is_free: bool 
 def session() -> list[Film]:
     """Two films an object; the pad was mounted anew, 5 px off, for the last object."""
     places = {"mug": (0.0, 0.0), "lemon": (0.0, 0.0), "walnut": (5.0, 0.0)}
-    films = [film(held, 2 * n + take, places[held]) for n, held in enumerate(places) for take in (0, 1)]
+    films = [
+        film(held, 2 * n + take, places[held]) for n, held in enumerate(places) for take in (0, 1)
+    ]
     return [*films, film("walnut", 9, (5.0, 0.0), is_free=False)]
 
 
@@ -47,12 +57,19 @@ def test_what_is_free_and_how_sure_the_pattern_is(session: list[Film]) -> None:
     assert row["objects"] == 3 and 0.02 < row["halves_apart_px"]["worst"] < 0.2
 
 
-def test_a_frame_of_the_same_object_lies_nearer_than_one_of_another_mounting(session: list[Film]) -> None:
+def test_a_frame_of_the_same_object_lies_nearer_than_one_of_another_mounting(
+    session: list[Film],
+) -> None:
     known, free = pads(session)
     best = next(n for n, own in enumerate(free) if own is not None and session[n].held == "mug")
-    sure = [FreeFrame(own.film, own.frame, 0.0 if n == best else 0.2, 0) if own else None for n, own in enumerate(free)]
+    sure = [
+        FreeFrame(own.film, own.frame, 0.0 if n == best else 0.2, 0) if own else None
+        for n, own in enumerate(free)
+    ]
     rows = borrowed_rows(session, known, sure)
-    assert rows["same_object_first"]["worst"] < 0.3 and rows["any_object"]["worst"] == pytest.approx(5.0, abs=0.2)
+    assert rows["same_object_first"]["worst"] < 0.3 and rows["any_object"][
+        "worst"
+    ] == pytest.approx(5.0, abs=0.2)
 
 
 def test_a_turned_frame_is_laid_on_the_pattern_and_a_missing_marker_stays_missing() -> None:
@@ -70,7 +87,9 @@ def test_grasps_say_how_the_fingers_are_mounted(sign: tuple[int, int], mount: st
 
     def seen(along: tuple[int, int]) -> Seen:
         centres_px = tuple(pattern() + shift * along for shift in pull_px)
-        return Seen(trial, Path("film.avi"), FilmMarkers((240, 320, 3), tuple(range(30)), centres_px, {}))
+        return Seen(
+            trial, Path("film.avi"), FilmMarkers((240, 320, 3), tuple(range(30)), centres_px, {})
+        )
 
     left, right = seen((1, 1)), seen(sign)
     moved = np.stack(list(mean_motion(left.markers).values()))

@@ -19,7 +19,15 @@ def test_a_rollout_is_held_and_told_why(kind: str, tmp_path: Path) -> None:
 def test_a_wrong_name_and_a_late_hold_are_seen() -> None:
     assert len(KINDS) >= 10
     right = Trial("arm_reflex", "reflex", "", 0.1, 0.2)
-    late, unnamed = Trial("arm_reflex", "reflex", "", 0.6, 0.7), Trial("arm_reflex", "", "", 0.1, 0.2)
+    late, unnamed = (
+        Trial("arm_reflex", "reflex", "", 0.6, 0.7),
+        Trial("arm_reflex", "", "", 0.1, 0.2),
+    )
     assert right.is_right and not late.is_right and not unnamed.is_right
     line = summarise([right, late, unnamed])
-    assert (line["trials"], line["named_right"], line["held"], line["worst_hold_s"]) == (3, 2, 2, 0.6)
+    assert (line["trials"], line["named_right"], line["held"], line["worst_hold_s"]) == (
+        3,
+        2,
+        2,
+        0.6,
+    )

@@ -22,7 +22,9 @@ def test_a_tiny_call_takes_at_most_two_fifths_of_the_operations() -> None:
 
 
 def test_the_command_writes_its_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(policy_speed.CASES, "tiny", BenchCase("tiny", missing=1, prompt=12, settings=SMALL))
+    monkeypatch.setitem(
+        policy_speed.CASES, "tiny", BenchCase("tiny", missing=1, prompt=12, settings=SMALL)
+    )
     assert main(["only=tiny", "rounds=2", "steps=2", f"out={tmp_path}"]) == 0
     table = json.loads((tmp_path / "policy_latency.json").read_text())
     assert table["gpu"] == "not run" and table["cpu"]["stock_ms"] > 0
@@ -46,8 +48,12 @@ def test_touch_is_timed_in_turns_with_none() -> None:
     assert report["call_ratio_to_none"]["none"] == 1
 
 
-@pytest.mark.parametrize(("given", "says"), [("only=huge", "base_3_cameras"), ("device=cuda", "CUDA")])
-def test_what_is_not_there_is_said(given: str, says: str, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("given", "says"), [("only=huge", "base_3_cameras"), ("device=cuda", "CUDA")]
+)
+def test_what_is_not_there_is_said(
+    given: str, says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     import torch
 
     if given == "device=cuda" and torch.cuda.is_available():

@@ -60,14 +60,18 @@ def test_every_operator_has_five_doses_and_a_sensor_that_can_have_it() -> None:
         assert len(operator.doses) == 5
         away = np.abs(np.array(operator.doses) - operator.benign)
         assert (np.diff(away) > 0).all()  # from mild to severe
-        words = [worn_with(operator, sensor, operator.doses[0]) for sensor in ("tactip:1", "uskin:2")]
+        words = [
+            worn_with(operator, sensor, operator.doses[0]) for sensor in ("tactip:1", "uskin:2")
+        ]
         assert any(words)
         for one in filter(None, words):
             wear(one)
     assert worn_with(OPERATORS["M2 flicker"], "uskin:2", 0.1) is None
 
 
-def test_a_duller_sensor_is_read_as_less_press_and_a_benign_dose_as_the_same(tokenizer, head) -> None:
+def test_a_duller_sensor_is_read_as_less_press_and_a_benign_dose_as_the_same(
+    tokenizer, head
+) -> None:
     readers = fit_readers("touch", "uskin:2", SCENE, tokenizer, pressed_N=1.0)
 
     def cell(words: str) -> dict:
@@ -77,9 +81,15 @@ def test_a_duller_sensor_is_read_as_less_press_and_a_benign_dose_as_the_same(tok
     assert usual == benign and usual["refused_share"] == 0 and usual["press_slope"] > 0.5
     misread_N = against(dull, usual)
     assert against(benign, usual) == 0 and misread_N is not None and misread_N < -1
-    assert against({"refused_share": 1.0}, usual) is None and others_against({"refused_share": 1.0}, usual) == {}
+    assert (
+        against({"refused_share": 1.0}, usual) is None
+        and others_against({"refused_share": 1.0}, usual) == {}
+    )
     others = others_against(dull, usual)
-    assert set(others) == {"tokenizer", "untrained encoder", "hand descriptors"} and others["hand descriptors"] < 0
+    assert (
+        set(others) == {"tokenizer", "untrained encoder", "hand descriptors"}
+        and others["hand descriptors"] < 0
+    )
     assert set(others_against(benign, usual).values()) == {0.0}
 
 
@@ -89,7 +99,10 @@ def test_frames_that_are_refused_are_counted(tokenizer) -> None:
 
 
 def test_the_reading_expert_regulates_by_what_the_head_reads(tokenizer, head) -> None:
-    env, expert = WipeEnv("touch", drawn=("right",), right_sensor="uskin:2"), ReadsWorn("right", tokenizer, head)
+    env, expert = (
+        WipeEnv("touch", drawn=("right",), right_sensor="uskin:2"),
+        ReadsWorn("right", tokenizer, head),
+    )
     for _ in walk(env, expert, SCENE[0]):
         pass
     assert env.result().success
@@ -97,41 +110,67 @@ def test_the_reading_expert_regulates_by_what_the_head_reads(tokenizer, head) ->
 
 def screened(*errors: float) -> list[dict]:
     doses = (OPERATORS["T1 lag"].benign, *OPERATORS["T1 lag"].doses)
-    return [{"dose": dose, "press_error_N": error} for dose, error in zip(doses, errors, strict=True)]
+    return [
+        {"dose": dose, "press_error_N": error} for dose, error in zip(doses, errors, strict=True)
+    ]
 
 
 def test_doses_near_a_cliff_are_rolled_out_and_the_worst_where_there_is_none() -> None:
-    steep, flat, refused = screened(0, 0.1, 0.5, -2, 5, 9), screened(0, *[0.1] * 5), screened(0, *[np.inf] * 5)
+    steep, flat, refused = (
+        screened(0, 0.1, 0.5, -2, 5, 9),
+        screened(0, *[0.1] * 5),
+        screened(0, *[np.inf] * 5),
+    )
     found = near_cliffs({"none": {}, "T1 lag": steep, "T2 stall": flat, "H1 creep": refused})
     assert found == {"T1 lag": [67, 133], "T2 stall": [533], "H1 creep": [533]}
-    assert near_cliffs({"none": {}, "T1 lag": steep, "H1 creep": refused}, most=0) == {"T1 lag": [133]}
+    assert near_cliffs({"none": {}, "T1 lag": steep, "H1 creep": refused}, most=0) == {
+        "T1 lag": [133]
+    }
 
 
 def test_the_middle_doses_of_a_scenes_fault_are_rolled_out() -> None:
-    assert of_the_scene()["P2 pushed arm"] == [4, 8, 12] and of_the_scene(most=0)["P2 pushed arm"] == [8]
+    assert of_the_scene()["P2 pushed arm"] == [4, 8, 12] and of_the_scene(most=0)[
+        "P2 pushed arm"
+    ] == [8]
 
 
 def test_a_calibration_with_the_fault_is_worn_where_there_is_one(tmp_path) -> None:
-    faulty = {name: {"dose": dose, "press_error_N": 9.0} for name, (dose,) in CALIBRATED["calibrated"][1].items()}
+    faulty = {
+        name: {"dose": dose, "press_error_N": 9.0}
+        for name, (dose,) in CALIBRATED["calibrated"][1].items()
+    }
     screened = {
-        sensor: {"none": {}} | {n: [{}, cell] for n, cell in faulty.items()} for sensor in ("tactip:1", "uskin:2")
+        sensor: {"none": {}} | {n: [{}, cell] for n, cell in faulty.items()}
+        for sensor in ("tactip:1", "uskin:2")
     }
     (tmp_path / "screen.json").write_text(json.dumps({"screened": screened}))
-    for name in ("tactip-1+gain=1.6", "tactip-1-loads", "tactip-1-loads+gain=1.3", "tactip-1-loads+gain=1.6"):
+    for name in (
+        "tactip-1+gain=1.6",
+        "tactip-1-loads",
+        "tactip-1-loads+gain=1.3",
+        "tactip-1-loads+gain=1.6",
+    ):
         (tmp_path / name).mkdir()
     found = {
-        arm.name: (arm, doses) for arm, doses in arms_of(StressCommand(work=str(tmp_path), calibrations=str(tmp_path)))
+        arm.name: (arm, doses)
+        for arm, doses in arms_of(StressCommand(work=str(tmp_path), calibrations=str(tmp_path)))
     }
     arm, doses = found["policy on tactip:1, calibrated"]
     assert arm.refitted and doses == {"G2 keener": [1.6]}
     arm, doses = found["policy on tactip:1, weighed"]
     assert arm.calibration.endswith("tactip-1-loads") and doses == {"G2 keener": [1.3, 1.6]}
-    assert EXCHANGED in found["policy on tactip:1"][1] and EXCHANGED not in found["policy on uskin:2"][1]
+    assert (
+        EXCHANGED in found["policy on tactip:1"][1]
+        and EXCHANGED not in found["policy on uskin:2"][1]
+    )
 
 
 def episode(press_N: np.ndarray) -> EpisodeTrace:
     n = len(press_N)
-    steps = {name: np.zeros(n) for name in STEP_FIELDS} | {"time_s": np.arange(1, n + 1) / 30, "press_N": press_N}
+    steps = {name: np.zeros(n) for name in STEP_FIELDS} | {
+        "time_s": np.arange(1, n + 1) / 30,
+        "press_N": press_N,
+    }
     held = {"grip_left_N": np.full(n, 5.0), "grip_right_N": np.full(n, 5.0), "phase": np.ones(n)}
     return EpisodeTrace(**steps | held, rated_depth_mm=(9.0, 9.0))
 
@@ -145,7 +184,9 @@ def test_a_warning_comes_half_a_second_before_what_the_unwatched_twin_does() -> 
     def ended(seed: int, outcome: str, ended_s: float, event_s: float | None) -> Row:
         return replace(row("a", seed, False), outcome=outcome, ended_s=ended_s, event_s=event_s)
 
-    twins = {seed: ended(seed, "success", 9.0, 4.0) for seed in range(4)} | {4: ended(4, "success", 9.0, None)}
+    twins = {seed: ended(seed, "success", 9.0, 4.0) for seed in range(4)} | {
+        4: ended(4, "success", 9.0, None)
+    }
     watched = {
         0: ended(0, "aborted", 3.0, None), 1: ended(1, "aborted", 3.9, None), 2: ended(2, "success", 9.0, None),
         3: ended(3, "success", 9.0, 4.0), 4: ended(4, "aborted", 1.0, None),
@@ -171,18 +212,27 @@ def test_the_first_dose_that_loses_more_than_the_margin_breaks() -> None:
     assert (found[""]["n"], found[""]["clean"]) == (40, 40)
     lag = found["T1 lag"]
     assert (lag["clean"], lag["benign"], lag["breaking_dose"]) == ([40, 30], 40, 533)
-    few = {name: {seed: one for seed, one in found.items() if seed < 20} for name, found in rows.items()}
+    few = {
+        name: {seed: one for seed, one in found.items() if seed < 20}
+        for name, found in rows.items()
+    }
     assert summarise(cells, few)["T1 lag"]["breaking_dose"] is None  # too few scenes to tell
     assert not summarise(cells, few)["T1 lag"]["judged"] and lag["judged"]
     none = summarise(cells, {name: {} for name in rows})["T1 lag"]  # an arm that plays later
     assert (none["n"], none["lower_bound"]) == ([0, 0], [-1.0, -1.0])
 
 
-def test_benign_doses_act_in_a_few_scenes_and_end_as_without_the_fault(tmp_path, monkeypatch) -> None:
+def test_benign_doses_act_in_a_few_scenes_and_end_as_without_the_fault(
+    tmp_path, monkeypatch
+) -> None:
     monkeypatch.setattr(rollouts, "play", lambda *given: row(given[5], given[6], given[6] != 1))
     cells = cells_of(Arm("me", "uskin:2"), {"T1 lag": [533]})
     rows = roll(cells, "touch", range(6), 1, tmp_path / "rows.jsonl", benign=3)
-    assert {name: len(found) for name, found in rows.items()} == {"me": 6, "me, T1 lag 0": 3, "me, T1 lag 533": 6}
+    assert {name: len(found) for name, found in rows.items()} == {
+        "me": 6,
+        "me, T1 lag 0": 3,
+        "me, T1 lag 533": 6,
+    }
     lag = summarise(cells, rows)["T1 lag"]
     assert (lag["benign"], lag["benign_n"], lag["benign_alike"]) == (2, 3, True)
     rows["me, T1 lag 0"][0] = row("", 0, False)
@@ -190,7 +240,10 @@ def test_benign_doses_act_in_a_few_scenes_and_end_as_without_the_fault(tmp_path,
 
 
 def test_a_policy_of_lerobots_own_acts_in_the_scene(tmp_path) -> None:
-    pictures = {f"observation.images.{name}": PolicyFeature(FeatureType.VISUAL, (3, 32, 32)) for name in CAMERAS}
+    pictures = {
+        f"observation.images.{name}": PolicyFeature(FeatureType.VISUAL, (3, 32, 32))
+        for name in CAMERAS
+    }
     config = ACTConfig(
         input_features=pictures | {"observation.state": PolicyFeature(FeatureType.STATE, (5,))},
         output_features={"action": PolicyFeature(FeatureType.ACTION, (5,))},
@@ -216,7 +269,8 @@ def test_two_halves_of_the_scenes_agree_or_not() -> None:
 def test_two_runs_of_one_truth_agree_in_nineteen_of_twenty_cells() -> None:
     rng, cells = np.random.default_rng(0), cells_of(Arm("me", "uskin:2"), {"T1 lag": [33]})
     runs = [
-        {c.name: {seed: row("", seed, rng.random() < 0.7) for seed in range(24)} for c in cells} for _ in range(400)
+        {c.name: {seed: row("", seed, rng.random() < 0.7) for seed in range(24)} for c in cells}
+        for _ in range(400)
     ]
     agree = sum(repeatability(cells, rows)["agree"] for rows in runs)
     assert 0.92 < agree / 800 < 0.98
@@ -235,11 +289,22 @@ def test_episodes_are_kept(tmp_path) -> None:
 
 def arms() -> dict:
     def found(clean: list[int], benign: int) -> dict:
-        return {"unit": "ms", "doses": [33, 67], "clean": clean, "n": [40, 40], "benign": benign, "breaking_dose": None}
+        return {
+            "unit": "ms",
+            "doses": [33, 67],
+            "clean": clean,
+            "n": [40, 40],
+            "benign": benign,
+            "breaking_dose": None,
+        }
 
     usual = {"n": 40, "clean": 40}
     return {
-        "policy on tactip:1": {"": usual, "T1 lag": found([40, 30], 40), "P2 pushed arm": found([20, 10], 40)},
+        "policy on tactip:1": {
+            "": usual,
+            "T1 lag": found([40, 30], 40),
+            "P2 pushed arm": found([20, 10], 40),
+        },
         "expert reads tactip:1": {"": usual, "T1 lag": found([40, 40], 40)},
         "expert": {"": usual, "P2 pushed arm": found([39, 38], 40)},
         "policy without monitor": {"": usual, "T1 lag": found([9, 8], 40)},
@@ -250,14 +315,19 @@ def arms() -> dict:
 def test_the_table_puts_the_right_expert_beside_each_operator(tmp_path) -> None:
     table = one_table(arms(), {}, {"n": 40, "clean": 1})
     operators = table["operators"]
-    assert operators["T1 lag"]["expert"] == [40, 40] and operators["P2 pushed arm"]["expert"] == [39, 38]
+    assert operators["T1 lag"]["expert"] == [40, 40] and operators["P2 pushed arm"]["expert"] == [
+        39,
+        38,
+    ]
     assert "policy without touch" not in operators["T1 lag"]
     assert operators["T1 lag"]["policy without monitor"] == {"clean": [9, 8], "n": [40, 40]}
     # 10 of 80 failed where the policy without touch fails 20 of 40; 50 of 80 where it fails 72 of 80
     assert table["mce"] == pytest.approx((0.125 / 0.5 + 0.625 / 0.9) / 2, abs=1e-3)
     assert mean_corruption_error({"": {}}, {}) is None
     rolled = {name: found for name, found in arms().items() if name != "policy without touch"}
-    assert one_table(rolled, {}, {"n": 40, "clean": 20})["mce"] == pytest.approx((0.125 + 0.625) / 0.5 / 2, abs=1e-3)
+    assert one_table(rolled, {}, {"n": 40, "clean": 20})["mce"] == pytest.approx(
+        (0.125 + 0.625) / 0.5 / 2, abs=1e-3
+    )
     assert retention(operators["T1 lag"], {"clean": 20, "n": 40}).tolist() == [1.0, 1.0]
     assert draw(table, tmp_path / "page.png").stat().st_size > 5000
 
@@ -265,12 +335,16 @@ def test_the_table_puts_the_right_expert_beside_each_operator(tmp_path) -> None:
 def test_the_monitor_is_judged_by_what_costs_twenty_points() -> None:
     cells = [{"dose": 33, "auroc": 0.5}, {"dose": 67, "auroc": 0.9}, {"dose": 133, "auroc": 1.0}]
     clean = {"wipes": 40, "hours": 0.5, "false_alarms": 1}
-    noticed = {"operators": {"T1 lag": {"cells": cells}, "H1 creep": {"cells": cells}}, "clean": clean}
+    noticed = {
+        "operators": {"T1 lag": {"cells": cells}, "H1 creep": {"cells": cells}},
+        "clean": clean,
+    }
     watched = {name: found for name, found in arms().items() if name != "policy without monitor"}
     found = monitor_row(watched, noticed, {"T1 lag 67": {"failures": 3}})
     assert found["auroc"] == {"T1 lag 67": 0.9} and found["auroc_mild"] == {"T1 lag 33": 0.5}
     assert found["false_alarms_per_hour"] == 2 and found["warned"]["T1 lag 67"]["failures"] == 3
-    assert set(monitor_row(arms(), noticed, {})["auroc"]) == {"T1 lag 33", "T1 lag 67"}  # unwatched it costs more
+    # unwatched it costs more
+    assert set(monitor_row(arms(), noticed, {})["auroc"]) == {"T1 lag 33", "T1 lag 67"}
 
 
 def test_every_disturbance_changes_its_episode_and_its_benign_dose_does_not() -> None:
@@ -288,13 +362,18 @@ def test_every_disturbance_changes_its_episode_and_its_benign_dose_does_not() ->
 
 
 def test_a_unit_is_exchanged_once_the_board_is_wiped() -> None:
-    env, expert = DisturbedEnv(Disturbance(exchanged="tactip:4"), "touch", drawn=("right",)), WipeExpert()
+    env, expert = (
+        DisturbedEnv(Disturbance(exchanged="tactip:4"), "touch", drawn=("right",)),
+        WipeExpert(),
+    )
     references = []
     for step, _ in enumerate(walk(env, expert, 39_700)):
         if step % 20 == 0:
             references.append((env.phase, env.marker_pair("right")[0].copy()))
     wiping = [image for phase, image in references if phase == WIPING_PHASE]
-    assert all((image == references[0][1]).all() for phase, image in references if phase < WIPING_PHASE)
+    assert all(
+        (image == references[0][1]).all() for phase, image in references if phase < WIPING_PHASE
+    )
     assert (wiping[-1] != references[0][1]).any()
 
 
@@ -323,12 +402,15 @@ def test_wipes_of_a_finger_that_is_wrong_in_scale_are_told_from_clean_ones() -> 
     found = balance.cell([2.0, 0.5], clean)
     assert (found["n"], found["noticed"], found["auroc"]) == (2, 2, 1.0)
     assert balance.cell(clean, clean)["noticed"] == 0
-    assert balance.cell([], clean)["auroc"] is None  # every wipe was refused or ended before it was judged
+    # every wipe was refused or ended before it was judged
+    assert balance.cell([], clean)["auroc"] is None
 
 
 @pytest.mark.slow
 def test_a_keener_sensor_reads_more_than_the_other_finger() -> None:
-    usual, keener = (balance.wipe("touch", "uskin:1", f"tactip:1+gain={gain}", 39_600) for gain in (1, 1.6))
+    usual, keener = (
+        balance.wipe("touch", "uskin:1", f"tactip:1+gain={gain}", 39_600) for gain in (1, 1.6)
+    )
     assert usual is not None and keener is not None and keener > 1.2 * usual
 
 

@@ -12,7 +12,10 @@ from uniforce_vtla.contracts import ContactState
 TRIALS = Path(__file__).parents[2].parent / "shared" / "real" / "uskin_bilateral_slip" / "data_set"
 DROPPED = TRIALS / "data_sample_2022-02-22-15-15-00"  # ends in free air: the object fell
 
-pytestmark = [pytest.mark.real, pytest.mark.skipif(not DROPPED.exists(), reason=f"recordings not found at {TRIALS}")]
+pytestmark = [
+    pytest.mark.real,
+    pytest.mark.skipif(not DROPPED.exists(), reason=f"recordings not found at {TRIALS}"),
+]
 
 
 def recorded() -> np.ndarray:
@@ -34,7 +37,9 @@ def test_counts_in_contact_have_the_recorded_order_of_magnitude() -> None:
     real = scans[:, :100] - np.median(scans[:, -10:], axis=1, keepdims=True)
     rng = np.random.default_rng(0)
     force, torsion = sample_loads(rng, 200, ForceRange(normal_N=12.0, shear_N=3.0))
-    contact = ContactState(sample_objects(rng, 200, ["cylinder"], flat_share=1.0).gap_mm, force, torsion)
+    contact = ContactState(
+        sample_objects(rng, 200, ["cylinder"], flat_share=1.0).gap_mm, force, torsion
+    )
     simulated = TactileSimulator("uskin").counts(contact)
     pressed = [counts[..., 2][counts[..., 2] > 300] for counts in (simulated, real)]
     medians = [float(np.median(values)) for values in pressed]

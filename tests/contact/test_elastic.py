@@ -10,7 +10,13 @@ from uniforce_vtla.contact.elastic import Gel, cell_edges, compute_influence, in
 from uniforce_vtla.sensors.material import Layer
 
 SMALL = Gel((8.0, 6.5), (Layer(2.0, 1.0),), readout_mm=0.5)
-DOME = Gel((12.0, 12.0), (Layer(1.0, 0.4), Layer(4.0, 0.1, 0.3)), readout_mm=1.0, dome_radius_mm=20.0, cell_mm=1.5)
+DOME = Gel(
+    (12.0, 12.0),
+    (Layer(1.0, 0.4), Layer(4.0, 0.1, 0.3)),
+    readout_mm=1.0,
+    dome_radius_mm=20.0,
+    cell_mm=1.5,
+)
 
 
 @pytest.mark.parametrize("gel", [SMALL, DOME])
@@ -30,7 +36,10 @@ def test_a_load_in_the_middle_moves_both_sides_alike() -> None:
 
 
 def test_twice_the_modulus_moves_half_as_far() -> None:
-    soft, stiff = (compute_influence(replace(SMALL, layers=(Layer(2.0, E),)), progress=False).skin for E in (1.0, 2.0))
+    soft, stiff = (
+        compute_influence(replace(SMALL, layers=(Layer(2.0, E),)), progress=False).skin
+        for E in (1.0, 2.0)
+    )
     np.testing.assert_allclose(soft, 2 * stiff, rtol=1e-3, atol=1e-6)
 
 
@@ -66,7 +75,9 @@ def test_matrices_are_computed_once_and_read_afterwards(tmp_path, monkeypatch) -
 
 
 @pytest.mark.parametrize("why", ["no home", "damaged", "not ours"])
-def test_a_cache_that_cannot_be_used_costs_time_only(why: str, tmp_path, monkeypatch, caplog) -> None:
+def test_a_cache_that_cannot_be_used_costs_time_only(
+    why: str, tmp_path, monkeypatch, caplog
+) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", "/proc/nothing" if why == "no home" else str(tmp_path))
     elastic._load.cache_clear()
     first = influence(SMALL)
@@ -74,7 +85,9 @@ def test_a_cache_that_cannot_be_used_costs_time_only(why: str, tmp_path, monkeyp
     for file in tmp_path.rglob("*.npz"):
         file.write_bytes(file.read_bytes()[:1000])
     if why == "not ours":
-        monkeypatch.setattr(np, "load", lambda path: (_ for _ in ()).throw(PermissionError(13, "Permission denied")))
+        monkeypatch.setattr(
+            np, "load", lambda path: (_ for _ in ()).throw(PermissionError(13, "Permission denied"))
+        )
     np.testing.assert_array_equal(influence(SMALL).skin, first.skin)
     assert "XDG_CACHE_HOME" in caplog.text
     elastic._load.cache_clear()

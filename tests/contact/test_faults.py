@@ -39,12 +39,17 @@ def test_a_stiffer_pad_and_a_duller_unit_move_their_markers_less() -> None:
     usual = motion("tactip:3")
     assert motion("tactip:3+stiffness=2") < 0.7 * usual
     assert motion("tactip:3+gain=0.5") < 0.7 * usual
-    assert worn("tactip:3+stiffness=2").stiffness == pytest.approx(2 * worn("tactip:3").stiffness)  # the pad's, too
+    # the pad's, too
+    assert worn("tactip:3+stiffness=2").stiffness == pytest.approx(2 * worn("tactip:3").stiffness)
 
 
-def test_a_camera_that_moves_after_the_reference_moves_all_markers_and_leaves_the_reference() -> None:
+def test_a_camera_that_moves_after_the_reference_moves_all_markers_and_leaves_the_reference() -> (
+    None
+):
     now, before = markers("tactip:3+shift=1", free_air(1))
-    np.testing.assert_allclose(np.nanmedian(now - before, axis=0), [worn("tactip").sensor.spec.px_per_mm[0], 0], atol=1)
+    np.testing.assert_allclose(
+        np.nanmedian(now - before, axis=0), [worn("tactip").sensor.spec.px_per_mm[0], 0], atol=1
+    )
     view, usual = WornView(worn("tactip:3+shift=1"), seed=1), WornView(worn("tactip:3"), seed=1)
     np.testing.assert_array_equal(view.reference, usual.reference)
 
@@ -82,12 +87,21 @@ def test_light_changes_after_the_reference_and_time_is_in_steps() -> None:
     sensor = worn("gelsight:3+light=0.5")
     assert sensor.light_since.gain == pytest.approx([0.5 * g for g in sensor.light.gain])
     late = worn("gelsight:3+lag=100+stall=300+creep=0.3")
-    assert (late.lag_steps, late.stall_steps, late.creep.share) == (worn("gelsight:3").lag_steps + 3, 9, 0.3)
+    assert (late.lag_steps, late.stall_steps, late.creep.share) == (
+        worn("gelsight:3").lag_steps + 3,
+        9,
+        0.3,
+    )
 
 
 @pytest.mark.parametrize(
     ("words", "said"),
-    [("tactip+warp=1", "flicker"), ("uskin+flicker=0.1", "crosstalk"), ("tactip+lag=soon", "ms"), ("tactip+lag", "ms")],
+    [
+        ("tactip+warp=1", "flicker"),
+        ("uskin+flicker=0.1", "crosstalk"),
+        ("tactip+lag=soon", "ms"),
+        ("tactip+lag", "ms"),
+    ],
 )
 def test_unknown_faults_and_doses_are_named(words: str, said: str) -> None:
     with pytest.raises(SensorError, match=said):
@@ -98,4 +112,6 @@ def test_every_fault_can_be_worn_in_every_scene() -> None:
     for name, fault in FAULTS.items():
         for kind in ("tactip", "uskin"):
             if worn(kind).sensor.spec.signal in fault.signals:
-                assert worn(f"{kind}:any+{name}={100 if fault.unit == 'ms' else 0.3}") != worn(f"{kind}:any")
+                assert worn(f"{kind}:any+{name}={100 if fault.unit == 'ms' else 0.3}") != worn(
+                    f"{kind}:any"
+                )

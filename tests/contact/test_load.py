@@ -9,7 +9,13 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from properties import examples
 
-from uniforce_vtla.contact import ContactOptions, TactileSimulator, flat_face_gap, gap_maps, pressure
+from uniforce_vtla.contact import (
+    ContactOptions,
+    TactileSimulator,
+    flat_face_gap,
+    gap_maps,
+    pressure,
+)
 from uniforce_vtla.contact.indenters import HEIGHTS
 from uniforce_vtla.contact.simulator import free_air
 from uniforce_vtla.contact.traction import solve_traction
@@ -27,17 +33,37 @@ def simulator(sensor: str) -> TactileSimulator:
 
 
 def pressed(
-    name: str, force: np.ndarray, torsion: float = 0.0, center: tuple[float, float] = (0, 0), angle: float = 0.0
+    name: str,
+    force: np.ndarray,
+    torsion: float = 0.0,
+    center: tuple[float, float] = (0, 0),
+    angle: float = 0.0,
 ) -> ContactState:
     B = len(force)
     gap = gap_maps([name], np.array([center]), np.array([angle]), np.ones(1))
-    return ContactState(np.repeat(gap, B, axis=0), force.astype(np.float32), np.full(B, torsion, dtype=np.float32))
+    return ContactState(
+        np.repeat(gap, B, axis=0), force.astype(np.float32), np.full(B, torsion, dtype=np.float32)
+    )
 
 
 @examples(60)
-@given(sensors, names, place, st.floats(0, 3.2), st.floats(0.05, 16), st.floats(0, 0.9), st.floats(-3.14, 3.14))
+@given(
+    sensors,
+    names,
+    place,
+    st.floats(0, 3.2),
+    st.floats(0.05, 16),
+    st.floats(0, 0.9),
+    st.floats(-3.14, 3.14),
+)
 def test_force_is_conserved(
-    sensor: str, name: str, center: tuple[float, float], angle: float, fz: float, share: float, way: float
+    sensor: str,
+    name: str,
+    center: tuple[float, float],
+    angle: float,
+    fz: float,
+    share: float,
+    way: float,
 ) -> None:
     force = np.array([[share * fz * np.cos(way), share * fz * np.sin(way), fz]])
     carried, moment = simulator(sensor).carried(pressed(name, force, 0.0, center, angle))
@@ -51,9 +77,13 @@ def test_force_is_conserved(
 @example("tactip", "torus", (0.0, 0.0), [3.9e-10, 1.6e-9])
 @example("uskin", "pacman", (0.0, 0.0), [4.0e-10, 1.8e-9])
 @example("uskin", "moon", (0.0, 0.0), [0.0, 5e-324, 1e-44, 1e-38, 1e-30, 16.0])
-def test_depth_grows_with_force(sensor: str, name: str, center: tuple[float, float], loads: list[float]) -> None:
+def test_depth_grows_with_force(
+    sensor: str, name: str, center: tuple[float, float], loads: list[float]
+) -> None:
     fz = np.sort(np.array(loads))
-    depth = simulator(sensor).depth_mm(pressed(name, np.stack([0 * fz, 0 * fz, fz], axis=1), center=center))
+    depth = simulator(sensor).depth_mm(
+        pressed(name, np.stack([0 * fz, 0 * fz, fz], axis=1), center=center)
+    )
     rounding = 1e-6 * depth[1:] + np.finfo(np.float32).tiny
     assert (np.diff(depth) >= -rounding).all() and (depth[fz == 0] == 0).all()
     assert (np.diff(depth)[np.diff(fz) > 0.1] > 0).all()
@@ -61,7 +91,9 @@ def test_depth_grows_with_force(sensor: str, name: str, center: tuple[float, flo
 
 @examples(40)
 @given(sensors, names, st.floats(0, 30), st.floats(-200, 200), st.floats(0.5, 16))
-def test_no_cell_exceeds_friction(sensor: str, name: str, shear: float, torsion: float, fz: float) -> None:
+def test_no_cell_exceeds_friction(
+    sensor: str, name: str, shear: float, torsion: float, fz: float
+) -> None:
     contact = pressed(name, np.array([[shear, 0, fz]]), torsion)
     traction = simulator(sensor).traction(contact)
     assert (np.hypot(*traction.shear_N[0]) <= traction.press_N[0] * 1.001 + 1e-7).all()
@@ -86,7 +118,9 @@ def test_partial_slip_hands_load_to_sticking_cells() -> None:
 
 def test_gross_slip_carries_friction_times_pressure() -> None:
     force = np.array([[9.0, 0, 4.0]])
-    assert simulator("gelsight").carried(pressed("sphere", force))[0][0, 0] == pytest.approx(4.0, rel=1e-2)
+    assert simulator("gelsight").carried(pressed("sphere", force))[0][0, 0] == pytest.approx(
+        4.0, rel=1e-2
+    )
 
 
 def test_flat_tools_press_pads_as_stiffly_as_measured_ones() -> None:
@@ -109,21 +143,29 @@ def test_typical_indenters_stay_within_twice_the_rated_depth(sensor: str) -> Non
 def test_friction_holds_the_gel_that_a_press_would_push_aside() -> None:
     state = pressed("cylinder", np.array([[0, 0, 8.0]]))
     sticky, smooth = (
-        TactileSimulator("gelsight", options=replace(ContactOptions().quiet(), friction=mu)) for mu in (1.0, 1e-6)
+        TactileSimulator("gelsight", options=replace(ContactOptions().quiet(), friction=mu))
+        for mu in (1.0, 1e-6)
     )
     rest = sticky.spec.layout_mm
     under = np.hypot(*rest.T) < 4
-    motion = [np.hypot(*(s.markers_px(state)[0][0] - s.markers_px(free_air(1))[0][0]).T) for s in (sticky, smooth)]
+    motion = [
+        np.hypot(*(s.markers_px(state)[0][0] - s.markers_px(free_air(1))[0][0]).T)
+        for s in (sticky, smooth)
+    ]
     assert motion[0][under].mean() < 0.7 * motion[1][under].mean()
 
 
-def test_a_solved_contact_stays_solved_while_its_batch_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_solved_contact_stays_solved_while_its_batch_goes_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(pressure, "_TOLERANCE", -1.0)
     rng = np.random.default_rng(0)
     for cells in [2, 3, 4, 5, 6] * 40:
         half = rng.standard_normal((cells, cells + 1)).astype(np.float32)
         gap = 1e-3 * np.abs(rng.standard_normal((1, cells))).astype(np.float32)
-        share, _ = pressure.share_load(0.1 * half @ half.T, gap, np.full((1, cells), 1 / cells, np.float32), steps=200)
+        share, _ = pressure.share_load(
+            0.1 * half @ half.T, gap, np.full((1, cells), 1 / cells, np.float32), steps=200
+        )
         assert share.min() >= 0 and share.sum() == pytest.approx(1, abs=1e-5)
 
 

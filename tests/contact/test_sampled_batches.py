@@ -20,7 +20,13 @@ from uniforce_vtla.contact import (
     equilibrium_pairs,
 )
 from uniforce_vtla.contact.pads import cell_positions_mm
-from uniforce_vtla.contact.sampling import FLAT, FLAT_SIDE_mm, press_shear_release, sample_loads, sample_objects
+from uniforce_vtla.contact.sampling import (
+    FLAT,
+    FLAT_SIDE_mm,
+    press_shear_release,
+    sample_loads,
+    sample_objects,
+)
 from uniforce_vtla.contact.wear import Creep, Light, lagging_force
 from uniforce_vtla.sensors import list_sensors
 
@@ -28,12 +34,19 @@ DRAWING = PairSettings(unit_strength=0.0, options=ContactOptions().quiet())
 
 
 def small(images: np.ndarray) -> np.ndarray:
-    return np.stack([cv2.resize(image, (112, 84), interpolation=cv2.INTER_AREA) for image in images])
+    return np.stack(
+        [cv2.resize(image, (112, 84), interpolation=cv2.INTER_AREA) for image in images]
+    )
 
 
 def test_pairs_have_their_shapes_and_names() -> None:
     pairs = equilibrium_pairs(np.random.default_rng(0), 5, "gelsight", "tactip")
-    for images in (pairs.left_reference, pairs.left_current, pairs.right_reference, pairs.right_current):
+    for images in (
+        pairs.left_reference,
+        pairs.left_current,
+        pairs.right_reference,
+        pairs.right_current,
+    ):
         assert images.shape == (5, 480, 640) and images.dtype == np.uint8
     assert pairs.force_N.shape == (5, 3) and pairs.torsion_Nmm.shape == (5,)
     assert set(pairs.indenters) <= {*PRETRAIN, FLAT}
@@ -47,15 +60,21 @@ def test_both_fingers_feel_the_mirrored_contact() -> None:
 
 
 def test_pairs_repeat_with_the_seed() -> None:
-    first, again = (equilibrium_pairs(np.random.default_rng(2), 3, "uskin", "tactip") for _ in range(2))
+    first, again = (
+        equilibrium_pairs(np.random.default_rng(2), 3, "uskin", "tactip") for _ in range(2)
+    )
     np.testing.assert_array_equal(first.left_current, again.left_current)
     np.testing.assert_array_equal(first.right_reference, again.right_reference)
 
 
 def test_units_change_within_a_call() -> None:
     settings = replace(DRAWING, unit_strength=1.0, pairs_per_unit=2)
-    references = equilibrium_pairs(np.random.default_rng(3), 4, "gelsight", "uskin", settings=settings).left_reference
-    assert np.array_equal(references[0], references[1]) and not np.array_equal(references[1], references[2])
+    references = equilibrium_pairs(
+        np.random.default_rng(3), 4, "gelsight", "uskin", settings=settings
+    ).left_reference
+    assert np.array_equal(references[0], references[1]) and not np.array_equal(
+        references[1], references[2]
+    )
 
 
 def test_a_transform_is_applied_to_every_image() -> None:
@@ -80,7 +99,9 @@ def test_flat_faces_alone_may_be_twisted_further() -> None:
     """A held tool twists a flat pad by 9 mm of arm; the same draw without that option is what it always was."""
     names = (FLAT, "ball") * 500
     plain, wide = ForceRange(), ForceRange(flat_torsion_arm_mm=9.0)
-    drawn = [sample_loads(np.random.default_rng(5), 1000, limits, names) for limits in (plain, wide)]
+    drawn = [
+        sample_loads(np.random.default_rng(5), 1000, limits, names) for limits in (plain, wide)
+    ]
     np.testing.assert_array_equal(drawn[0][0], drawn[1][0])
     before, after = drawn[0][1], drawn[1][1]
     np.testing.assert_array_equal(before[1::2], after[1::2])
@@ -92,7 +113,9 @@ def test_flat_faces_alone_may_be_twisted_further() -> None:
 def test_large_flat_faces_cover_the_pad() -> None:
     """A face that ends on the pad leaves cells beside it; one of 60 mm and more leaves none."""
     usual, large = (
-        sample_objects(np.random.default_rng(8), 40, PRETRAIN, flat_share=1.0, flat_side_mm=side).gap_mm
+        sample_objects(
+            np.random.default_rng(8), 40, PRETRAIN, flat_share=1.0, flat_side_mm=side
+        ).gap_mm
         for side in (FLAT_SIDE_mm, (60.0, 70.0))
     )
     beside = [np.ptp(gap, axis=(1, 2)) > 2 for gap in (usual, large)]  # mm: tilt alone makes less
@@ -130,7 +153,12 @@ def test_sequences_cover_their_range_within_friction() -> None:
 def test_sequence_labels_explain_the_image() -> None:
     """Shear in the label and marker motion in the image agree in sign (left finger = canonical frame)."""
     batch = force_sequences(
-        np.random.default_rng(8), "gelsight", 12, 9, unit_strength=0, options=ContactOptions().quiet()
+        np.random.default_rng(8),
+        "gelsight",
+        12,
+        9,
+        unit_strength=0,
+        options=ContactOptions().quiet(),
     )
     columns = np.arange(640)
     weight = batch.frames.sum(axis=2, dtype=np.int64)  # (n, T, 640)
@@ -174,10 +202,13 @@ def test_light_scales_channels_and_leans_to_one_side() -> None:
 
 def test_perfect_pairs_by_default_and_disturbed_ones_on_request() -> None:
     def draw(settings: PairSettings):
-        return equilibrium_pairs(np.random.default_rng(5), 6, "gelsight", "tactip", settings=settings)
+        return equilibrium_pairs(
+            np.random.default_rng(5), 6, "gelsight", "tactip", settings=settings
+        )
 
     plain, moved, unbalanced = (
-        draw(s) for s in (NO_FLATS, replace(NO_FLATS, misaligned_cells=2), replace(NO_FLATS, imbalance=0.3))
+        draw(s)
+        for s in (NO_FLATS, replace(NO_FLATS, misaligned_cells=2), replace(NO_FLATS, imbalance=0.3))
     )
     for other in (moved, unbalanced):
         assert np.array_equal(plain.left_current, other.left_current)

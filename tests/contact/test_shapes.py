@@ -34,10 +34,16 @@ def test_all_shapes_differ() -> None:
 
 def test_batch_of_gaps_equals_singles() -> None:
     rng = np.random.default_rng(0)
-    center, angle, scale = rng.uniform(-4, 4, (18, 2)), rng.uniform(-3, 3, 18), rng.uniform(0.8, 1.2, 18)
+    center, angle, scale = (
+        rng.uniform(-4, 4, (18, 2)),
+        rng.uniform(-3, 3, 18),
+        rng.uniform(0.8, 1.2, 18),
+    )
     batched = gap_maps(list(HEIGHTS), center, angle, scale)
     for row, name in enumerate(HEIGHTS):
-        np.testing.assert_array_equal(batched[row], gap_map(name, tuple(center[row]), angle[row], scale[row]))
+        np.testing.assert_array_equal(
+            batched[row], gap_map(name, tuple(center[row]), angle[row], scale[row])
+        )
 
 
 def test_center_moves_the_object_right_and_down() -> None:
@@ -52,10 +58,14 @@ def test_angle_turns_x_towards_y() -> None:
 
 
 def test_flat_face_covers_its_rectangle_and_tilts() -> None:
-    gap = flat_face_gap(np.zeros((1, 2)), np.array([[20.0, 10.0]]), np.zeros(1), np.array([[0.05, 0.0]]))[0]
+    gap = flat_face_gap(
+        np.zeros((1, 2)), np.array([[20.0, 10.0]]), np.zeros(1), np.array([[0.05, 0.0]])
+    )[0]
     assert np.isfinite(gap).sum() == 128  # cells of 1.25 mm
     assert gap[16, 23] > gap[16, 8] == 0
-    away = flat_face_gap(np.full((1, 2), 90.0), np.full((1, 2), 10.0), np.zeros(1), np.zeros((1, 2)))
+    away = flat_face_gap(
+        np.full((1, 2), 90.0), np.full((1, 2), 10.0), np.zeros(1), np.zeros((1, 2))
+    )
     assert np.isinf(away).all()
 
 
@@ -65,7 +75,9 @@ def test_unknown_indenter_is_refused() -> None:
 
 
 @examples(40)
-@given(st.floats(-60, 700), st.floats(-60, 540), st.floats(1, 110), st.sampled_from(["disc", "square"]))
+@given(
+    st.floats(-60, 700), st.floats(-60, 540), st.floats(1, 110), st.sampled_from(["disc", "square"])
+)
 def test_filled_area_is_right_and_clipped(x: float, y: float, size: float, shape: str) -> None:
     fill = fill_discs if shape == "disc" else fill_squares
     image = fill(np.array([[[x, y]]]), np.array([[size]]))[0]

@@ -55,7 +55,9 @@ def mean_shift(sensor: str, loaded: ContactState, unloaded: ContactState) -> np.
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_images_keep_the_contract(sensor: str) -> None:
     simulator = TactileSimulator(sensor)
-    images = simulator.marker_images(stacked(contact((1, 2, 8)), contact((0, 0, 0)), contact((-2, 1, 16))))
+    images = simulator.marker_images(
+        stacked(contact((1, 2, 8)), contact((0, 0, 0)), contact((-2, 1, 16)))
+    )
     assert images.shape == (3, *MARKER_IMAGE_SHAPE)
     for image in (*images, simulator.reference()):
         check_marker_image(image)
@@ -121,7 +123,8 @@ def test_right_uskin_sees_the_mirrored_taxels() -> None:
     np.testing.assert_allclose(opposite, counts[:, ::-1] * [-1, 1, 1], atol=1)
     flipped = quiet("uskin").marker_images(left)[:, :, ::-1]
     differs = quiet("uskin").marker_images(mirrored(left)) != flipped
-    assert differs.mean() < 0.002  # the canonical taxel renderer rounds to whole pixels at disc edges
+    # the canonical taxel renderer rounds to whole pixels at disc edges
+    assert differs.mean() < 0.002
 
 
 @pytest.mark.parametrize("sensor", ["gelsight", "tactip"])
@@ -133,11 +136,15 @@ def test_symmetric_press_gives_a_symmetric_image(sensor: str) -> None:
 
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_batch_equals_singles(sensor: str) -> None:
-    contacts = [contact((i - 2, 1, 3.0 * i), 2.0 * i, name) for i, name in enumerate(("wave", "dots", "cone", "line"))]
+    contacts = [
+        contact((i - 2, 1, 3.0 * i), 2.0 * i, name)
+        for i, name in enumerate(("wave", "dots", "cone", "line"))
+    ]
     batched, _ = TactileSimulator(sensor, seed=3).markers_px(stacked(*contacts))
     single = TactileSimulator(sensor, seed=3)
     singles = np.concatenate([single.markers_px(c)[0] for c in contacts])
-    np.testing.assert_allclose(batched, singles, atol=0.1)  # taxels: counts are rounded, 1 count = .06 px
+    # taxels: counts are rounded, 1 count = .06 px
+    np.testing.assert_allclose(batched, singles, atol=0.1)
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
@@ -151,15 +158,21 @@ def test_same_seed_same_output_other_seed_other_noise(sensor: str) -> None:
 
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_no_contact_looks_like_the_reference(sensor: str) -> None:
-    np.testing.assert_array_equal(quiet(sensor).marker_images(free_air(2))[1], quiet(sensor).reference())
-    np.testing.assert_array_equal(quiet(sensor).marker_images(contact((0, 0, 0)))[0], quiet(sensor).reference())
+    np.testing.assert_array_equal(
+        quiet(sensor).marker_images(free_air(2))[1], quiet(sensor).reference()
+    )
+    np.testing.assert_array_equal(
+        quiet(sensor).marker_images(contact((0, 0, 0)))[0], quiet(sensor).reference()
+    )
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_units_differ_and_stay_near_the_drawing(sensor: str) -> None:
     rng = np.random.default_rng(0)
     units = [UnitVariation.draw(rng, sensor) for _ in range(4)]
-    shown = [TactileSimulator(sensor, unit, QUIET).markers_px(contact((3, 0, 6)))[0] for unit in units]
+    shown = [
+        TactileSimulator(sensor, unit, QUIET).markers_px(contact((3, 0, 6)))[0] for unit in units
+    ]
     nominal = quiet(sensor).markers_px(contact((3, 0, 6)))[0]
     assert all(not np.allclose(shown[0], other, atol=0.5) for other in shown[1:])
     assert all(np.abs(other - nominal).mean() < 25 for other in shown)
@@ -168,10 +181,14 @@ def test_units_differ_and_stay_near_the_drawing(sensor: str) -> None:
 
 
 def test_marker_loss_drops_markers_from_the_image() -> None:
-    lossy = TactileSimulator("tactip", options=replace(QUIET, marker_loss=True, loss_probability=0.3))
+    lossy = TactileSimulator(
+        "tactip", options=replace(QUIET, marker_loss=True, loss_probability=0.3)
+    )
     centre, _ = lossy.markers_px(free_air(1))
     assert 10 < np.isnan(centre[0, :, 0]).sum() < 80
-    assert lossy.marker_images(free_air(1)).sum() < 0.9 * quiet("tactip").reference().sum(dtype=np.int64)
+    assert lossy.marker_images(free_air(1)).sum() < 0.9 * quiet("tactip").reference().sum(
+        dtype=np.int64
+    )
 
 
 @pytest.mark.parametrize("sensor", ["gelsight", "tactip"])

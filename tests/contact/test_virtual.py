@@ -57,4 +57,7 @@ def test_tilt_magnifies_one_side() -> None:
     centre, _ = TactileSimulator("gelsight", unit).markers_px(press(1))
     straight, _ = TactileSimulator("gelsight").markers_px(press(1))
     right, left = straight[0, :, 0].argmax(), straight[0, :, 0].argmin()
-    assert centre[0, right, 0] > straight[0, right, 0] + 5 and centre[0, left, 0] > straight[0, left, 0] + 5
+    assert (
+        centre[0, right, 0] > straight[0, right, 0] + 5
+        and centre[0, left, 0] > straight[0, left, 0] + 5
+    )

@@ -40,7 +40,9 @@ def test_whole_ones_are_accepted(whole: dict[str, Path]) -> None:
 
 
 @pytest.mark.parametrize("damage", DATASET_DAMAGES, ids=lambda damage: f"{damage.of} {damage.name}")
-def test_damage_is_refused_and_named(damage: Damage, whole: dict[str, Path], tmp_path: Path) -> None:
+def test_damage_is_refused_and_named(
+    damage: Damage, whole: dict[str, Path], tmp_path: Path
+) -> None:
     line = damage.refused(whole[damage.of], tmp_path / "full", "full")
     assert line is not None and damage.said in line and "\n" not in line
     assert "SHA-256" not in line or "uniforce verify" in line or damage.of == "view"
@@ -65,8 +67,12 @@ def empty(path: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", [truncate, empty, Path.unlink])
-@pytest.mark.parametrize("part", ["videos/**/*.mp4", "data/**/*.parquet", "meta/episodes/**/*", "meta/info.json"])
-def test_truncated_dataset_is_refused(unhashed: Path, damage: Callable[[Path], None], part: str) -> None:
+@pytest.mark.parametrize(
+    "part", ["videos/**/*.mp4", "data/**/*.parquet", "meta/episodes/**/*", "meta/info.json"]
+)
+def test_truncated_dataset_is_refused(
+    unhashed: Path, damage: Callable[[Path], None], part: str
+) -> None:
     damage(sorted(path for path in unhashed.glob(part) if path.is_file())[-1])
     with pytest.raises(DatasetError):
         open_dataset(unhashed)
@@ -98,10 +104,14 @@ def ours(root: Path, *more: str) -> int:
 
 def test_every_file_has_its_hash_and_episode(demos: Path) -> None:
     stored = json.loads((demos / HASHES).read_text())
-    assert set(stored) == set(files_of(demos)) and {name.split("/")[0] for name in stored} < set(PARTS)
+    assert set(stored) == set(files_of(demos)) and {name.split("/")[0] for name in stored} < set(
+        PARTS
+    )
     for name, entry in stored.items():
         content = (demos / name).read_bytes()
-        assert entry["sha256"] == hashlib.sha256(content).hexdigest() and entry["bytes"] == len(content)
+        assert entry["sha256"] == hashlib.sha256(content).hexdigest() and entry["bytes"] == len(
+            content
+        )
         shared = name in ("meta/info.json", "meta/stats.json", "meta/tasks.parquet")
         assert entry.get("episode") == (None if shared else int(name.split(".")[-2][-3:]))
 
@@ -115,7 +125,9 @@ def test_a_hash_opens_no_file_outside(copy: Path, name: str) -> None:
         check_dataset(copy, "full")
 
 
-def test_a_commit_made_while_a_reader_looks_is_no_damage(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_commit_made_while_a_reader_looks_is_no_damage(
+    copy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     stats = copy / "meta" / "stats.json"
     (copy / STAGING / "meta").mkdir(parents=True)
     (copy / STAGING / "meta" / "stats.json").write_text(stats.read_text() + " ")
@@ -133,7 +145,9 @@ def test_a_commit_made_while_a_reader_looks_is_no_damage(copy: Path, monkeypatch
         check_dataset(copy, "full")
 
 
-def test_a_dataset_without_hashes_loads_with_one_line(copy: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_dataset_without_hashes_loads_with_one_line(
+    copy: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     (copy / HASHES).unlink()
     with caplog.at_level(logging.WARNING, "uniforce_datasets"):
         check_dataset(copy)
@@ -159,7 +173,9 @@ def test_a_changed_dataset_is_not_continued(copy: Path) -> None:
 
 
 @pytest.mark.slow
-def test_edited_by_lerobot_then_hashed_again(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_edited_by_lerobot_then_hashed_again(
+    copy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert ours(copy) == 0 and "as it was saved" in capsys.readouterr().out
     modify_tasks(open_dataset(copy), new_task="another")
     assert ours(copy) == 2 and f"uniforce verify root={copy}" in capsys.readouterr().err
@@ -183,7 +199,9 @@ def test_merged_by_lerobot_then_hashed(demos: Path, tmp_path: Path) -> None:
     assert ours(fewer, "rehash=true") == 0 and len(check_dataset(fewer, "full").episodes) == 2
 
 
-def test_content_that_cannot_be_trusted_gets_no_hashes(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_content_that_cannot_be_trusted_gets_no_hashes(
+    copy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     from benchmarks.trust.damaged_datasets import data, set_value
 
     before = (copy / HASHES).read_text()
@@ -194,7 +212,9 @@ def test_content_that_cannot_be_trusted_gets_no_hashes(copy: Path, capsys: pytes
         assert ours(recorder.root, "rehash=true") == 2 and "one recorder" in capsys.readouterr().err
 
 
-def test_a_view_is_checked_and_never_hashed_again(view: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_view_is_checked_and_never_hashed_again(
+    view: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert ours(view) == 0 and "view of 3 episodes" in capsys.readouterr().out
     assert ours(view, "rehash=true") == 2 and "uniforce view" in capsys.readouterr().err
 

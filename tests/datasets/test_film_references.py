@@ -27,7 +27,15 @@ def frame(centres_px: np.ndarray, scale: float = 1.0) -> np.ndarray:
     width, height = (round(side * scale) for side in SIZE_px)
     picture = np.full((height, width, 3), (120, 150, 140), np.uint8)
     for x, y in centres_px * scale:
-        cv2.circle(picture, (round(16 * x), round(16 * y)), round(16 * 5 * scale), (20, 20, 20), -1, cv2.LINE_AA, 4)
+        cv2.circle(
+            picture,
+            (round(16 * x), round(16 * y)),
+            round(16 * 5 * scale),
+            (20, 20, 20),
+            -1,
+            cv2.LINE_AA,
+            4,
+        )
     return cv2.GaussianBlur(picture, (0, 0), 1.0)
 
 
@@ -70,22 +78,36 @@ def by_film(found: list[FilmReference]) -> dict[str, FilmReference]:
 def test_each_film_has_its_own_free_frame_or_says_that_it_has_none(session: Path) -> None:
     found = by_film(film_references(session, "gelsight"))
     own = {name: one.frame for name, one in found.items() if not one.why}
-    assert own == {"ball/take_1/left.avi": SETTLE, "lemon.npy": SETTLE + 3 * STEP, "mug/film.npy": SETTLE + 2 * STEP}
+    assert own == {
+        "ball/take_1/left.avi": SETTLE,
+        "lemon.npy": SETTLE + 3 * STEP,
+        "mug/film.npy": SETTLE + 2 * STEP,
+    }
     assert all(found[name].of == name and found[name].off_px < 0.3 for name in own)
     assert {one.held for one in found.values()} == set(PLACES)
     none = found["walnut/film.npy"]
-    assert none.why.startswith("walnut/film.npy: expected a free frame of pad 0") and "borrow=true" in none.why
+    assert (
+        none.why.startswith("walnut/film.npy: expected a free frame of pad 0")
+        and "borrow=true" in none.why
+    )
     assert not none.of and none.read == LOOKED_AT and not none.refused
 
 
 def test_a_frame_is_borrowed_when_asked_for_alone_and_says_whose_it_is(session: Path) -> None:
     found = by_film(film_references(session, "gelsight", borrow=True))
     lent = found["walnut/film.npy"]
-    assert lent.is_borrowed and not lent.why and lent.of in found and lent.frame == found[lent.of].frame
+    assert (
+        lent.is_borrowed
+        and not lent.why
+        and lent.of in found
+        and lent.frame == found[lent.of].frame
+    )
     assert not any(one.is_borrowed for name, one in found.items() if name != "walnut/film.npy")
 
 
-def test_films_that_can_not_be_used_are_named_and_the_others_go_on(session: Path, tmp_path: Path) -> None:
+def test_films_that_can_not_be_used_are_named_and_the_others_go_on(
+    session: Path, tmp_path: Path
+) -> None:
     for path in session.rglob("*.*"):
         write_to = tmp_path / path.relative_to(session)
         write_to.parent.mkdir(parents=True, exist_ok=True)
@@ -109,7 +131,9 @@ def test_films_that_can_not_be_used_are_named_and_the_others_go_on(session: Path
         assert reason in found[name].why and name in found[name].why and "\n" not in found[name].why
 
 
-def test_a_folder_without_films_and_a_sensor_that_is_no_camera_are_refused(session: Path, tmp_path: Path) -> None:
+def test_a_folder_without_films_and_a_sensor_that_is_no_camera_are_refused(
+    session: Path, tmp_path: Path
+) -> None:
     with pytest.raises(DatasetError, match="folder of one session"):
         film_references(tmp_path, "gelsight")
     with pytest.raises(ContractError, match="camera sensor"):

@@ -88,8 +88,14 @@ def test_a_root_leads_to_one_folder_wherever_the_program_goes(root, tmp_path, mo
     monkeypatch.chdir(home)
     source = check_dataset(root)
     monkeypatch.chdir(elsewhere)
-    assert source.columns((STATE,))[STATE].shape == (SHORT, 5) and source.root.samefile(home / "demos")
-    assert [path.name for path in tmp_path.rglob("*") if "~" in path.name] == [] == list(elsewhere.iterdir())
+    assert source.columns((STATE,))[STATE].shape == (SHORT, 5) and source.root.samefile(
+        home / "demos"
+    )
+    assert (
+        [path.name for path in tmp_path.rglob("*") if "~" in path.name]
+        == []
+        == list(elsewhere.iterdir())
+    )
 
 
 def test_round_trip_with_stock_loader(tmp_path: Path) -> None:
@@ -108,8 +114,12 @@ def test_round_trip_with_stock_loader(tmp_path: Path) -> None:
         for finger in ("left", "right"):
             for reference in (False, True):
                 key = tactile_key(finger, reference)  # type: ignore[arg-type]
-                assert np.array_equal(sample[key].numpy(), np.broadcast_to(frame[key], (3, 480, 640)))
-        assert np.array_equal(sample[STATE], frame[STATE]) and np.array_equal(sample[ACTION], frame[ACTION])
+                assert np.array_equal(
+                    sample[key].numpy(), np.broadcast_to(frame[key], (3, 480, 640))
+                )
+        assert np.array_equal(sample[STATE], frame[STATE]) and np.array_equal(
+            sample[ACTION], frame[ACTION]
+        )
         assert np.array_equal(sample[truth_wrench_key("left")], frame[truth_wrench_key("left")])
         camera = sample[camera_key("front")].permute(1, 2, 0).numpy().astype(int)
         assert np.abs(camera - frame[camera_key("front")]).mean() < 8  # lossy, yet the same picture
@@ -117,18 +127,28 @@ def test_round_trip_with_stock_loader(tmp_path: Path) -> None:
     columns = read_source(root).columns((SUCCESS, OUTCOME, SEED, sensor_key("right")))
     ends = slice(None, None, SHORT)
     assert columns[SUCCESS][ends].tolist() == [1, 0, 0] and columns[SEED].tolist()[-1] == 102
-    assert [OUTCOME_NAMES[i] for i in columns[OUTCOME][ends]] == ["success", "failed_grasp", "residual"]
+    assert [OUTCOME_NAMES[i] for i in columns[OUTCOME][ends]] == [
+        "success",
+        "failed_grasp",
+        "residual",
+    ]
     assert set(columns[sensor_key("right")]) == {list_sensors().index("tactip")}
 
 
 @pytest.mark.slow
-def test_a_kill_between_any_two_steps_leaves_a_dataset_that_opens_verifies_and_goes_on(tmp_path, monkeypatch) -> None:
+def test_a_kill_between_any_two_steps_leaves_a_dataset_that_opens_verifies_and_goes_on(
+    tmp_path, monkeypatch
+) -> None:
     root, saved = tmp_path / "data", 0
     states: dict[object, tuple[int, Path]] = {}  # what is in place → episodes saved by then, copy
 
     def before(step: Callable[..., object]) -> Callable[..., object]:
         def stepped(*given: object, **named: object) -> object:
-            files = [path for path in root.rglob("*") if path.is_file() and staging.STAGING not in path.parts]
+            files = [
+                path
+                for path in root.rglob("*")
+                if path.is_file() and staging.STAGING not in path.parts
+            ]
             in_place = tuple(sorted((str(path), path.stat().st_mtime_ns) for path in files))
             if in_place not in states:
                 copy = Path(shutil.copytree(root, tmp_path / f"state_{len(states)}"))
@@ -154,10 +174,15 @@ def test_a_kill_between_any_two_steps_leaves_a_dataset_that_opens_verifies_and_g
         with open_recorder(state) as after:
             assert after.num_episodes >= kept
         assert (state / staging.HASHES).is_file() == bool(after.num_episodes)
-        assert not after.num_episodes or len(check_dataset(state, "full").episodes) == after.num_episodes
+        assert (
+            not after.num_episodes
+            or len(check_dataset(state, "full").episodes) == after.num_episodes
+        )
 
 
-def test_dropped_frame_fails_the_episode_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_dropped_frame_fails_the_episode_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with open_recorder(tmp_path / "data", realtime=True, queue_frames=1) as recorder:
         save_one_slowly(recorder)
         real = video_encoder.auto_downsample_height_width
@@ -180,11 +205,18 @@ def save_one_slowly(recorder: EpisodeRecorder) -> None:
     rng = np.random.default_rng(0)
     for step in range(2):
         recorder.add(synthetic_frame(step, rng), "wipe")
-        time.sleep(0.5)  # a real-time recorder with a queue of one needs an encoder that has caught up
+        # a real-time recorder with a queue of one needs an encoder that has caught up
+        time.sleep(0.5)
     recorder.save(success=True, outcome="success", seed=0)
 
 
-WRITES = ((os, "replace"), (os, "fsync"), (os, "mkdir"), (Path, "write_text"), (pq.ParquetWriter, "close"))
+WRITES = (
+    (os, "replace"),
+    (os, "fsync"),
+    (os, "mkdir"),
+    (Path, "write_text"),
+    (pq.ParquetWriter, "close"),
+)
 
 
 @contextmanager
@@ -216,14 +248,19 @@ def session(root: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("turn", range(3))
-def test_a_disk_that_fills_up_at_any_moment_is_one_error_and_costs_no_saved_episode(demos, tmp_path, monkeypatch, turn):
+def test_a_disk_that_fills_up_at_any_moment_is_one_error_and_costs_no_saved_episode(
+    demos, tmp_path, monkeypatch, turn
+):
     whole = Path(shutil.copytree(demos, tmp_path / "whole"))
     with full_disk(monkeypatch, FULL[turn], 10_000) as came:
         session(whole)
     assert set(came) == {name for _, name in WRITES}
     for writes in range(3 * turn, len(came), 17):
         root = Path(shutil.copytree(demos, tmp_path / str(writes)))
-        with full_disk(monkeypatch, FULL[turn], writes), pytest.raises(DiskFullError, match="Free some space"):
+        with (
+            full_disk(monkeypatch, FULL[turn], writes),
+            pytest.raises(DiskFullError, match="Free some space"),
+        ):
             session(root)
         with open_recorder(root) as after:
             assert after.num_episodes in (EPISODES, EPISODES + 1), writes
@@ -231,9 +268,14 @@ def test_a_disk_that_fills_up_at_any_moment_is_one_error_and_costs_no_saved_epis
 
 
 @pytest.mark.parametrize("limit", [0, 2_000, 20_000])
-def test_a_file_that_grows_too_large_is_a_full_disk_whoever_writes_it(demos, tmp_path, limit: int) -> None:
+def test_a_file_that_grows_too_large_is_a_full_disk_whoever_writes_it(
+    demos, tmp_path, limit: int
+) -> None:
     """A limit of this process: videos and tables are written by libraries, out of a test's reach."""
-    root, before = Path(shutil.copytree(demos, tmp_path / "data")), resource.getrlimit(resource.RLIMIT_FSIZE)
+    root, before = (
+        Path(shutil.copytree(demos, tmp_path / "data")),
+        resource.getrlimit(resource.RLIMIT_FSIZE),
+    )
     with open_recorder(root) as recorder:
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
         try:
@@ -247,7 +289,9 @@ def test_a_file_that_grows_too_large_is_a_full_disk_whoever_writes_it(demos, tmp
     assert len(check_dataset(root, "full").episodes) == EPISODES + 1
 
 
-def test_what_operating_systems_leave_in_a_folder_is_none_of_a_dataset(demos: Path, tmp_path: Path) -> None:
+def test_what_operating_systems_leave_in_a_folder_is_none_of_a_dataset(
+    demos: Path, tmp_path: Path
+) -> None:
     root = Path(shutil.copytree(demos, tmp_path / "data"))
     for folder in (tmp_path / "new", *(path for path in (root, *root.rglob("*")) if path.is_dir())):
         folder.mkdir(exist_ok=True)
@@ -261,7 +305,9 @@ def test_what_operating_systems_leave_in_a_folder_is_none_of_a_dataset(demos: Pa
 
 
 @pytest.mark.parametrize("number", [errno.EINVAL, errno.ENOTSUP])
-def test_a_folder_that_cannot_be_synced_holds_a_dataset_nevertheless(tmp_path, monkeypatch, number: int) -> None:
+def test_a_folder_that_cannot_be_synced_holds_a_dataset_nevertheless(
+    tmp_path, monkeypatch, number: int
+) -> None:
     sync = os.fsync
 
     def unable(handle: int) -> None:
@@ -274,8 +320,12 @@ def test_a_folder_that_cannot_be_synced_holds_a_dataset_nevertheless(tmp_path, m
     assert len(check_dataset(tmp_path / "data", "full").episodes) == 1
 
 
-@pytest.mark.parametrize("error", [PermissionError(13, "Permission denied"), NotImplementedError("no flock")])
-def test_a_folder_that_cannot_be_locked_is_one_line_before_the_first_episode(tmp_path, monkeypatch, error) -> None:
+@pytest.mark.parametrize(
+    "error", [PermissionError(13, "Permission denied"), NotImplementedError("no flock")]
+)
+def test_a_folder_that_cannot_be_locked_is_one_line_before_the_first_episode(
+    tmp_path, monkeypatch, error
+) -> None:
     def refuse(*_: object, **__: object) -> None:
         raise error
 
@@ -284,7 +334,9 @@ def test_a_folder_that_cannot_be_locked_is_one_line_before_the_first_episode(tmp
         open_recorder(tmp_path / "data")
 
 
-def test_damaged_marker_video_is_caught_before_it_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_damaged_marker_video_is_caught_before_it_counts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import uniforce_datasets.video_encoder as video_encoder
 
     monkeypatch.setattr(video_encoder, "codec_of", lambda key: video_encoder.camera_codec())
@@ -358,7 +410,9 @@ def test_raw_frames_and_a_card_are_moved_in_with_the_episode(tmp_path: Path) -> 
                 recorder.discard()
                 assert recorder.num_frames == 0
             else:
-                recorder.save(success=True, outcome="success", seed=0, card={"label": "success", "n": number})
+                recorder.save(
+                    success=True, outcome="success", seed=0, card={"label": "success", "n": number}
+                )
         with pytest.raises(ContractError, match="raw tactile frames"):
             recorder.add(synthetic_frame(0, rng), "wipe")
     assert [read_card(root, episode)["n"] for episode in (0, 1)] == [0, 2]
@@ -404,7 +458,9 @@ def decoded(path: Path) -> np.ndarray:
 
 
 @pytest.mark.parametrize("changes", [(), (5,), (3, 4, 9)])
-def test_marker_images_and_references_come_back_exactly(tmp_path: Path, changes: tuple[int, ...]) -> None:
+def test_marker_images_and_references_come_back_exactly(
+    tmp_path: Path, changes: tuple[int, ...]
+) -> None:
     """A reference is converted once; a new one in the middle of an episode must still be seen."""
     moving, still = tactile_key("left"), tactile_key("left", reference=True)
     sent: dict[str, list[np.ndarray]] = {moving: [], still: []}
@@ -425,7 +481,9 @@ def test_marker_images_and_references_come_back_exactly(tmp_path: Path, changes:
 def test_a_scene_camera_comes_back_about_as_it_was(tmp_path: Path) -> None:
     key = camera_key("front")
     ramp = np.linspace(0, 255, 96).astype(np.uint8)
-    frames = [np.repeat(np.roll(ramp, step)[None, :, None], 64, 0).repeat(3, 2) for step in range(FRAMES)]
+    frames = [
+        np.repeat(np.roll(ramp, step)[None, :, None], 64, 0).repeat(3, 2) for step in range(FRAMES)
+    ]
     encoder = PerKeyEncoder(30, queue_frames=2 * FRAMES, realtime=True)
     encoder.start_episode([key], tmp_path)
     for frame in frames:

@@ -18,7 +18,10 @@ ROBOT = {
     "address": "10.1.2.3",
     "calibration_dir": "/home/anna/x",
     "gains": {"stiffness": (800.0, 800.0)},
-    "cameras": {"front": CAMERA, "wrist": CAMERA | {"index_or_path": 2, "source": "http://anna:s3cret@10.1.2.3/x"}},
+    "cameras": {
+        "front": CAMERA,
+        "wrist": CAMERA | {"index_or_path": 2, "source": "http://anna:s3cret@10.1.2.3/x"},
+    },
     "resting_level": "~anna/rest.npy",
     "note": Path("/home/anna/y"),
 }
@@ -27,8 +30,13 @@ ROBOT = {
 def test_settings_are_stored_without_person_machine_or_network() -> None:
     plain = plain_settings("robot", ROBOT)
     text = json.dumps(plain)
-    assert not [word for word in ("anna", "10.1.2.3", "/dev", "s3cret", "t0ken", "/home") if word in text]
-    assert plain["robot.gains.stiffness"] == [800.0, 800.0] and plain["robot.cameras.front.type"] == "opencv"
+    assert not [
+        word for word in ("anna", "10.1.2.3", "/dev", "s3cret", "t0ken", "/home") if word in text
+    ]
+    assert (
+        plain["robot.gains.stiffness"] == [800.0, 800.0]
+        and plain["robot.cameras.front.type"] == "opencv"
+    )
     other = {"cameras": {"front": CAMERA | {"index_or_path": "/dev/video1"}}}
     key = "robot.cameras.front.index_or_path"
     assert plain_settings("robot", other)[key] != plain[key] == plain_settings("robot", ROBOT)[key]
@@ -51,9 +59,14 @@ def test_a_session_with_other_settings_is_refused_by_name_unless_accepted(tmp_pa
             recorder.save(True, "success", 0, settings=settings)
     assert [stretch["from_episode"] for stretch in stored_settings(root)] == [1, 3]
     assert len(check_dataset(root, "full").episodes) == 4
-    with pytest.raises(ContractError, match=r"gains \[1200.0\] → \[800.0\], turn 180 → 0.*settings_changed=accept"):
+    with pytest.raises(
+        ContractError, match=r"gains \[1200.0\] → \[800.0\], turn 180 → 0.*settings_changed=accept"
+    ):
         agreed_changes(root, first, accept=False)
-    assert agreed_changes(root, first, accept=True) == {"turn": (180, 0), "gains": ([1200.0], [800.0])}
+    assert agreed_changes(root, first, accept=True) == {
+        "turn": (180, 0),
+        "gains": ([1200.0], [800.0]),
+    }
     for damage in ("[]", '{"stretches": 3}', '{"stretches": [{"settings": 3}]}', "{"):
         (root / RIG).write_text(damage)
         with pytest.raises(DatasetError, match=r"rig\.json"):

@@ -36,12 +36,22 @@ DELTAS = [-1, 0, 1, 2, 3]
 
 
 def test_samples_equal_stock_lerobot(demos: Path, view: Path) -> None:
-    stock = open_dataset(demos, delta_timestamps={ACTION: [d / FPS for d in DELTAS]}, return_uint8=True)
+    stock = open_dataset(
+        demos, delta_timestamps={ACTION: [d / FPS for d in DELTAS]}, return_uint8=True
+    )
     fast = TrainingView(view, DELTAS, {"touch0": "right", "touch1": "left"})
     assert len(fast) == len(stock) == EPISODES * FRAMES
     for index in (0, 1, FRAMES - 2, FRAMES - 1, FRAMES, 2 * FRAMES + 7, EPISODES * FRAMES - 1):
         wanted, came = stock[index], fast[index]
-        for key in (STATE, ACTION, f"{ACTION}_is_pad", "timestamp", "frame_index", "episode_index", "index"):
+        for key in (
+            STATE,
+            ACTION,
+            f"{ACTION}_is_pad",
+            "timestamp",
+            "frame_index",
+            "episode_index",
+            "index",
+        ):
             assert torch.equal(wanted[key], came[key]), (index, key)
             assert wanted[key].dtype == came[key].dtype
         assert wanted["task"] == came["task"]
@@ -60,18 +70,24 @@ def test_latents_are_those_of_each_slots_finger(view: Path) -> None:
     assert wanted.any()
     for sample in (straight[FRAMES + 7], only_left[FRAMES + 7]):
         np.testing.assert_array_equal(sample[latent_key("touch0")], wanted)
-    assert latent_key("touch1") not in only_left[0] and latent_key("touch1") not in only_left.features
+    assert (
+        latent_key("touch1") not in only_left[0] and latent_key("touch1") not in only_left.features
+    )
 
 
 def test_fingers_are_not_confused(demos: Path, tmp_path: Path) -> None:
     class Sign:
         hash = "sign"
 
-        def __call__(self, reference: np.ndarray, current: np.ndarray, finger: Finger) -> np.ndarray:
+        def __call__(
+            self, reference: np.ndarray, current: np.ndarray, finger: Finger
+        ) -> np.ndarray:
             return np.full((len(current), 96), 1.0 if finger == "left" else -1.0, np.float32)
 
     made = TrainingView(build_view(demos, tmp_path / "view", encoder=Sign()))
-    assert made[0][latent_key("touch0")].unique() == -1 and made[0][latent_key("touch1")].unique() == 1
+    assert (
+        made[0][latent_key("touch0")].unique() == -1 and made[0][latent_key("touch1")].unique() == 1
+    )
 
 
 def test_wrench_input_is_the_recorded_truth(demos: Path, view: Path) -> None:
@@ -109,8 +125,13 @@ def test_metadata_serves_sampler_and_policy(demos: Path, view: Path) -> None:
     sampler = EpisodeAwareSampler(*bounds, episode_indices_to_use=made.episodes, shuffle=True)
     assert {int(made[i]["episode_index"]) for i in sampler} == {0, 2}
     policy = dataset_to_policy_features(made.meta.features)
-    assert policy[camera_key("front")].shape == (3, 56, 56) and policy[latent_key("touch0")].shape == (96,)
-    whole, stored = TrainingView(view).meta.stats, json.loads((demos / "meta" / "stats.json").read_text())
+    assert policy[camera_key("front")].shape == (3, 56, 56) and policy[
+        latent_key("touch0")
+    ].shape == (96,)
+    whole, stored = (
+        TrainingView(view).meta.stats,
+        json.loads((demos / "meta" / "stats.json").read_text()),
+    )
     for name in ("q01", "q99", "mean", "std"):
         np.testing.assert_allclose(whole[STATE][name], stored[STATE][name], rtol=1e-9)
 
@@ -127,7 +148,9 @@ def test_interrupted_build_goes_on(demos: Path, tmp_path: Path, view: Path) -> N
     class Fragile(BlockMeans):
         left = 3
 
-        def __call__(self, reference: np.ndarray, current: np.ndarray, finger: Finger) -> np.ndarray:
+        def __call__(
+            self, reference: np.ndarray, current: np.ndarray, finger: Finger
+        ) -> np.ndarray:
             self.left -= 1
             if self.left < 0:
                 raise KeyboardInterrupt
@@ -148,7 +171,10 @@ def test_interrupted_build_goes_on(demos: Path, tmp_path: Path, view: Path) -> N
 
 
 def test_one_process_builds_a_view_at_a_time(demos: Path, tmp_path: Path) -> None:
-    with only_writer(tmp_path / "view.building"), pytest.raises(ContractError, match="another one too"):
+    with (
+        only_writer(tmp_path / "view.building"),
+        pytest.raises(ContractError, match="another one too"),
+    ):
         build_view(demos, tmp_path / "view", encoder=BlockMeans())
     assert TrainingView(build_view(demos, tmp_path / "view", encoder=BlockMeans()))
 
@@ -181,7 +207,9 @@ def test_refusals(demos: Path, view: Path, tmp_path: Path) -> None:
 def trainer_config(root: Path | None, **policy: object) -> SimpleNamespace:
     defaults = {"action_delta_indices": DELTAS, "observation_delta_indices": None}
     transforms = SimpleNamespace(enable=False)
-    dataset = SimpleNamespace(root=root, repo_id="local/x", episodes=None, image_transforms=transforms)
+    dataset = SimpleNamespace(
+        root=root, repo_id="local/x", episodes=None, image_transforms=transforms
+    )
     return SimpleNamespace(dataset=dataset, trainable_config=SimpleNamespace(**(defaults | policy)))
 
 
@@ -197,10 +225,13 @@ def test_trainer_gets_what_its_policy_asks_for(demos: Path, view: Path) -> None:
     assert make_training_dataset(trainer_config(demos), lambda cfg: "stock") == "stock"
 
 
-def test_a_dataset_from_the_hub_is_checked_in_full_where_it_was_downloaded(demos: Path, tmp_path: Path) -> None:
+def test_a_dataset_from_the_hub_is_checked_in_full_where_it_was_downloaded(
+    demos: Path, tmp_path: Path
+) -> None:
     blobs, snapshot = tmp_path / "cache" / "blobs", tmp_path / "cache" / "snapshots" / "0"
     shutil.copytree(demos, blobs, ignore=shutil.ignore_patterns(".*"))
-    for file in (path for path in blobs.rglob("*") if path.is_file()):  # as the hub's cache keeps files
+    # as the hub's cache keeps files
+    for file in (path for path in blobs.rglob("*") if path.is_file()):
         link = snapshot / file.relative_to(blobs)
         link.parent.mkdir(parents=True, exist_ok=True)
         link.symlink_to(file)
@@ -222,7 +253,9 @@ def test_a_damaged_view_is_built_anew(demos: Path, tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"latent_left.*uniforce view"):
         TrainingView(out)
     build_view(demos, out, encoder=BlockMeans())
-    assert (out / "latent_left.npy").read_bytes() == kept and len(TrainingView(out)) == EPISODES * FRAMES
+    assert (out / "latent_left.npy").read_bytes() == kept and len(
+        TrainingView(out)
+    ) == EPISODES * FRAMES
 
 
 @pytest.mark.slow
@@ -244,7 +277,9 @@ def samples_per_s(dataset: Dataset) -> float:
     return 8 * calls / spent
 
 
-def test_two_datasets_make_one_view_however_many_processes_build_it(demos: Path, tmp_path: Path) -> None:
+def test_two_datasets_make_one_view_however_many_processes_build_it(
+    demos: Path, tmp_path: Path
+) -> None:
     given = {"encoder": BlockMeans(), "keep": first_and_last}
     one, two = (build_view([demos, demos], tmp_path / str(n), workers=n, **given) for n in (1, 2))
     files = sorted(path.name for path in one.iterdir())

@@ -20,7 +20,9 @@ HELD = np.array([0.5, 0.0, 0.08, 0.0, 0.05], np.float32)
 
 
 @pytest.mark.parametrize("steps", [0, 3])
-def test_an_episode_is_truncated_where_its_sensor_fails_and_the_next_one_goes_on(steps, monkeypatch) -> None:
+def test_an_episode_is_truncated_where_its_sensor_fails_and_the_next_one_goes_on(
+    steps, monkeypatch
+) -> None:
     env = make_scene(right_sensor="tactip:1" if steps else DARK)
     observation, info = env.reset(seed=11)
     assert env.observation_space.contains(observation) and ("aborted" in info) == (not steps)

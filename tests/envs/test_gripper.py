@@ -45,7 +45,9 @@ def test_a_grasp_holds_by_force_whatever_the_wish_inside_is(grasping: WipeEnv) -
     wanted_N = RULES.grip_force_N * force_share(SEED)
     for width_m in (0.005, 0.015, 0.022):
         for left_N, right_N, _ in stay(grasping, width_m, 20)[-5:]:
-            assert left_N == pytest.approx(wanted_N, rel=0.05) and right_N == pytest.approx(wanted_N, rel=0.05)
+            assert left_N == pytest.approx(wanted_N, rel=0.05) and right_N == pytest.approx(
+                wanted_N, rel=0.05
+            )
 
 
 def test_a_wider_wish_opens(grasping: WipeEnv) -> None:

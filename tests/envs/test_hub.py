@@ -19,7 +19,8 @@ REPOSITORY, COMMIT = "somebody/wipe-by-touch", "c" * 40
 def hub_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A hub cache that holds the shared scene at one commit."""
     hub = SimpleNamespace(
-        create_repo=lambda repo_id, **_: SimpleNamespace(repo_id=repo_id), upload_folder=lambda **given: None
+        create_repo=lambda repo_id, **_: SimpleNamespace(repo_id=repo_id),
+        upload_folder=lambda **given: None,
     )
     monkeypatch.setattr("huggingface_hub.HfApi", lambda: hub)
     monkeypatch.setattr("huggingface_hub.constants.HF_HUB_OFFLINE", True)
@@ -37,7 +38,9 @@ def test_lerobot_makes_the_scene_from_a_hub_repository(hub_cache: Path) -> None:
     observation, _ = scenes.reset(seed=[3, 4])
     assert scenes.num_envs == 2 and scenes.call("task_description") == scenes.call("task")
     assert scenes.get_attr("level") == (TOUCH, TOUCH)
-    observation, *_, info = scenes.step(np.zeros((2, *scenes.single_action_space.shape), np.float32))
+    observation, *_, info = scenes.step(
+        np.zeros((2, *scenes.single_action_space.shape), np.float32)
+    )
     assert observation["pixels"]["tactile_right"].shape == (2, 480, 640, 3)
     assert not info["is_success"].any()
     scenes.close()

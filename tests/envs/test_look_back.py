@@ -15,7 +15,12 @@ from lerobot_env_uniforce_wiping.rewrite import Rewrite, RewriteSettings
 from lerobot_env_uniforce_wiping.sequence import LOOKS_BACK, Sweep, look_back
 
 SEED = 9001
-SPANS = {"after_s": (5.0, 5.0), "height_m": (0.1, 0.1), "length_m": (0.2, 0.2), "strength": (1.0, 1.0)}
+SPANS = {
+    "after_s": (5.0, 5.0),
+    "height_m": (0.1, 0.1),
+    "length_m": (0.2, 0.2),
+    "strength": (1.0, 1.0),
+}
 EVERYWHERE = RewriteSettings(share=1.0, **SPANS)
 
 
@@ -41,7 +46,9 @@ def run(env: WipeEnv, disturb: Callable[[InkField, bool], None]) -> list[str]:
 @pytest.mark.parametrize("row", [0, 1, 2])
 def test_wiping_begins_again_at_the_first_row_with_ink(env: WipeEnv, row: int) -> None:
     ink, sweep = env.sim.ink, Sweep(env.level)
-    x_m = sweep.corners[2 * row, 0] - env.level.layout.board_center_m[0] - env.scene.board_shift_m[0]
+    x_m = (
+        sweep.corners[2 * row, 0] - env.level.layout.board_center_m[0] - env.scene.board_shift_m[0]
+    )
     ink.ink[:] = 1.0 * ((ink.x_m > x_m - 0.004) & (np.abs(ink.y_m) < 0.05))
     ink.version += 1
     assert np.array_equal(sweep.point(sweep.row_at(look_back(env))), sweep.corners[2 * row])
@@ -124,7 +131,9 @@ def left_after(press_N: float, slide_m: float = 0.06, off_center_m: float = 0.0)
 
 @examples(20)
 @given(st.floats(0, FROM_N), st.floats(-0.05, 0.05))
-def test_felt_that_presses_too_lightly_glides_over_the_ink(press_N: float, off_center_m: float) -> None:
+def test_felt_that_presses_too_lightly_glides_over_the_ink(
+    press_N: float, off_center_m: float
+) -> None:
     first = InkField(draw_scene(3, "touch")).ink
     assert np.array_equal(left_after(press_N, off_center_m=off_center_m), first)
 

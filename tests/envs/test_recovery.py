@@ -36,7 +36,9 @@ def commands(
 def test_an_expert_that_loses_the_board_stays_there_and_goes_down_again(env: WipeEnv) -> None:
     phases: list[str] = []
     lost = []
-    for phase, target in commands(env, lambda phase: phase == "wipe" and phases.count("wipe") == 30, 0.03):
+    for phase, target in commands(
+        env, lambda phase: phase == "wipe" and phases.count("wipe") == 30, 0.03
+    ):
         phases.append(phase)
         if phases.count("wipe") > 30 and phase == "lower":
             lost.append(target)
@@ -49,7 +51,9 @@ def test_an_expert_that_loses_the_board_stays_there_and_goes_down_again(env: Wip
 def test_an_expert_that_loses_a_clean_board_leaves_it(env: WipeEnv) -> None:
     """Otherwise demos show a hand over a clean board that goes down, and a policy wipes to the end of its time."""
     phases: list[str] = []
-    for phase, _ in commands(env, lambda phase: phase == "wipe" and phases.count("wipe") == 30, 0.03):
+    for phase, _ in commands(
+        env, lambda phase: phase == "wipe" and phases.count("wipe") == 30, 0.03
+    ):
         phases.append(phase)
         if phases.count("wipe") == 30:
             env.sim.ink.ink[:] = 0
@@ -58,9 +62,13 @@ def test_an_expert_that_loses_a_clean_board_leaves_it(env: WipeEnv) -> None:
     assert phases.count("wipe") < 60 and env.result().success
 
 
-def test_a_hand_pushed_back_to_the_board_while_it_leaves_pulls_the_harder_the_lower_it_is(env: WipeEnv) -> None:
+def test_a_hand_pushed_back_to_the_board_while_it_leaves_pulls_the_harder_the_lower_it_is(
+    env: WipeEnv,
+) -> None:
     gap_m: list[float] = []
-    for phase, command in commands(env, lambda phase: phase == "leave" and len(gap_m) < 30, -0.03, fall_s=1.0):
+    for phase, command in commands(
+        env, lambda phase: phase == "leave" and len(gap_m) < 30, -0.03, fall_s=1.0
+    ):
         if phase == "leave":
             gap_m.append(float(command[Z] - env.state[Z]))
     assert len(gap_m) > 30 and max(gap_m) > 0.025

@@ -36,7 +36,8 @@ def test_rigs_differ_in_the_left_fingers_marker_image_alone() -> None:
         env.reset(seed=5)
     expert = WipeExpert()
     expert.reset(rigs[0])
-    while min(rigs[0].true_wrench()[finger][2] for finger in FINGERS) < 3:  # until it holds the eraser
+    # until it holds the eraser
+    while min(rigs[0].true_wrench()[finger][2] for finger in FINGERS) < 3:
         action = expert.act(rigs[0])
         for env in rigs:
             env.advance(action)
@@ -61,13 +62,18 @@ def held(left: str | WornSensor, seed: int = 5, **options: Any) -> WipeEnv:
 def read(env: WipeEnv, looks: int = 8) -> np.ndarray:
     """Return what the left finger's own head reads, (3,) N, mean over several noisy looks at one moment."""
     seen = [env.observe()["pixels"] for _ in range(looks)]
-    pair = [np.stack([p[tactile_name("left", reference)][..., 0] for p in seen]) for reference in (True, False)]
+    pair = [
+        np.stack([p[tactile_name("left", reference)][..., 0] for p in seen])
+        for reference in (True, False)
+    ]
     latent = Tokenizer.from_pretrained().encode(*pair, "left")
     return ForceHead.from_pretrained(env.sensors["left"])(latent).numpy().mean(axis=0)
 
 
 @pytest.mark.parametrize(("kind", "grip_N"), [("gelsight", 1.0), ("tactip", 0.5), ("uskin", 0.3)])
-def test_raw_frames_and_canonicalizer_read_as_the_direct_drawing_does(kind: str, grip_N: float) -> None:
+def test_raw_frames_and_canonicalizer_read_as_the_direct_drawing_does(
+    kind: str, grip_N: float
+) -> None:
     """The fast path stands for the worn one. A flat gel under a face that covers it moves by a fifth of a pixel."""
     plain = drawing(as_virtual(kind))
     fast, raw = read(held(plain)), read(held(replace(plain, direct=False)))
@@ -83,11 +89,15 @@ def test_a_stiff_unit_has_a_stiff_pad_and_a_picture_that_moves_less() -> None:
         env.start(5)
         K.append(env.sim.model.geom_solref[env.sim.model.geom("pad_left").id, 0])
     assert K[1] == pytest.approx(1.5 * K[0])
-    assert stiff.stiffness == 1.5 and drawing(any_virtual("gelsight_stiff")).stiffness == pytest.approx(1.6)
+    assert stiff.stiffness == 1.5 and drawing(
+        any_virtual("gelsight_stiff")
+    ).stiffness == pytest.approx(1.6)
 
 
 def test_a_picture_is_late_by_a_step_and_rubber_lags_behind() -> None:
-    worn = replace(drawing(as_virtual("tactip")), lag_steps=1, creep=Creep(share=0.2, relaxation_s=0.5))
+    worn = replace(
+        drawing(as_virtual("tactip")), lag_steps=1, creep=Creep(share=0.2, relaxation_s=0.5)
+    )
     env = WipeEnv("touch", "gelsight:drawing", worn)
     env.start(5)
     pad = env._touch["right"]
@@ -96,7 +106,8 @@ def test_a_picture_is_late_by_a_step_and_rubber_lags_behind() -> None:
         env.sim.pads["right"].wrench[:] = (0.0, 0.0, 5.0, 0.0)
         pad.follow(env.sim)
         shown.append(pad._past[0].wrench[2])
-    assert shown[0] == 0 and shown[1] == pytest.approx(4.0, abs=0.1)  # a step late, then 80 % at once
+    # a step late, then 80 % at once
+    assert shown[0] == 0 and shown[1] == pytest.approx(4.0, abs=0.1)
     assert np.all(np.diff(shown[1:]) > 0) and shown[-1] == pytest.approx(5.0, abs=0.05)
 
 

@@ -9,7 +9,13 @@ from gymnasium.utils.env_checker import check_env
 from lerobot.envs.factory import make_env, make_env_config
 from lerobot.envs.utils import env_to_policy_features, preprocess_observation
 
-from lerobot_env_uniforce_wiping import ExpertNoise, UniforceWipingConfig, WipeEnv, WipeExpert, draw_scene
+from lerobot_env_uniforce_wiping import (
+    ExpertNoise,
+    UniforceWipingConfig,
+    WipeEnv,
+    WipeExpert,
+    draw_scene,
+)
 from lerobot_env_uniforce_wiping.episodes import walk
 from lerobot_env_uniforce_wiping.sequence import Sweep
 from uniforce_vtla.contact.virtual import as_virtual
@@ -56,7 +62,11 @@ def test_gymnasium_finds_no_fault_and_no_two_observations_share_memory() -> None
     env = WipeEnv(left_sensor=stalled, right_sensor="tactip:drawing", expose_wrench=True)
     check_env(env)
     given = [env.reset(seed=SEED)[0], env.step(env.state)[0], env.step(env.state)[0], env.observe()]
-    arrays = [array for seen in given for array in (*seen["pixels"].values(), seen["agent_pos"], seen["wrench_left"])]
+    arrays = [
+        array
+        for seen in given
+        for array in (*seen["pixels"].values(), seen["agent_pos"], seen["wrench_left"])
+    ]
     arrays += [image for _ in range(2) for image in env.marker_pair("left")]
     reference = given[0]["pixels"]["tactile_left_ref"].copy()
     for n, array in enumerate(arrays):
@@ -108,11 +118,15 @@ def test_pictures_show_ink_that_goes_away(grasped: WipeEnv) -> None:
         ("down", ContractError),
     ],
 )
-def test_bad_action_is_refused_and_the_target_held(grasped: WipeEnv, action: object, error: type) -> None:
+def test_bad_action_is_refused_and_the_target_held(
+    grasped: WipeEnv, action: object, error: type
+) -> None:
     target, control = grasped.sim.target.copy(), grasped.sim.data.ctrl.copy()
     with pytest.raises(error):
         grasped.advance(action)  # type: ignore[arg-type]
-    assert np.array_equal(grasped.sim.target, target) and np.array_equal(grasped.sim.data.ctrl, control)
+    assert np.array_equal(grasped.sim.target, target) and np.array_equal(
+        grasped.sim.data.ctrl, control
+    )
 
 
 def test_bad_settings_are_refused() -> None:
@@ -150,7 +164,9 @@ def test_runs_without_gl_and_loads_mujoco_with_the_first_scene_only() -> None:
     code = "import sys, lerobot_env_uniforce_wiping as w; assert 'mujoco' not in sys.modules; "
     code += "print(w.WipeEnv().reset(seed=1)[0]['pixels']['front'].std())"
     env = os.environ | {"MUJOCO_GL": "disable"}
-    run = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, timeout=240)
+    run = subprocess.run(
+        [sys.executable, "-c", code], env=env, capture_output=True, text=True, timeout=240
+    )
     assert run.returncode == 0, run.stderr
     assert float(run.stdout) > 10
 

@@ -7,7 +7,13 @@ from hypothesis import strategies as st
 from properties import examples
 
 from lerobot_env_uniforce_wiping import LEVELS, WipeEnv, draw_scene, level_hash
-from lerobot_env_uniforce_wiping.hidden import BOARD_HALF_m, PullSettings, UnevenBoard, UnevenSettings, hand_pull
+from lerobot_env_uniforce_wiping.hidden import (
+    BOARD_HALF_m,
+    PullSettings,
+    UnevenBoard,
+    UnevenSettings,
+    hand_pull,
+)
 from lerobot_env_uniforce_wiping.ink import InkField
 from lerobot_env_uniforce_wiping.sequence import Sweep
 
@@ -45,7 +51,8 @@ def test_stiffness_is_as_likely_twice_as_half_its_middle() -> None:
     low, high = LEVELS["touch"].stiffness_scale
     drawn = np.array([draw_scene(seed, "touch").stiffness_scale for seed in range(400)])
     assert drawn.min() >= low and drawn.max() <= high
-    assert (drawn < np.sqrt(low * high)).mean() == pytest.approx(0.5, abs=0.08)  # three standard errors
+    # three standard errors
+    assert (drawn < np.sqrt(low * high)).mean() == pytest.approx(0.5, abs=0.08)
 
 
 @examples(40)
@@ -67,7 +74,13 @@ def test_writing_of_any_size_and_place_lies_where_the_eraser_goes(seed: int, nam
 def test_scenes_vary_what_a_camera_sees() -> None:
     scenes = [draw_scene(seed, "touch") for seed in range(40)]
     assert len({scene.word for scene in scenes}) > 10
-    for name in ("letter_scale", "board_turn_rad", "eraser_turn_rad", "eraser_length_m", "light_gain"):
+    for name in (
+        "letter_scale",
+        "board_turn_rad",
+        "eraser_turn_rad",
+        "eraser_length_m",
+        "light_gain",
+    ):
         assert len({getattr(scene, name) for scene in scenes}) == len(scenes)
 
 
@@ -75,7 +88,9 @@ def test_light_changes_the_picture_and_nothing_else() -> None:
     dim, bright = WipeEnv("touch"), WipeEnv("touch")
     for env, gain in ((dim, 0.7), (bright, 1.0)):
         env.start(1)
-        env.sim.scene = replace(env.sim.scene, light_gain=(gain, gain, gain), light_turn_rad=(0.0, 0.0, 0.0))
+        env.sim.scene = replace(
+            env.sim.scene, light_gain=(gain, gain, gain), light_turn_rad=(0.0, 0.0, 0.0)
+        )
         env._painter.reset(env.sim)
     dark, light = dim.observe(), bright.observe()
     ratio = dark["pixels"]["front"].mean() / light["pixels"]["front"].mean()
@@ -85,7 +100,8 @@ def test_light_changes_the_picture_and_nothing_else() -> None:
 
 
 def test_the_pull_has_its_spread_its_pace_and_its_bound() -> None:
-    pulls = np.stack([hand_pull(seed, PullSettings(), 900, 30.0) for seed in range(40)])  # (40, 900, 3)
+    # (40, 900, 3)
+    pulls = np.stack([hand_pull(seed, PullSettings(), 900, 30.0) for seed in range(40)])
     assert pulls.std() == pytest.approx(3.0 * 0.88, rel=0.1)  # clipping at two sd takes an eighth
     assert np.abs(pulls).max() == pytest.approx(6.0)
     assert np.abs(np.diff(pulls, axis=1)).max() < 0.8, "no jump within a step"
@@ -99,4 +115,6 @@ def test_the_board_has_its_spread_and_its_length() -> None:
     beside = np.array([b.height_m(np.array([0.0, 0.03])) for b in boards])
     assert here.std() == pytest.approx(0.00085 * 0.88, rel=0.25)
     assert np.corrcoef(here, beside)[0, 1] == pytest.approx(0.61, abs=0.25)  # exp(-1/2)
-    assert boards[0].height_m(np.array([1.0, 0.0])) == boards[0].height_m(np.array([BOARD_HALF_m[0], 0.0]))
+    assert boards[0].height_m(np.array([1.0, 0.0])) == boards[0].height_m(
+        np.array([BOARD_HALF_m[0], 0.0])
+    )

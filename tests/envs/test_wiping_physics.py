@@ -33,7 +33,9 @@ few = settings(max_examples=8, deadline=None)  # each is a grasp of a tenth of a
     mass_kg=st.floats(0.03, 0.12),
     gel=st.tuples(st.floats(0.9, 1.1), st.floats(0.9, 1.1)),
 )
-def test_indentation_is_force_over_stiffness_and_both_pads_carry_the_same(width_m, mass_kg, gel) -> None:
+def test_indentation_is_force_over_stiffness_and_both_pads_carry_the_same(
+    width_m, mass_kg, gel
+) -> None:
     found = squeeze(width_m, eraser_mass_kg=mass_kg, stiffness=gel)
     rows = zip(*found, (PADS.flat_N_mm, PADS.dome_N_mm), gel, strict=True)
     for force_N, depth_mm, nominal, scale in rows:
@@ -99,7 +101,8 @@ def test_dragging_along_y_shears_both_pads_backwards() -> None:
     sim = pressed(0.008)
     x, y, z, yaw, width = sim.target
     hold(sim, [x, y + 0.05, z, yaw, width], 12)
-    assert all(sim.pads[f].wrench[0] < -0.2 for f in FINGERS)  # canonical fx against the motion, same sign
+    # canonical fx against the motion, same sign
+    assert all(sim.pads[f].wrench[0] < -0.2 for f in FINGERS)
 
 
 def test_leash_bounds_the_force_of_any_command() -> None:

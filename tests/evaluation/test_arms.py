@@ -55,7 +55,11 @@ def test_table_and_picture_show_every_arm(tmp_path: Path) -> None:
 
 
 def test_one_letter_a_seed_says_what_happened() -> None:
-    rows = [row(0), replace(row(1), clean=False, slippage=True), row(2, "failed_grasp", clean=False)]
+    rows = [
+        row(0),
+        replace(row(1), clean=False, slippage=True),
+        row(2, "failed_grasp", clean=False),
+    ]
     assert ArmReport("V", rows).as_dict()["by_seed"] == "Csf"
 
 
@@ -66,7 +70,9 @@ PAIRS = (("V+T", "V"), ("V+G", "V"), ("V+U", "V"))
 def arm(name: str, codes: str, first_seed: int = 0) -> ArmReport:
     """An arm whose letters say C (clean) or r (residual), seed by seed."""
     rows = [
-        replace(ROW, seed=first_seed + i, outcome="success" if c == "C" else "residual", clean=c == "C")
+        replace(
+            ROW, seed=first_seed + i, outcome="success" if c == "C" else "residual", clean=c == "C"
+        )
         for i, c in enumerate(codes)
     ]
     return ArmReport(name, rows)
@@ -74,7 +80,10 @@ def arm(name: str, codes: str, first_seed: int = 0) -> ArmReport:
 
 def test_a_clear_difference_survives_holm_and_an_arm_not_scored_is_not_asked_about() -> None:
     arms = arm("V", "r" * 20), arm("V+T", "C" * 15 + "r" * 5), arm("V+G", "C" + "r" * 19)
-    tests = {tuple(t["arms"]): t for t in better({report.arm: report.clean_by_seed for report in arms}, PAIRS)}
+    tests = {
+        tuple(t["arms"]): t
+        for t in better({report.arm: report.clean_by_seed for report in arms}, PAIRS)
+    }
     assert set(tests) == {("V+T", "V"), ("V+G", "V")}
     clear, none = tests["V+T", "V"], tests["V+G", "V"]
     assert clear["points"] == pytest.approx(75) and clear["p_holm"] < 0.001 < 0.5 < none["p_holm"]
@@ -82,14 +91,20 @@ def test_a_clear_difference_survives_holm_and_an_arm_not_scored_is_not_asked_abo
 
 
 def test_only_shared_seeds_are_compared() -> None:
-    arms = {"V": arm("V", "rrrr").clean_by_seed, "V+T": arm("V+T", "CCCC", first_seed=2).clean_by_seed}
+    arms = {
+        "V": arm("V", "rrrr").clean_by_seed,
+        "V+T": arm("V+T", "CCCC", first_seed=2).clean_by_seed,
+    }
     assert better(arms, PAIRS)[0]["n"] == 2
     assert better({"V": {0: False}, "V+T": {9: True}}, PAIRS) == []
 
 
 def test_a_swap_is_as_good_only_when_shown() -> None:
     claims = [AtMostWorse("swapped", "V+G", "V+T", 0.10)]
-    same = {"V+T": dict(enumerate([True] * 180 + [False] * 20)), "V+G": dict(enumerate([True] * 178 + [False] * 22))}
+    same = {
+        "V+T": dict(enumerate([True] * 180 + [False] * 20)),
+        "V+G": dict(enumerate([True] * 178 + [False] * 22)),
+    }
     worse = same | {"V+G": dict(enumerate([True] * 150 + [False] * 50))}
     assert as_good(same, claims)[0]["shown"] and not as_good(worse, claims)[0]["shown"]
 
@@ -158,7 +173,9 @@ def test_equal_arms_are_non_inferior_only_with_enough_seeds() -> None:
 
 
 @given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=60))
-def test_bound_lies_below_the_difference_and_agrees_with_its_p(pairs: list[tuple[bool, bool]]) -> None:
+def test_bound_lies_below_the_difference_and_agrees_with_its_p(
+    pairs: list[tuple[bool, bool]],
+) -> None:
     new, reference = [a for a, _ in pairs], [b for _, b in pairs]
     found = non_inferior(new, reference, 0.1)
     assert -1 <= found.lower <= found.difference + 1e-9

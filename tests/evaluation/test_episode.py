@@ -8,7 +8,13 @@ from hypothesis import strategies as st
 from properties import examples
 
 from uniforce_vtla.errors import ContractError
-from uniforce_vtla.evaluation.episode import STEP_FIELDS, EpisodeTrace, ScoreLimits, running_mean, score_episode
+from uniforce_vtla.evaluation.episode import (
+    STEP_FIELDS,
+    EpisodeTrace,
+    ScoreLimits,
+    running_mean,
+    score_episode,
+)
 
 
 def at(values: np.ndarray, where: slice, to: float) -> np.ndarray:
@@ -27,7 +33,11 @@ def test_a_failed_grasp_comes_before_residual_ink() -> None:
     dirty = good_trace(residual=np.ones(N))
     assert score_episode(dirty).outcome == "residual"
     dropped = {"grip_left_N": np.zeros(N), "grip_right_N": np.zeros(N)}
-    for fault in (dropped, {"phase": np.zeros(N)}, {"slip_mm": at(np.zeros(N), slice(90, N), 21.0)}):
+    for fault in (
+        dropped,
+        {"phase": np.zeros(N)},
+        {"slip_mm": at(np.zeros(N), slice(90, N), 21.0)},
+    ):
         assert score_episode(replace(dirty, **fault)).outcome == "failed_grasp"
 
 
@@ -63,16 +73,24 @@ def test_excess_force(field: str, where: slice, value: float, excess: bool) -> N
 
 
 @pytest.mark.parametrize(("inside", "clean"), [(0.85, True), (0.75, False)])
-def test_a_clean_wipe_presses_within_the_band_over_most_of_the_way(inside: float, clean: bool) -> None:
+def test_a_clean_wipe_presses_within_the_band_over_most_of_the_way(
+    inside: float, clean: bool
+) -> None:
     """By distance: a slow stretch beside the band counts as little as it slides."""
     wiping = np.flatnonzero(good_trace().phase == 2)
     slide_mm, press_N = np.zeros(N), good_trace().press_N
-    slide_mm[wiping] = np.where(np.arange(len(wiping)) < 20, inside / 20, (1 - inside) / (len(wiping) - 20))
+    slide_mm[wiping] = np.where(
+        np.arange(len(wiping)) < 20, inside / 20, (1 - inside) / (len(wiping) - 20)
+    )
     press_N[wiping[20:]] = 9.0
-    result = score_episode(good_trace(slide_mm=slide_mm, press_N=press_N), ScoreLimits(in_band_share=0.8))
+    result = score_episode(
+        good_trace(slide_mm=slide_mm, press_N=press_N), ScoreLimits(in_band_share=0.8)
+    )
     assert result.metrics["in_band_share"] == pytest.approx(inside)
     assert result.success and result.clean is clean
-    assert score_episode(good_trace(slide_mm=slide_mm, press_N=press_N)).clean, "without a band in the limits"
+    assert score_episode(good_trace(slide_mm=slide_mm, press_N=press_N)).clean, (
+        "without a band in the limits"
+    )
 
 
 def test_an_empty_trace_is_aborted_and_bad_ones_are_refused() -> None:

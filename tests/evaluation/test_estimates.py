@@ -20,7 +20,9 @@ WEIGHT_N = 0.8
 FRICTION = (0.6, 0.8)
 
 
-def wipe(press_N: float, grip_N: float = 9.0, bias_N: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def wipe(
+    press_N: float, grip_N: float = 9.0, bias_N: float = 0.0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Grasp, lift, carry for a second, press for three: time, forces, height."""
     time_s = np.arange(6 * RATE) / RATE
     height = np.interp(time_s, [1, 2], [0.1, 0.2])
@@ -75,7 +77,8 @@ def test_what_cannot_be_judged_is_refused() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("press_N", "grip_N", "seed"), [(6.8, 4.0, 30_006), (9.5, 9.0, 30_001), (11.5, 9.0, 30_001), (7.5, 9.0, 30_005)]
+    ("press_N", "grip_N", "seed"),
+    [(6.8, 4.0, 30_006), (9.5, 9.0, 30_001), (11.5, 9.0, 30_001), (7.5, 9.0, 30_005)],
 )
 def test_true_forces_tell_the_simulators_events(press_N: float, grip_N: float, seed: int) -> None:
     """A hand too loose, too slippery a handle, too firm a press, and a clean wipe."""
@@ -91,10 +94,13 @@ def test_true_forces_tell_the_simulators_events(press_N: float, grip_N: float, s
     force_N, friction = np.array(force, np.float64), env.scene.pad_friction
     found = estimate_events(trace.time_s, force_N, np.array(place, np.float64), friction)
     assert bool(found.slippage) == truth.slippage
-    assert bool(found.excess_force) == bool(press_events(trace.press_N, trace.time_s, ScoreLimits()))
+    assert bool(found.excess_force) == bool(
+        press_events(trace.press_N, trace.time_s, ScoreLimits())
+    )
     wiping = (trace.phase == WIPING_PHASE) & (trace.slip_mm < 5)
     assert abs(found.in_band_share - truth.metrics["in_band_share"]) < 0.1
-    assert np.abs(found.press_N - trace.press_N)[wiping].mean() < 0.2  # the hand is pulled meanwhile
+    # the hand is pulled meanwhile
+    assert np.abs(found.press_N - trace.press_N)[wiping].mean() < 0.2
 
 
 CORNERS = np.array([[20, 30], [300, 40], [310, 200], [10, 190]])

@@ -20,7 +20,11 @@ class Scene:
     task = "wipe"
 
     def __init__(
-        self, at: str = "", steps: int = 0, fails: Exception = LOST, trace: EpisodeTrace | None = None
+        self,
+        at: str = "",
+        steps: int = 0,
+        fails: Exception = LOST,
+        trace: EpisodeTrace | None = None,
     ) -> None:
         self.trace, self.moved = trace or good_trace(), 0
         self._at, self._steps, self._fails = at, steps, fails
@@ -81,7 +85,12 @@ def test_an_episode_runs_to_its_end() -> None:
         (Scene("observe", trace=empty_trace()), Looks(), 2, "no picture"),
         (Scene(trace=empty_trace()), Looks(1, LOST), 0, "no picture"),
         (Scene(), Looks(3, SensorError("not healthy")), 4, "not healthy"),
-        (Scene(), Looks(2, RolloutError("nothing like it was ever demonstrated")), 2, "demonstrated"),
+        (
+            Scene(),
+            Looks(2, RolloutError("nothing like it was ever demonstrated")),
+            2,
+            "demonstrated",
+        ),
         (Scene("advance", fails=RolloutError("the target is held")), Looks(), 0, "held"),
     ],
 )

@@ -10,7 +10,12 @@ from standins import spacemouse
 from standins.xela import frame, greeting, message
 from websockets.frames import Opcode
 
-from uniforce_robots.sensors.mjpeg import MAX_HEADER_BYTES, MAX_JPEG_BYTES, MultipartJpeg, decode_bgr
+from uniforce_robots.sensors.mjpeg import (
+    MAX_HEADER_BYTES,
+    MAX_JPEG_BYTES,
+    MultipartJpeg,
+    decode_bgr,
+)
 from uniforce_robots.sensors.uskin_server import MAX_MESSAGE_BYTES, XelaMessages, read_message
 from uniforce_robots.sensors.uskin_slcan import MAX_TAIL_BYTES, SlcanScans
 from uniforce_robots.standins.mjpeg import encode, part
@@ -74,7 +79,9 @@ HTTP = b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=un
 JSON = message(7, SCANS[0], "null").encode()
 BYTE_TARGETS = {
     "slcan": ByteTarget(
-        feed_slcan, b"\r\rV1013\r" + b"".join(chain.from_iterable(scan_lines(SCANS, 0))), refuses=False
+        feed_slcan,
+        b"\r\rV1013\r" + b"".join(chain.from_iterable(scan_lines(SCANS, 0))),
+        refuses=False,
     ),
     "websocket": ByteTarget(
         feed_websocket,

@@ -47,7 +47,8 @@ def run(
     forget_peak()
     before_kib, refused, slowest_s, began_s = status_kib("VmRSS"), 0, 0.0, time.monotonic()
     for i in range(inputs):
-        signal.setitimer(signal.ITIMER_PROF, SLOWEST_S)  # its signal's default is to end the process
+        # its signal's default is to end the process
+        signal.setitimer(signal.ITIMER_PROF, SLOWEST_S)
         cpu_s = time.process_time()
         try:
             read(i)
@@ -83,7 +84,13 @@ def byte_campaign(inputs: int, seed: int, names: list[str]) -> Iterator[dict[str
             target.feed(rng, data)
 
         calm = np.random.default_rng(0)
-        yield run(name, inputs, read, lambda target=target, calm=calm: target.feed(calm, target.seed), target.typed)
+        yield run(
+            name,
+            inputs,
+            read,
+            lambda target=target, calm=calm: target.feed(calm, target.seed),
+            target.typed,
+        )
 
 
 def file_campaign(inputs: int, seed: int, names: list[str]) -> Iterator[dict[str, object]]:
@@ -102,14 +109,19 @@ def file_campaign(inputs: int, seed: int, names: list[str]) -> Iterator[dict[str
             def read(_: int, target=target, rng=rng, whole=whole, textual=textual) -> None:
                 file = list(whole)[int(rng.integers(len(whole)))]
                 injure = mutate_json if file in textual and rng.random() < 0.7 else mutate
-                data = injure(rng, whole[file]) if injure is mutate_json else mutate(rng, whole[file], True)
+                data = (
+                    injure(rng, whole[file])
+                    if injure is mutate_json
+                    else mutate(rng, whole[file], True)
+                )
                 held.hold(file.name, data)
                 file.write_bytes(data)
                 try:
                     target.read()
                 finally:
                     for path, content in whole.items():
-                        if path == file or path.name == "stats.json":  # written by one of the readers
+                        # written by one of the readers
+                        if path == file or path.name == "stats.json":
                             path.write_bytes(content)
 
             limit_memory()

@@ -1,4 +1,5 @@
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))  # the targets: importlib mode gives test folders no package
+# the targets: importlib mode gives test folders no package
+sys.path.insert(0, str(Path(__file__).parent))

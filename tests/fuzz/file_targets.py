@@ -33,7 +33,9 @@ from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig
 from uniforce_vtla.tokenizer.weights import load_state, save_state
 
 TYPED = (UniForceError,)
-SMALL = TokenizerConfig(side=32, patch=8, width=16, depth=1, decoder_depth=1, heads=2, embed_hidden=0)
+SMALL = TokenizerConfig(
+    side=32, patch=8, width=16, depth=1, decoder_depth=1, heads=2, embed_hidden=0
+)
 HASH = "a" * 64
 
 
@@ -44,12 +46,15 @@ class FileTarget:
     typed: tuple[type[Exception], ...] = TYPED
 
     def __post_init__(self) -> None:
-        for hashes in self.folder.rglob(HASHES):  # they would refuse every injury before a reader meets it
+        # they would refuse every injury before a reader meets it
+        for hashes in self.folder.rglob(HASHES):
             hashes.unlink()
 
     @property
     def files(self) -> list[Path]:
-        return sorted(path for path in self.folder.rglob("*") if path.is_file() and path.stat().st_size)
+        return sorted(
+            path for path in self.folder.rglob("*") if path.is_file() and path.stat().st_size
+        )
 
 
 def dataset(folder: Path) -> FileTarget:
@@ -97,7 +102,9 @@ def tokenizer(folder: Path) -> FileTarget:
     root = Tokenizer.random(SMALL).save(folder / "data")
     image = np.zeros((48, 64), np.uint8)
     image[10:20, 10:20] = 255
-    return FileTarget(root, lambda: Tokenizer.from_pretrained(root).encode(image[None], image[None], "left"))
+    return FileTarget(
+        root, lambda: Tokenizer.from_pretrained(root).encode(image[None], image[None], "left")
+    )
 
 
 def force_head(folder: Path) -> FileTarget:
@@ -110,13 +117,20 @@ def descriptor_head(folder: Path) -> FileTarget:
     config = HeadConfig(channels=len(DESCRIPTOR_NAMES), grid=1, hidden=4, mlp=8)
     DescriptorHead(ForceRegressor(config), "tactip").save(folder / "data")
     seen = np.zeros((2, len(DESCRIPTOR_NAMES)))
-    return FileTarget(folder / "data", lambda: DescriptorHead.from_pretrained("tactip", folder / "data").read(seen))
+    return FileTarget(
+        folder / "data",
+        lambda: DescriptorHead.from_pretrained("tactip", folder / "data").read(seen),
+    )
 
 
 def adapter(folder: Path) -> FileTarget:
     judged = {"small": Agreement(9, (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))}
-    root = Calibration(LatentMap(16, 6).eval(), HASH, HASH, "new", "anchor", 1.0, 0.0, judged).save(folder / "data")
-    return FileTarget(root, lambda: Calibration.load(root, HASH)(Latent.of(torch.zeros(1, 16, 6), HASH)))
+    root = Calibration(LatentMap(16, 6).eval(), HASH, HASH, "new", "anchor", 1.0, 0.0, judged).save(
+        folder / "data"
+    )
+    return FileTarget(
+        root, lambda: Calibration.load(root, HASH)(Latent.of(torch.zeros(1, 16, 6), HASH))
+    )
 
 
 def policy(folder: Path) -> FileTarget:
@@ -125,7 +139,10 @@ def policy(folder: Path) -> FileTarget:
     cameras = ("front", "wrist", "tactile_left", "tactile_right")
     config = small_config(cameras, touch=TouchSettings(input="latent", tokenizer_path=str(stored)))
     one = {name: np.full(5, value) for name, value in (("q01", -1.0), ("q99", 1.0), ("mean", 0.0))}
-    stats = {key: one | {"std": np.ones(5), "min": -np.ones(5), "max": np.ones(5)} for key in (STATE, ACTION)}
+    stats = {
+        key: one | {"std": np.ones(5), "min": -np.ones(5), "max": np.ones(5)}
+        for key in (STATE, ACTION)
+    }
     root = folder / "data"
     parts = (PI05UniforcePolicy(config), *make_processors(config, stats))
     for part in parts:

@@ -14,7 +14,18 @@ END = 2048  # bytes at either end of a file, where formats keep what everything 
 STRANGE: tuple[Any, ...] = (
     *(None, True, False, 0, -1, 1, 2, 255, 2**31, 2**63, 10**30),
     *(0.5, -0.0, 1e308, float("nan"), float("inf")),
-    *("", "x", "..", "../../x", "/etc/passwd", "9" * 40, "\0", "é" * 300, "{0}", "{video_key.__class__}"),
+    *(
+        "",
+        "x",
+        "..",
+        "../../x",
+        "/etc/passwd",
+        "9" * 40,
+        "\0",
+        "é" * 300,
+        "{0}",
+        "{video_key.__class__}",
+    ),
     *([], [[]], [1, 2, 3], {}, {"a": {}}, [None] * 50, ["x"] * 3, [10**12], [[[[[[]]]]]]),
 )
 

@@ -30,18 +30,29 @@ SEED = os.environ.get("UNIFORCE_FUZZ_SEED", "0")
 RESULTS = os.environ.get("UNIFORCE_FUZZ_RESULTS", "")
 ASKED = set(filter(None, os.environ.get("UNIFORCE_FUZZ_TARGETS", "").split(",")))
 EVERY = {"bytes": tuple(BYTE_TARGETS), "files": tuple(FILE_TARGETS)}
-TARGETS = {group: [name for name in names if not ASKED or name in ASKED] for group, names in EVERY.items()}
+TARGETS = {
+    group: [name for name in names if not ASKED or name in ASKED] for group, names in EVERY.items()
+}
 MOST_MB = {"bytes": 64, "files": 512}  # of resident memory beyond what the sound inputs took
 
 
 @pytest.fixture(scope="module", params=TARGETS)
-def campaign(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Any]:
+def campaign(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[str, Any]:
     """(group, counts by target) of a process that went through every target of a group."""
     group, folder = request.param, tmp_path_factory.mktemp("input")
     last, said = folder / "last", folder / "stderr"
     if not TARGETS[group]:
         pytest.skip(f"none of {sorted(ASKED)} reads {group}")
-    command = [sys.executable, str(HERE / "campaign.py"), group, str(SHARE[group]), SEED, *TARGETS[group]]
+    command = [
+        sys.executable,
+        str(HERE / "campaign.py"),
+        group,
+        str(SHARE[group]),
+        SEED,
+        *TARGETS[group],
+    ]
     environment = {
         **os.environ,
         "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
@@ -50,7 +61,9 @@ def campaign(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     found = []
     with (
         said.open("w") as stderr,
-        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True, env=environment) as process,
+        subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=stderr, text=True, env=environment
+        ) as process,
     ):
         assert process.stdout is not None
         for line in process.stdout:
@@ -86,7 +99,9 @@ def test_every_target_survives(campaign: tuple[str, Any]) -> None:
         assert count["inputs"] == SHARE[group] == count["refused"] + count["accepted"]
         assert count["grown_MB"] < MOST_MB[group], name
         assert count["refused"] or not refuses(group, name), name
-        assert count["accepted"] or group == "files", f"{name}: nothing was tested if nothing makes sense"
+        assert count["accepted"] or group == "files", (
+            f"{name}: nothing was tested if nothing makes sense"
+        )
 
 
 def refuses(group: str, name: str) -> bool:

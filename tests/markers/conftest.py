@@ -56,7 +56,10 @@ def _dome(
     rng, (width, height) = np.random.default_rng(seed), size
     s, centre = height / 480, np.array([width / 2 + 8, height / 2 - 5])
     y, x = np.mgrid[:height, :width]
-    distance, angle = np.hypot(x - centre[0], y - centre[1]) / s, np.arctan2(y - centre[1], x - centre[0])
+    distance, angle = (
+        np.hypot(x - centre[0], y - centre[1]) / s,
+        np.arctan2(y - centre[1], x - centre[0]),
+    )
     points, radius = _fisheye_hexagon(rings)
     points = points * 200 * s
     if pressed:  # pins move outwards and thin out where a dome is pressed
@@ -67,26 +70,50 @@ def _dome(
     for (px, py), r in zip(points, radius, strict=True):
         pin_px = max(1.5, (4.6 - 1.6 * r) * s * (10 / rings) ** 0.6)
         at = round(px * 16), round(py * 16)
-        cv2.circle(pins, at, round(pin_px * 16), brightness * (1 - 0.45 * r), cv2.FILLED, cv2.LINE_AA, 4)
+        cv2.circle(
+            pins, at, round(pin_px * 16), brightness * (1 - 0.45 * r), cv2.FILLED, cv2.LINE_AA, 4
+        )
     pins = cv2.GaussianBlur(pins, (0, 0), s)
-    frame = (14 + 18 * np.exp(-((distance / 180) ** 2)))[..., None] + pins[..., None] * (0.75, 0.85, 1.0)
+    frame = (14 + 18 * np.exp(-((distance / 180) ** 2)))[..., None] + pins[..., None] * (
+        0.75,
+        0.85,
+        1.0,
+    )
     if rim == "ring":
-        frame += (np.exp(-(((distance - 228) / 5) ** 2)) * 200 * (0.55 + 0.45 * np.sin(3 * angle)))[..., None]
+        frame += (np.exp(-(((distance - 228) / 5) ** 2)) * 200 * (0.55 + 0.45 * np.sin(3 * angle)))[
+            ..., None
+        ]
     elif rim == "arcs":
-        frame += (np.exp(-(((distance - 230) / 5) ** 2)) * 220 * (np.sin(14 * angle) > 0))[..., None]
+        frame += (np.exp(-(((distance - 230) / 5) ** 2)) * 220 * (np.sin(14 * angle) > 0))[
+            ..., None
+        ]
     elif rim == "bright outside":
         frame[distance > 226] = (190, 195, 200)
     for i in range(reflections):
         a = 2 * np.pi * i / reflections
         at = centre + 150 * s * np.array([np.cos(a), np.sin(a)])
         axes = round(11 * s), round(6 * s)
-        cv2.ellipse(frame, (int(at[0]), int(at[1])), axes, np.degrees(a), 0, 360, (255, 255, 255), cv2.FILLED)
+        cv2.ellipse(
+            frame,
+            (int(at[0]), int(at[1])),
+            axes,
+            np.degrees(a),
+            0,
+            360,
+            (255, 255, 255),
+            cv2.FILLED,
+        )
     frame += rng.normal(0, 4, frame.shape)
     return Scene(np.clip(frame, 0, 255).astype(np.uint8), _to_canonical_px(points, size))
 
 
 def _fisheye_hexagon(rings: int) -> tuple[np.ndarray, np.ndarray]:
-    axial = [(q, r) for q in range(-rings, rings + 1) for r in range(-rings, rings + 1) if abs(q + r) <= rings]
+    axial = [
+        (q, r)
+        for q in range(-rings, rings + 1)
+        for r in range(-rings, rings + 1)
+        if abs(q + r) <= rings
+    ]
     points = np.array([(q + r / 2, r * np.sqrt(3) / 2) for q, r in axial]) / rings
     radius = np.hypot(*points.T)
     squeeze = np.sin(radius * 1.15) / np.sin(1.15) / np.maximum(radius, 1e-9)
@@ -125,7 +152,9 @@ def _gel(
 
 def _ink(points: np.ndarray, half: float, shape: str, size: tuple[int, int]) -> np.ndarray:
     ink = np.zeros(size[::-1], np.float32)
-    wide, tall = {"square": (half, half), "dash": (1.3 * half, 0.45 * half), "dot": (half, half)}[shape]
+    wide, tall = {"square": (half, half), "dash": (1.3 * half, 0.45 * half), "dot": (half, half)}[
+        shape
+    ]
     for x, y in points:
         if shape == "dot":
             cv2.circle(ink, (int(x), int(y)), round(half), 1.0, cv2.FILLED)

@@ -11,7 +11,9 @@ from uniforce_vtla.errors import ContractError, SensorError
 from uniforce_vtla.markers import Canonicalizer
 
 
-def missed_and_false(truth: np.ndarray, found: np.ndarray, within_px: float = 4.0) -> tuple[int, int]:
+def missed_and_false(
+    truth: np.ndarray, found: np.ndarray, within_px: float = 4.0
+) -> tuple[int, int]:
     """Count true markers that nothing was found at, and found ones that aren't there."""
     missed = int((cKDTree(found).query(truth)[0] > within_px).sum())
     return missed, int((cKDTree(truth).query(found)[0] > within_px).sum())
@@ -51,7 +53,9 @@ def test_pressed_dome_moves_its_pins_outwards(dome):
 
 def test_dim_pins_beside_a_bright_rim(dome):
     scene = dome(brightness=80.0)
-    assert max(missed_and_false(scene.centres_px, Canonicalizer("tactip").markers(scene.frame))) <= 6
+    assert (
+        max(missed_and_false(scene.centres_px, Canonicalizer("tactip").markers(scene.frame))) <= 6
+    )
 
 
 GELS = {
@@ -71,14 +75,18 @@ GELS = {
 @pytest.mark.parametrize("name", GELS)
 def test_gel_markers_of_either_polarity(gel, name):
     scene = gel(**GELS[name])
-    missed, false = missed_and_false(scene.centres_px, Canonicalizer("gelsight").markers(scene.frame))
+    missed, false = missed_and_false(
+        scene.centres_px, Canonicalizer("gelsight").markers(scene.frame)
+    )
     assert missed <= 1 and false <= 1
 
 
 @pytest.mark.parametrize("name", ["80 squares", "266 dots", "80 dashes", "64 bright dots"])
 def test_specular_streak_invents_nothing(gel, name):
     scene = gel(**GELS[name], streak=True)
-    missed, false = missed_and_false(scene.centres_px, Canonicalizer("gelsight").markers(scene.frame), 6.0)
+    missed, false = missed_and_false(
+        scene.centres_px, Canonicalizer("gelsight").markers(scene.frame), 6.0
+    )
     assert missed <= 5 and false <= 4  # the streak covers up to five markers and may split some
 
 
@@ -92,7 +100,12 @@ def test_mask_covers_the_markers(gel):
 def test_one_canonicalizer_serves_different_gels(gel, dome):
     """A plan learnt from one frame must not spoil the next."""
     canon = Canonicalizer("gelsight")
-    for scene in (gel(), dome(rings=6, rim="none"), gel(grid=(8, 8), shape="dot", dark=False), gel()):
+    for scene in (
+        gel(),
+        dome(rings=6, rim="none"),
+        gel(grid=(8, 8), shape="dot", dark=False),
+        gel(),
+    ):
         assert max(missed_and_false(scene.centres_px, canon.markers(scene.frame))) <= 2
 
 

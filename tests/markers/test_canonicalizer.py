@@ -19,7 +19,12 @@ from uniforce_vtla.errors import ContractError, SensorError
 from uniforce_vtla.markers import Canonicalizer
 from uniforce_vtla.markers.identity import outline, why_not
 from uniforce_vtla.markers.reference import capture_taxel_reference
-from uniforce_vtla.markers.registration import is_nominal, nominal_zoom, points_to_nominal_scale, to_nominal_scale
+from uniforce_vtla.markers.registration import (
+    is_nominal,
+    nominal_zoom,
+    points_to_nominal_scale,
+    to_nominal_scale,
+)
 from uniforce_vtla.sensors import get_sensor, list_sensors
 
 COUNTS = np.random.default_rng(0).integers(15_000, 38_000, (16, 3))
@@ -31,7 +36,9 @@ def raw_pair(sensor: str) -> tuple[np.ndarray, np.ndarray]:
         return free, free + np.array([0.3, -0.2, 0.5])
     if get_sensor(sensor).signal == "taxel":
         free = COUNTS if sensor == "uskin" else np.zeros(get_sensor(sensor).raw_shape, int)
-        return free, free + (np.array([50, -30, 800]) / get_sensor(sensor).taxels.worth).round().astype(int)
+        return free, free + (
+            np.array([50, -30, 800]) / get_sensor(sensor).taxels.worth
+        ).round().astype(int)
     free, _, pressed = frame_cycle(sensor, Scene(rest_s=0.1, press_s=0.2), 10.0)
     return free, pressed
 
@@ -92,7 +99,9 @@ def uskin_scans(path: Path) -> np.ndarray:
 
 
 @pytest.mark.real
-@pytest.mark.parametrize("log, finger", [("xela_sensor1.csv", "left"), ("xela_sensor2.csv", "right")])
+@pytest.mark.parametrize(
+    "log, finger", [("xela_sensor1.csv", "left"), ("xela_sensor2.csv", "right")]
+)
 def test_all_real_trials_are_rendered(real_folder: Path, log: str, finger: str):
     trials = sorted((real_folder / "uskin_bilateral_slip" / "data_set").iterdir())
     assert len(trials) == 7
@@ -104,12 +113,15 @@ def test_all_real_trials_are_rendered(real_folder: Path, log: str, finger: str):
         reference = capture_taxel_reference(scans[-FREE_SCANS:]) if own else borrowed
         canon = Canonicalizer("uskin")
         pairs = [canon.pair(reference, scan, finger) for scan in scans]
-        assert (pairs[0].current > 0).sum() > (pairs[0].reference > 0).sum()  # the grasp holds from the start
+        # the grasp holds from the start
+        assert (pairs[0].current > 0).sum() > (pairs[0].reference > 0).sum()
 
 
 @pytest.mark.real
 def test_free_air_and_held_scans_look_different(real_folder: Path):
-    scans = uskin_scans(real_folder / "uskin_bilateral_slip" / "data_set" / DROPPED[1] / "xela_sensor1.csv")
+    scans = uskin_scans(
+        real_folder / "uskin_bilateral_slip" / "data_set" / DROPPED[1] / "xela_sensor1.csv"
+    )
     reference = capture_taxel_reference(scans[-FREE_SCANS:])
     canon = Canonicalizer("uskin")
     canon.set_reference(reference)
@@ -124,7 +136,9 @@ def test_the_known_sensors_stay_as_they_are(name: str) -> None:
     assert is_nominal(spec) and to_nominal_scale(image, spec) is image
 
 
-@pytest.mark.parametrize(("name", "px_per_mm"), [("gelsight", 15.0), ("gelsight", 30.0), ("tactip", 14.0)])
+@pytest.mark.parametrize(
+    ("name", "px_per_mm"), [("gelsight", 15.0), ("gelsight", 30.0), ("tactip", 14.0)]
+)
 def test_another_lens_over_the_same_gel_looks_nominal(name: str, px_per_mm: float) -> None:
     nominal = as_virtual(name)
     spec = replace(nominal.spec, px_per_mm=(px_per_mm, px_per_mm))
@@ -140,7 +154,9 @@ def test_another_lens_over_the_same_gel_looks_nominal(name: str, px_per_mm: floa
 
 
 @examples(30)
-@given(zoom=st.floats(0.6, 1.7), x=st.integers(250, 390), y=st.integers(180, 300), taxel=st.booleans())
+@given(
+    zoom=st.floats(0.6, 1.7), x=st.integers(250, 390), y=st.integers(180, 300), taxel=st.booleans()
+)
 def test_a_marker_goes_where_its_point_goes(zoom: float, x: int, y: int, taxel: bool) -> None:
     base = get_sensor("uskin" if taxel else "gelsight")
     spec = replace(base, px_per_mm=(24.0 / zoom, 24.0 / zoom))
@@ -152,17 +168,23 @@ def test_a_marker_goes_where_its_point_goes(zoom: float, x: int, y: int, taxel: 
     assert nominal_zoom(spec) == ((1.0, 1.0) if taxel else pytest.approx((zoom, zoom)))
 
 
-def test_the_canonicalizer_brings_a_new_cameras_images_to_scale(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_canonicalizer_brings_a_new_cameras_images_to_scale(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     simulator = TactileSimulator("gelsight", seed=0)
     raw = simulator.raw_reference()
     plain = Canonicalizer("gelsight")
     zoomed = Canonicalizer("gelsight")
-    zoomed.spec = replace(zoomed.spec, px_per_mm=(20.0, 20.0))  # as a registry entry with another lens would
+    # as a registry entry with another lens would
+    zoomed.spec = replace(zoomed.spec, px_per_mm=(20.0, 20.0))
     image, again = plain.marker_image(raw), zoomed.marker_image(raw)
-    assert np.array_equal(again, to_nominal_scale(image, zoomed.spec)) and not np.array_equal(image, again)
+    assert np.array_equal(again, to_nominal_scale(image, zoomed.spec)) and not np.array_equal(
+        image, again
+    )
     pairs = [canonicalizer.pair(raw, raw, "left") for canonicalizer in (plain, zoomed)]
     overlap = (pairs[0].current > 0) & (pairs[1].current > 0)
-    assert overlap.sum() > 0.95 * (pairs[0].current > 0).sum()  # with a reference the scale is measured
+    # with a reference the scale is measured
+    assert overlap.sum() > 0.95 * (pairs[0].current > 0).sum()
     spread = [np.ptp(c.markers(raw), axis=0) for c in (plain, zoomed)]
     assert np.allclose(spread[1] / spread[0], 1.2, atol=0.02)
 

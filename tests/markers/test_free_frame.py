@@ -24,7 +24,9 @@ def pressed(centres_px: np.ndarray, place: tuple[float, float], by_px: float) ->
     return centres_px + by_px * width * away / WIDTH_px
 
 
-def clipped_on(centres_px: np.ndarray, turn_rad: float, shift_px: tuple[float, float]) -> np.ndarray:
+def clipped_on(
+    centres_px: np.ndarray, turn_rad: float, shift_px: tuple[float, float]
+) -> np.ndarray:
     cos, sin = np.cos(turn_rad), np.sin(turn_rad)
     return centres_px @ np.array([[cos, sin], [-sin, cos]]) + shift_px
 
@@ -44,7 +46,12 @@ def film(pad: np.ndarray, held: str, number: int, free_at: int | None = 0, frame
 
 def test_the_free_frame_is_the_one_that_comes_back_with_other_objects() -> None:
     one = pattern(1)
-    films = [film(one, "ball", 0, 0), film(one, "mug", 1, 3), film(one, "lemon", 2, 5), film(one, "walnut", 3, None)]
+    films = [
+        film(one, "ball", 0, 0),
+        film(one, "mug", 1, 3),
+        film(one, "lemon", 2, 5),
+        film(one, "walnut", 3, None),
+    ]
     found, free = pads(films)
     assert len(found) == 1 and found[0].films == (0, 1, 2, 3)
     frames = [None if frame is None else frame.frame for frame in free]
@@ -57,7 +64,9 @@ def test_the_free_frame_is_the_one_that_comes_back_with_other_objects() -> None:
 def test_a_frame_is_borrowed_of_the_same_object_first_and_of_no_other_pad() -> None:
     one = pattern(1)
     films = [film(one, held, number) for number, held in enumerate(("ball", "mug", "lemon"))]
-    films += [film(one, held, 3 + number, None) for number, held in enumerate(("mug", "lemon", "walnut"))]
+    films += [
+        film(one, held, 3 + number, None) for number, held in enumerate(("mug", "lemon", "walnut"))
+    ]
     films.append(film(pattern(2), "ball", 6, None))
     found, free = pads(films)
     lent = [None if frame is None else frame.film for frame in borrowed(films, found, free)]
@@ -73,7 +82,9 @@ def test_a_grasp_that_is_repeated_with_one_object_is_not_taken_for_free_air() ->
 
 def test_pads_of_one_layout_are_told_apart_by_their_print() -> None:
     films = [
-        film(pattern(seed), held, number) for number, held in enumerate(("ball", "mug", "lemon")) for seed in (1, 2)
+        film(pattern(seed), held, number)
+        for number, held in enumerate(("ball", "mug", "lemon"))
+        for seed in (1, 2)
     ]
     found, free = pads(films)
     assert sorted(pad.films for pad in found) == [(0, 2, 4), (1, 3, 5)]

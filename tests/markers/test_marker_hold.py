@@ -15,7 +15,9 @@ from uniforce_vtla.markers.camera_markers import segment
 from uniforce_vtla.markers.marker_hold import HOLD_FRAMES, MarkerHold
 
 SPACING_px = 20.0
-GRID_px = np.stack(np.meshgrid(np.arange(40, 600, SPACING_px), np.arange(40, 440, SPACING_px)), -1).reshape(-1, 2)
+GRID_px = np.stack(
+    np.meshgrid(np.arange(40, 600, SPACING_px), np.arange(40, 440, SPACING_px)), -1
+).reshape(-1, 2)
 
 
 def drawn(points_px: np.ndarray) -> np.ndarray:
@@ -33,7 +35,9 @@ def filled(hold: MarkerHold, points_px: np.ndarray) -> tuple[np.ndarray, int]:
 
 def pressed(frames: int) -> ContactState:
     """Return a press that grows slowly, as seen from frame to frame at 30 Hz."""
-    gap = flat_face_gap(np.zeros((frames, 2)), np.full((frames, 2), 15.0), np.zeros(frames), np.zeros((frames, 2)))
+    gap = flat_face_gap(
+        np.zeros((frames, 2)), np.full((frames, 2), 15.0), np.zeros(frames), np.zeros((frames, 2))
+    )
     force_N = np.stack([np.array([0.5, 0, 4]) * share for share in np.linspace(0.1, 1, frames)])
     return ContactState(gap, force_N.astype(np.float32), np.zeros(frames, np.float32))
 
@@ -72,7 +76,8 @@ def test_a_camera_that_moved_since_its_reference_shows_no_old_markers() -> None:
     moved = WornView(wear("tactip:1+shift=2+flicker=0")(0), seed=1, stream=True)
     alone = WornView(wear("tactip:1+shift=2+flicker=0")(0), seed=1)
     drawn_px = [(view.images(free_air(3))[2] > 0).sum() for view in (moved, alone)]
-    assert abs(drawn_px[0] / drawn_px[1] - 1) < 0.02  # the third look in free air may become the new reference
+    # the third look in free air may become the new reference
+    assert abs(drawn_px[0] / drawn_px[1] - 1) < 0.02
 
 
 def test_a_stream_with_missed_markers_shows_what_one_without_shows() -> None:
@@ -81,9 +86,15 @@ def test_a_stream_with_missed_markers_shows_what_one_without_shows() -> None:
         WornView(wear(f"tactip:1+flicker={flicker}")(0), seed=1, stream=stream)
         for flicker, stream in ((0, False), (0.2, False), (0.2, True))
     )
-    assert np.mean(held.reference != whole.reference) < 0.01 < np.mean(missing.reference != whole.reference)
+    assert (
+        np.mean(held.reference != whole.reference)
+        < 0.01
+        < np.mean(missing.reference != whole.reference)
+    )
     expected = whole.images(contact)[4:]
-    off = [np.mean(view.images(contact)[4:] != expected, axis=(1, 2)).max() for view in (held, missing)]
+    off = [
+        np.mean(view.images(contact)[4:] != expected, axis=(1, 2)).max() for view in (held, missing)
+    ]
     assert off[0] < off[1] / 3
 
 
@@ -108,7 +119,9 @@ def test_what_is_held_needs_no_look_at_other_channels(monkeypatch: pytest.Monkey
     stream.set_reference(raw)
     stream.marker_image(raw)
     looks = []
-    monkeypatch.setattr(marker_reference, "segment", lambda *given: looks.append(given) or segment(*given))
+    monkeypatch.setattr(
+        marker_reference, "segment", lambda *given: looks.append(given) or segment(*given)
+    )
     lacking = raw.copy()
     lacking[:, :270] = np.median(raw, axis=(0, 1)).astype(np.uint8)
     stream.marker_image(lacking)

@@ -17,7 +17,11 @@ from uniforce_vtla.errors import ContractError, SensorError
 from uniforce_vtla.markers import Canonicalizer
 from uniforce_vtla.markers.camera_markers import fit_canonical, segment
 from uniforce_vtla.markers.marker_reference import REFUSE_SHARE, between_markers
-from uniforce_vtla.markers.reference import ReferenceMemory, capture_camera_reference, capture_taxel_reference
+from uniforce_vtla.markers.reference import (
+    ReferenceMemory,
+    capture_camera_reference,
+    capture_taxel_reference,
+)
 from uniforce_vtla.sensors import get_sensor
 from uniforce_vtla.sensors.layouts import rectangular
 
@@ -80,9 +84,15 @@ def test_clean_contacts_are_read_as_without_a_reference(sensor: str) -> None:
 def test_coloured_reflections_are_looked_through(seed: int) -> None:
     gel = as_virtual("gelsight")
     spec = replace(
-        gel.spec, name="dots", layout_mm=rectangular(5, 5, (2.0, 2.0)), marker_shape="disc", marker_size_mm=0.9
+        gel.spec,
+        name="dots",
+        layout_mm=rectangular(5, 5, (2.0, 2.0)),
+        marker_shape="disc",
+        marker_size_mm=0.9,
     )
-    reference = TactileSimulator(VirtualSensor(spec, gel.material, like="gelsight"), seed=0).raw_reference()
+    reference = TactileSimulator(
+        VirtualSensor(spec, gel.material, like="gelsight"), seed=0
+    ).raw_reference()
     rng, (y, x) = np.random.default_rng(seed), np.mgrid[:480, :640]
     frame = reference * np.float32(0.5)
     for lobe in range(24):  # eight each in red, green and blue
@@ -95,7 +105,10 @@ def test_coloured_reflections_are_looked_through(seed: int) -> None:
 
 def test_lost_markers_are_warned_of_once_and_then_refused() -> None:
     reference = TactileSimulator("gelsight", seed=0).raw_reference()
-    canonicalizer, blurred = remembering("gelsight", reference), cv2.GaussianBlur(reference, (0, 0), 25)
+    canonicalizer, blurred = (
+        remembering("gelsight", reference),
+        cv2.GaussianBlur(reference, (0, 0), 25),
+    )
 
     def half_blind(share: float) -> np.ndarray:
         frame = reference.copy()
@@ -109,14 +122,18 @@ def test_lost_markers_are_warned_of_once_and_then_refused() -> None:
         warnings.simplefilter("error")
         canonicalizer.marker_image(half_blind(0.1))
     for share, left in ((0.5, 40), (0.75, 16)):
-        with pytest.raises(SensorError, match=f"expected the 80 markers of the reference, got {left} of them"):
+        with pytest.raises(
+            SensorError, match=f"expected the 80 markers of the reference, got {left} of them"
+        ):
             canonicalizer.marker_image(half_blind(share))
 
 
 @pytest.mark.parametrize("sensor", CAMERAS)
 def test_a_plot_is_no_reference(sensor: str) -> None:
     plot = np.full((480, 640, 3), 255, np.uint8)
-    for x, y in np.stack(np.meshgrid(np.arange(6, 640, 14), np.arange(6, 480, 10)), axis=-1).reshape(-1, 2):
+    for x, y in np.stack(
+        np.meshgrid(np.arange(6, 640, 14), np.arange(6, 480, 10)), axis=-1
+    ).reshape(-1, 2):
         cv2.circle(plot, (int(x), int(y)), 2, (20, 20, 160), cv2.FILLED)
     with pytest.raises(SensorError, match=r"reference frame: expected .* markers, got 2"):
         remembering(sensor, plot)
@@ -129,7 +146,10 @@ def test_reflections_between_pins_are_dropped(known: bool) -> None:
     simulator = TactileSimulator("tactip", seed=0)
     pins_px = simulator.markers_px(free_air(1))[0][0]
     triples = pins_px[cKDTree(pins_px).query(pins_px[:64:13], k=3)[1]].mean(axis=1)
-    clean, *pressed = simulator.raw_reference(), *simulator.raw_frames(loaded(6, share=0.1 if known else 0.03))
+    clean, *pressed = (
+        simulator.raw_reference(),
+        *simulator.raw_frames(loaded(6, share=0.1 if known else 0.03)),
+    )
 
     def lit(frame: np.ndarray) -> np.ndarray:
         for at in np.rint(triples).astype(int).tolist():
@@ -177,7 +197,8 @@ def test_a_steady_touch_is_refused_against_a_resting_level_only():
     pressed = [scan + np.array([0, 0, 900]) for scan in steady()]
     with pytest.raises(SensorError, match="resting level"):
         capture_taxel_reference(pressed, resting_level=FREE)
-    assert capture_taxel_reference(pressed).shape == (16, 3)  # it can't be known from the scans alone
+    # it can't be known from the scans alone
+    assert capture_taxel_reference(pressed).shape == (16, 3)
 
 
 def test_dead_scans_are_no_reference():
@@ -185,7 +206,9 @@ def test_dead_scans_are_no_reference():
         capture_taxel_reference([np.zeros((16, 3), np.int64)] * 5)
 
 
-@pytest.mark.parametrize("scans", [[], [FREE], [FREE, FREE], [FREE, FREE, FREE.astype(float)], [FREE[:3]] * 4])
+@pytest.mark.parametrize(
+    "scans", [[], [FREE], [FREE, FREE], [FREE, FREE, FREE.astype(float)], [FREE[:3]] * 4]
+)
 def test_too_few_or_malformed_scans(scans):
     with pytest.raises(ContractError):
         capture_taxel_reference(scans)
@@ -215,7 +238,9 @@ def test_missed_markers_are_no_motion(dome):
     whole, rng = dome(rings=6), np.random.default_rng(0)
     frames = [whole.frame.copy() for _ in range(10)]
     for frame in frames:
-        for x, y in np.rint(whole.centres_px[rng.random(len(whole.centres_px)) < 0.2]).astype(int).tolist():
+        for x, y in (
+            np.rint(whole.centres_px[rng.random(len(whole.centres_px)) < 0.2]).astype(int).tolist()
+        ):
             frame[y - 9 : y + 10, x - 9 : x + 10] = np.median(whole.frame, axis=(0, 1))
     reference = capture_camera_reference(frames, _centres(frames, "tactip"))
     assert len(Canonicalizer("tactip").markers(reference)) >= 0.98 * len(whole.centres_px)
@@ -263,7 +288,12 @@ def test_specks_of_a_fuzzy_object_do_not_outvote_the_markers(specks: int, radius
     """How large a marker is the reference says, and not what most blobs of a frame are."""
     raw = TactileSimulator("gelsight", seed=0).raw_reference()
     frame = raw.copy()
-    for column, row in np.random.default_rng(specks).uniform([150, 100], [500, 380], (specks, 2)).astype(int).tolist():
+    for column, row in (
+        np.random.default_rng(specks)
+        .uniform([150, 100], [500, 380], (specks, 2))
+        .astype(int)
+        .tolist()
+    ):
         cv2.circle(frame, (column, row), radius_px, (raw[row, column] // 3).tolist(), cv2.FILLED)
     canonicalizer = remembering("gelsight", raw)
     canonicalizer.marker_image(frame)
@@ -272,11 +302,15 @@ def test_specks_of_a_fuzzy_object_do_not_outvote_the_markers(specks: int, radius
 
 
 @pytest.mark.parametrize("size", [(320, 240), (480, 640), (640, 360)])
-def test_a_frame_of_another_size_than_the_reference_is_refused_until_the_reference_is_taken_again(gel, size) -> None:
+def test_a_frame_of_another_size_than_the_reference_is_refused_until_the_reference_is_taken_again(
+    gel, size
+) -> None:
     """A camera set to another size may crop: its markers would lie elsewhere, which passes for shear."""
     canonicalizer = remembering("gelsight", gel().frame)
     other = gel(size=size).frame
-    with pytest.raises(ContractError, match=r"current frame: expected \(480, 640, 3\), got .* reference again"):
+    with pytest.raises(
+        ContractError, match=r"current frame: expected \(480, 640, 3\), got .* reference again"
+    ):
         canonicalizer.marker_image(other)
     with pytest.raises(ContractError, match="current frame"):
         canonicalizer.pair(gel().frame, other, "left")

@@ -24,10 +24,16 @@ def test_mirror_flips_columns_only_and_torch_agrees(image):
     assert np.array_equal(to_canonical(torch.from_numpy(image), "right").numpy(), flipped)
 
 
-@given(hnp.arrays(np.float64, hnp.array_shapes(max_dims=2).map(lambda s: (*s, 3)), elements=st.floats(-20, 20)))
+@given(
+    hnp.arrays(
+        np.float64, hnp.array_shapes(max_dims=2).map(lambda s: (*s, 3)), elements=st.floats(-20, 20)
+    )
+)
 def test_force_mirror_negates_x_of_the_right_finger_only(force_N):
     own = to_finger_frame(force_N, "right")
-    assert np.allclose(own[..., 0], -force_N[..., 0]) and np.array_equal(own[..., 1:], force_N[..., 1:])
+    assert np.allclose(own[..., 0], -force_N[..., 0]) and np.array_equal(
+        own[..., 1:], force_N[..., 1:]
+    )
     assert np.allclose(to_finger_frame(own, "right"), force_N)
     assert to_finger_frame(force_N, "left") is force_N
 

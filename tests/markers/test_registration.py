@@ -11,7 +11,9 @@ from uniforce_vtla.markers.canonicalizer import Canonicalizer
 from uniforce_vtla.markers.registration import drawn_px, find_view, seen_from
 from uniforce_vtla.sensors import get_sensor
 
-ASKEW = UnitVariation(view_shift_mm=(0.9, -0.7), view_turn_rad=0.09, view_scale=1.05, tilt=(0.03, -0.02))
+ASKEW = UnitVariation(
+    view_shift_mm=(0.9, -0.7), view_turn_rad=0.09, view_scale=1.05, tilt=(0.03, -0.02)
+)
 CAMERAS = pytest.mark.parametrize("sensor", ["gelsight", "tactip"])
 
 
@@ -49,13 +51,16 @@ def test_another_pattern_stays_where_it_is() -> None:
     gelsight, tactip = get_sensor("gelsight"), get_sensor("tactip")
     assert find_view(drawn_px(tactip), gelsight) is None  # another number
     rng = np.random.default_rng(0)
-    assert find_view(rng.uniform((0, 0), (640, 480), (len(tactip.layout_mm), 2)), tactip) is None  # no such pattern
+    # no such pattern
+    assert find_view(rng.uniform((0, 0), (640, 480), (len(tactip.layout_mm), 2)), tactip) is None
 
 
 @CAMERAS
 def test_the_canonicalizer_takes_the_mounting_out_of_raw_frames(sensor: str) -> None:
     spec = get_sensor(sensor)
-    straight, askew = (TactileSimulator(sensor, unit, seed=0) for unit in (replace(ASKEW, **STRAIGHT), ASKEW))
+    straight, askew = (
+        TactileSimulator(sensor, unit, seed=0) for unit in (replace(ASKEW, **STRAIGHT), ASKEW)
+    )
     seen = []
     for simulator in (straight, askew):
         canonicalizer = Canonicalizer(sensor)
@@ -64,7 +69,12 @@ def test_the_canonicalizer_takes_the_mounting_out_of_raw_frames(sensor: str) -> 
     assert iou(*seen) > 0.75 > iou(straight.reference(), askew.reference()), spec.name
 
 
-STRAIGHT = {"view_shift_mm": (0.0, 0.0), "view_turn_rad": 0.0, "view_scale": 1.0, "tilt": (0.0, 0.0)}
+STRAIGHT = {
+    "view_shift_mm": (0.0, 0.0),
+    "view_turn_rad": 0.0,
+    "view_scale": 1.0,
+    "tilt": (0.0, 0.0),
+}
 
 
 def iou(one: np.ndarray, two: np.ndarray) -> float:
@@ -79,4 +89,7 @@ def test_an_image_is_moved_as_its_points_are() -> None:
     moved = seen_from(simulator.reference(), view)
     assert set(np.unique(moved)) == {0, 255}
     rows, columns = np.nonzero(moved)
-    assert cKDTree(drawn_px(spec)).query(np.c_[columns, rows])[0].max() < spec.marker_size_mm * spec.px_per_mm[0]
+    assert (
+        cKDTree(drawn_px(spec)).query(np.c_[columns, rows])[0].max()
+        < spec.marker_size_mm * spec.px_per_mm[0]
+    )

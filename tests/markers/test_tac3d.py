@@ -51,7 +51,9 @@ def test_one_point_moves_its_marker_by_a_quarter_and_points_that_part_make_marke
     assert 1.06 < white(parted) / white(FREE) < 1.14  # 5 % longer each way
 
 
-@pytest.mark.parametrize("raw", [FREE[:, :2], FREE.astype(np.int32), FREE[:16], FREE + np.nan, FREE + 30, None])
+@pytest.mark.parametrize(
+    "raw", [FREE[:, :2], FREE.astype(np.int32), FREE[:16], FREE + np.nan, FREE + 30, None]
+)
 def test_what_is_no_displacement_breaks_the_contract(raw: object) -> None:
     with pytest.raises(ContractError, match="tac3d reference: expected"):
         Canonicalizer("tac3d").set_reference(raw)  # type: ignore[arg-type]
@@ -64,16 +66,21 @@ def test_a_dead_stream_and_a_pressed_reference_are_refused() -> None:
         Canonicalizer("tac3d").pair(moved(0, 0, 0.3), FREE, finger="left")
     simulator = TactileSimulator("tac3d")
     with pytest.raises(SensorError, match="in contact"):
-        Canonicalizer("tac3d").pair(simulator.raw_frames(pressed(0, 0, 3.0))[0], simulator.raw_reference(), "left")
+        Canonicalizer("tac3d").pair(
+            simulator.raw_frames(pressed(0, 0, 3.0))[0], simulator.raw_reference(), "left"
+        )
 
 
 def test_simulated_raw_points_are_drawn_as_the_simulator_draws_them() -> None:
     simulator = TactileSimulator("tac3d", options=ContactOptions().quiet())
     raw = simulator.raw_frames(pressed(1.0, -1.0, 6.0))[0]
-    assert raw.shape == (400, 3) and raw[:, 2].max() > 0.1 and raw[:, 0].mean() > 0 > raw[:, 1].mean()
+    assert (
+        raw.shape == (400, 3) and raw[:, 2].max() > 0.1 and raw[:, 0].mean() > 0 > raw[:, 1].mean()
+    )
     free = np.full((400, 3), 1e-9)  # noiseless, and not dead
     assert np.array_equal(
-        Canonicalizer("tac3d").pair(free, raw, "left").current, simulator.marker_images(pressed(1.0, -1.0, 6.0))[0]
+        Canonicalizer("tac3d").pair(free, raw, "left").current,
+        simulator.marker_images(pressed(1.0, -1.0, 6.0))[0],
     )
 
 
@@ -81,14 +88,23 @@ def test_a_head_of_another_sensor_reads_its_grip_and_shear() -> None:
     simulator, tokenizer = TactileSimulator("tac3d"), Tokenizer.from_pretrained()
     head, free = ForceHead.from_pretrained("gelsight"), simulator.raw_reference()
     loads = ((0.0, 0.0, 3.0), (2.0, 0.0, 6.0), (0.0, 2.0, 10.0))
-    pairs = [Canonicalizer("tac3d").pair(free, simulator.raw_frames(pressed(*load))[0], "left") for load in loads]
+    pairs = [
+        Canonicalizer("tac3d").pair(free, simulator.raw_frames(pressed(*load))[0], "left")
+        for load in loads
+    ]
     read_N = np.array([head(tokenizer.encode(pair))[0].numpy() for pair in pairs])
-    assert np.allclose(read_N, loads, atol=4) and np.corrcoef(read_N.ravel(), np.ravel(loads))[0, 1] > 0.9
+    assert (
+        np.allclose(read_N, loads, atol=4)
+        and np.corrcoef(read_N.ravel(), np.ravel(loads))[0, 1] > 0.9
+    )
 
 
 def test_units_are_worn_and_wipe() -> None:
     view = WornView(wear("tac3d:3+dead=0.25+gain=1.1")(0))
     assert np.mean(view.images(pressed(1.0, 0.0, 6.0))[0] != view.reference) > 0.005
     env = WipeEnv("touch", right_sensor="tac3d")
-    assert env.reset(seed=3)[0]["pixels"][tactile_name("right")].any() and env.sensors["right"] == "tac3d"
+    assert (
+        env.reset(seed=3)[0]["pixels"][tactile_name("right")].any()
+        and env.sensors["right"] == "tac3d"
+    )
     env.close()

@@ -41,7 +41,8 @@ def test_rest_is_sixteen_small_discs(canon):
     assert image.shape == (480, 640) and set(np.unique(image)) == {0, 255}
     assert count == 17
     assert np.all(np.abs(boxes[1:, 4] - np.pi * (13.9 / 2) ** 2) < 20)
-    order = np.lexsort((centres[1:, 0].round(), -centres[1:, 1].round()))  # bottom row first, left to right
+    # bottom row first, left to right
+    order = np.lexsort((centres[1:, 0].round(), -centres[1:, 1].round()))
     assert np.allclose(centres[1:][order], canon.markers(BASELINE), atol=0.5)
 
 
@@ -51,12 +52,18 @@ def test_taxels_count_from_the_bottom_left_upwards(canon):
     assert np.allclose(centres[4], (127.5, 287.5)) and np.allclose(centres[15], (511.5, 95.5))
 
 
-@pytest.mark.parametrize("x, y, moved", [(1000, 0, (64, 0)), (0, 1000, (0, -48)), (-1000, -1000, (-64, 48))])
+@pytest.mark.parametrize(
+    "x, y, moved", [(1000, 0, (64, 0)), (0, 1000, (0, -48)), (-1000, -1000, (-64, 48))]
+)
 def test_shear_moves_right_and_up(canon, x, y, moved):
-    assert np.allclose(canon.markers(loaded(5, x, y))[5] - canon.markers(BASELINE)[5], moved, atol=0.1)
+    assert np.allclose(
+        canon.markers(loaded(5, x, y))[5] - canon.markers(BASELINE)[5], moved, atol=0.1
+    )
 
 
-@pytest.mark.parametrize("z, diameter_px", [(0, 13.9), (900, 43.9), (3500, 83.3), (5900, 107.6), (20_000, 107.6)])
+@pytest.mark.parametrize(
+    "z, diameter_px", [(0, 13.9), (900, 43.9), (3500, 83.3), (5900, 107.6), (20_000, 107.6)]
+)
 def test_pressure_grows_the_disc_by_its_law(canon, z, diameter_px):
     grown = area(canon.marker_image(loaded(5, z=z))) - area(canon.marker_image(BASELINE)) * 15 / 16
     assert 2 * np.sqrt(grown / np.pi) == pytest.approx(diameter_px, abs=1.0)
@@ -104,7 +111,8 @@ OTHER_NUMBERS = [BASELINE.astype(np.float32), np.full((16, 3), np.nan), BASELINE
 
 
 @pytest.mark.parametrize(
-    "counts", [*OTHER_SHAPES, *OTHER_NUMBERS, np.zeros((480, 640, 3), np.uint8), None, BASELINE.tolist()]
+    "counts",
+    [*OTHER_SHAPES, *OTHER_NUMBERS, np.zeros((480, 640, 3), np.uint8), None, BASELINE.tolist()],
 )
 def test_malformed_counts_break_the_contract(canon, counts):
     for call in (canon.marker_image, canon.markers, canon.set_reference):

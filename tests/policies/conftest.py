@@ -29,7 +29,9 @@ def one_thread_seeded() -> None:
 
 @pytest.fixture(scope="session")
 def tokenizer_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    config = TokenizerConfig(side=64, patch=8, width=16, depth=1, decoder_depth=1, heads=2, embed_hidden=0)
+    config = TokenizerConfig(
+        side=64, patch=8, width=16, depth=1, decoder_depth=1, heads=2, embed_hidden=0
+    )
     return Tokenizer.random(config).save(tmp_path_factory.mktemp("tokenizer"))
 
 
@@ -43,7 +45,11 @@ def stats() -> dict[str, dict[str, np.ndarray]]:
 @pytest.fixture
 def make_config(tokenizer_path: Path) -> Callable[..., PI05UniforceConfig]:
     def make(**settings: Any) -> PI05UniforceConfig:
-        touch = {"touch__slots": BOTH, "touch__input": "latent", "touch__tokenizer_path": str(tokenizer_path)}
+        touch = {
+            "touch__slots": BOTH,
+            "touch__input": "latent",
+            "touch__tokenizer_path": str(tokenizer_path),
+        }
         cameras = ("front", "wrist", "tactile_left", "tactile_right")
         return small_config(cameras, **in_groups(touch | SMALL | settings))
 
@@ -59,11 +65,15 @@ def in_groups(settings: dict[str, Any]) -> dict[str, Any]:
         if setting:
             groups.setdefault(group, {})[setting] = value
     fields = PI05UniforceConfig.__dataclass_fields__
-    return plain | {group: fields[group].default_factory(**values) for group, values in groups.items()}
+    return plain | {
+        group: fields[group].default_factory(**values) for group, values in groups.items()
+    }
 
 
 @pytest.fixture
-def make_policy(make_config: Callable[..., PI05UniforceConfig]) -> Callable[..., PI05UniforcePolicy]:
+def make_policy(
+    make_config: Callable[..., PI05UniforceConfig],
+) -> Callable[..., PI05UniforcePolicy]:
     return lambda **settings: PI05UniforcePolicy(make_config(**settings)).eval()
 
 
@@ -71,7 +81,9 @@ def make_policy(make_config: Callable[..., PI05UniforceConfig]) -> Callable[...,
 def make_batch(stats: dict[str, Any]) -> Callable[..., dict[str, torch.Tensor]]:
     """A preprocessed batch for a policy: cameras, state, marker images, wrenches, text; actions on request."""
 
-    def make(policy: PI05UniforcePolicy, size: int = 2, actions: bool = False) -> dict[str, torch.Tensor]:
+    def make(
+        policy: PI05UniforcePolicy, size: int = 2, actions: bool = False
+    ) -> dict[str, torch.Tensor]:
         before, _ = make_processors(policy.config, stats)
         batch: dict[str, Any] = {"task": ["wipe the ink off the board"] * size}
         for name in ("front", "wrist"):

@@ -26,7 +26,11 @@ from lerobot_policy_pi05_uniforce.action import (
 )
 from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
-from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE, SPAN_FLOOR, floor_quantiles
+from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import (
+    MEASURED_STATE,
+    SPAN_FLOOR,
+    floor_quantiles,
+)
 from lerobot_policy_pi05_uniforce.warm_up import made_up_batch
 from uniforce_vtla.errors import ContractError, RolloutError
 from uniforce_vtla.keys import ACTION
@@ -36,7 +40,10 @@ BENT = NetworkUnits([0.004, 0.02, 0.01, 0.05, 0.003], [0, 0, 0.003, 0, 0.0003])
 
 
 @given(
-    seed=st.integers(0, 10_000), size=st.integers(1, 4), steps=st.integers(1, 8), units=st.sampled_from([UNITS, BENT])
+    seed=st.integers(0, 10_000),
+    size=st.integers(1, 4),
+    steps=st.integers(1, 8),
+    units=st.sampled_from([UNITS, BENT]),
 )
 def test_deltas_and_targets_are_inverse(seed, size, steps, units):
     actions = torch.rand(size, 1 + steps, 5, generator=torch.Generator().manual_seed(seed))
@@ -83,7 +90,9 @@ def test_chunks_continue_from_the_last_command_of_each_row(make_policy, make_bat
     assert torch.allclose(again, elsewhere[MEASURED_STATE] + move / 2, atol=1e-6)
 
 
-def test_targets_stay_within_what_demos_commanded(make_config, make_batch, stats, monkeypatch, tmp_path):
+def test_targets_stay_within_what_demos_commanded(
+    make_config, make_batch, stats, monkeypatch, tmp_path
+):
     """Changes add up: a hand that had risen out of the demos went on rising."""
     low, high = [0.3, -0.1, 0.0, -0.5, 0.0], [0.5, 0.1, 0.2, 0.5, 0.08]
     known = stats | {ACTION: stats[ACTION] | {"min": torch.tensor(low), "max": torch.tensor(high)}}
@@ -100,7 +109,9 @@ def test_targets_stay_within_what_demos_commanded(make_config, make_batch, stats
         assert bool((chunk > torch.tensor(high) + 1e-3).any()) != inside
 
 
-@pytest.mark.parametrize("bounds", [[[0.0] * 5], [[0.0] * 4, [1.0] * 4], [[0.0] * 5, [1.0] * 4 + [-1.0]]])
+@pytest.mark.parametrize(
+    "bounds", [[[0.0] * 5], [[0.0] * 4, [1.0] * 4], [[0.0] * 5, [1.0] * 4 + [-1.0]]]
+)
 def test_a_range_that_is_none_is_refused(bounds, make_policy):
     with pytest.raises(ContractError, match="target_range"):
         make_policy(touch__input="none", action__target_range=bounds)
@@ -171,13 +182,18 @@ def test_a_steady_motion_is_the_same_number_at_every_step_of_a_chunk():
     assert torch.allclose(units.unit[7], torch.tensor(0.004))  # half a chunk: as the setting says
 
 
-@pytest.mark.parametrize("units", [{"knee": [0.001]}, {"knee": [0, 0, -0.001, 0, 0]}, {"scale": [0.1, 0.1]}])
+@pytest.mark.parametrize(
+    "units", [{"knee": [0.001]}, {"knee": [0, 0, -0.001, 0, 0]}, {"scale": [0.1, 0.1]}]
+)
 def test_units_that_do_not_fit_the_axes_are_refused(make_policy, units):
     with pytest.raises(ContractError, match=f"delta_{next(iter(units))}"):
         make_policy(**{f"action__delta_{name}": value for name, value in units.items()})
 
 
-@given(low=st.lists(st.floats(-1, 1), min_size=5, max_size=5), span=st.lists(st.floats(0, 0.2), min_size=5, max_size=5))
+@given(
+    low=st.lists(st.floats(-1, 1), min_size=5, max_size=5),
+    span=st.lists(st.floats(0, 0.2), min_size=5, max_size=5),
+)
 def test_quantile_spans_are_floored(low, span):
     stat = {"q01": np.array(low), "q99": np.array(low) + np.array(span)}
     floored = floor_quantiles({"observation.state": stat, "other": stat})
@@ -203,7 +219,10 @@ def test_local_text_tokenizer_round_trips(make_config, stats, monkeypatch):
     before, _ = make_pi05_uniforce_pre_post_processors(make_config(), stats)
     state = torch.tensor([0.5, 0.0, 0.1, 0.0, 0.04])
     batch = before({"observation.state": state, "task": "wipe the züge_off"})
-    tokens, mask = batch["observation.language.tokens"], batch["observation.language.attention_mask"]
+    tokens, mask = (
+        batch["observation.language.tokens"],
+        batch["observation.language.attention_mask"],
+    )
     assert tokens.shape == (1, 64) and mask.sum() < 40
     step = next(s for s in before.steps if hasattr(s, "input_tokenizer"))
     text = step.input_tokenizer.decode(tokens[0][mask[0]][1:])
@@ -288,7 +307,9 @@ def test_where_the_command_came_from_decides_when_all_else_is_equal(make_policy,
         for step in (4, 3, 2, 1, 0):
             policy.issued.record(batch[MEASURED_STATE] - sign * step * way)
         chunks[sign] = policy.predict_action_chunk(batch)
-        commands = torch.stack([batch[MEASURED_STATE] - sign * 3 * way, batch[MEASURED_STATE]], dim=1)
+        commands = torch.stack(
+            [batch[MEASURED_STATE] - sign * 3 * way, batch[MEASURED_STATE]], dim=1
+        )
         given_move = policy.predict_action_chunk({**batch, "action": commands})
         assert torch.allclose(given_move, chunks[sign], atol=1e-6)
     assert (chunks[1] - chunks[-1]).abs().max() > 1e-4
@@ -303,19 +324,25 @@ def test_training_reads_the_move_in_front_of_the_chunk_and_blurs_it(make_policy,
     actions = torch.rand(2, 2 + size, 5)
     is_pad = torch.zeros(2, 2 + size, dtype=torch.bool)
     padded = policy.prepare_action({**batch, "action": actions, "action_is_pad": is_pad})[..., :5]
-    assert torch.allclose(padded, to_deltas(actions[:, 1:], None, batch[MEASURED_STATE], policy.network_units))
+    assert torch.allclose(
+        padded, to_deltas(actions[:, 1:], None, batch[MEASURED_STATE], policy.network_units)
+    )
     seen: list[torch.Tensor] = []
     policy.model.state_token.proj.register_forward_pre_hook(lambda _, given: seen.append(given[0]))
     policy.train()
     loss, _ = policy({**batch, "action": actions, "action_is_pad": is_pad})
     loss.backward()
     given_move = (actions[:, 1] - actions[:, 0]) / UNITS.unit
-    assert seen[0].shape == (2, 1, 10) and torch.equal(seen[0][:, 0, :5], batch["observation.state"])
+    assert seen[0].shape == (2, 1, 10) and torch.equal(
+        seen[0][:, 0, :5], batch["observation.state"]
+    )
     assert 0.02 < (seen[0][:, 0, 5:] - given_move).abs().mean() < 0.3
 
 
 def test_of_the_previous_action_only_the_axes_asked_for_are_given(make_policy, make_batch):
-    policy = make_policy(touch__input="none", action__previous_steps=3, action__previous_axes=[1, 2])
+    policy = make_policy(
+        touch__input="none", action__previous_steps=3, action__previous_axes=[1, 2]
+    )
     batch = make_batch(policy)
     from_m = batch[MEASURED_STATE]
 
@@ -349,7 +376,9 @@ def test_what_is_not_stops(row, says) -> None:
 
 
 def test_the_check_travels_with_the_policy(make_config, stats, tmp_path) -> None:
-    _, after = make_pi05_uniforce_pre_post_processors(make_config(action__stop_outside_demos=True), stats)
+    _, after = make_pi05_uniforce_pre_post_processors(
+        make_config(action__stop_outside_demos=True), stats
+    )
     after.save_pretrained(tmp_path)
     saved = json.loads((tmp_path / "policy_postprocessor.json").read_text())["steps"][-1]
     assert saved["registry_name"] == "uniforce_check_action"
@@ -366,7 +395,12 @@ def test_an_axis_the_demos_never_moved_has_some_room() -> None:
 
 
 # setting, whether LeRobot's rollout runs → whether an action outside the demos stops. A bool is of older checkpoints
-WHERE = [("robot", True, True), ("robot", False, False), ("always", False, True), ("never", True, False)]
+WHERE = [
+    ("robot", True, True),
+    ("robot", False, False),
+    ("always", False, True),
+    ("never", True, False),
+]
 FORMERLY = [(False, True, True), (False, False, False), (True, False, True)]
 
 
@@ -395,15 +429,20 @@ def test_outside_the_demos_a_robot_stops_and_a_poor_policy_in_a_scene_is_scored(
         after(torch.full((1, 5), torch.nan))
 
 
-def test_the_first_target_is_led_and_a_later_leap_issues_nothing(make_policy, make_batch, monkeypatch) -> None:
+def test_the_first_target_is_led_and_a_later_leap_issues_nothing(
+    make_policy, make_batch, monkeypatch
+) -> None:
     policy = make_policy(touch__input="none", n_action_steps=3)
     deltas = torch.zeros(1, policy.config.chunk_size, 5)
     growth = policy.network_units.unit[:3, 0] / policy.delta_scale[0]
-    deltas[0, :3, 0] = torch.tensor([99.0, 108.0, 119.0]) / growth  # of delta_scale, from the chunk's base
+    # of delta_scale, from the chunk's base
+    deltas[0, :3, 0] = torch.tensor([99.0, 108.0, 119.0]) / growth
     fixed_deltas(policy, monkeypatch, deltas)
     batch = make_batch(policy)
     first, second = [policy.select_action(batch) for _ in range(2)]
-    assert torch.equal(first, batch[MEASURED_STATE] + torch.tensor([policy.config.action.leash[0], 0, 0, 0, 0]))
+    assert torch.equal(
+        first, batch[MEASURED_STATE] + torch.tensor([policy.config.action.leash[0], 0, 0, 0, 0])
+    )
     with pytest.raises(RolloutError, match="change of target, axis 0"):
         policy.select_action(batch)
     assert torch.equal(policy.issued.last, second)
@@ -417,14 +456,19 @@ LEASH = torch.tensor([0.02, 0.02, 0.02, 0.2, 0.03])
     at_rad=st.floats(-math.pi, math.pi),
     steps=st.integers(0, 20),
 )
-def test_a_target_leads_no_farther_than_its_leash_and_within_it_is_what_it_was(lead, at_rad, steps) -> None:
+def test_a_target_leads_no_farther_than_its_leash_and_within_it_is_what_it_was(
+    lead, at_rad, steps
+) -> None:
     measured = torch.tensor([[0.5, 0.0, 0.1, at_rad, 0.04]])
     target = measured + torch.tensor([lead])
-    target[0, 3] = math.remainder(float(target[0, 3]), 2 * math.pi)  # beyond half a turn: the other way round
+    # beyond half a turn: the other way round
+    target[0, 3] = math.remainder(float(target[0, 3]), 2 * math.pi)
     led = on_leash(target, measured, LEASH, steps)
     longest = LEASH * (1 + STRIDE * steps) + 1e-5
     turned = torch.tensor([math.remainder(float(led[0, 3] - at_rad), 2 * math.pi)])
-    assert (turned.abs() <= longest[3]).all() and ((led - measured).abs() <= longest)[0, [0, 1, 2, 4]].all()
+    assert (turned.abs() <= longest[3]).all() and ((led - measured).abs() <= longest)[
+        0, [0, 1, 2, 4]
+    ].all()
     inside = torch.tensor([lead]).abs() < longest - 2e-5
     assert torch.equal(led[inside], target[inside])
 
@@ -484,12 +528,16 @@ def test_real_time_chunking_is_refused_where_actions_are_deltas(make_policy, mak
     assert free.supports_rtc()
 
 
-def test_a_loaded_policy_has_answered_before_a_robot_is_connected(make_config, make_batch, tmp_path, monkeypatch):
+def test_a_loaded_policy_has_answered_before_a_robot_is_connected(
+    make_config, make_batch, tmp_path, monkeypatch
+):
     """A slow first inference would look like a dead arm."""
     PI05UniforcePolicy(make_config()).save_pretrained(tmp_path)
     answered = []
     real = PI05UniforcePytorch.sample_actions
-    monkeypatch.setattr(PI05UniforcePytorch, "sample_actions", lambda *a, **k: answered.append(1) or real(*a, **k))
+    monkeypatch.setattr(
+        PI05UniforcePytorch, "sample_actions", lambda *a, **k: answered.append(1) or real(*a, **k)
+    )
     torch.manual_seed(5)
     policy = PI05UniforcePolicy.from_pretrained(tmp_path)
     state = torch.random.get_rng_state()
@@ -501,7 +549,9 @@ def test_a_loaded_policy_has_answered_before_a_robot_is_connected(make_config, m
     policy.select_action(make_batch(policy))
 
 
-@pytest.mark.parametrize("kind", ["latent", "newtons", "wrench", "descriptor", "marker_pair", "none"])
+@pytest.mark.parametrize(
+    "kind", ["latent", "newtons", "wrench", "descriptor", "marker_pair", "none"]
+)
 @pytest.mark.parametrize("slots", [{"touch0": "right"}, {"touch0": "right", "touch1": "left"}])
 def test_every_kind_of_policy_is_warmed_up(kind, slots, make_policy) -> None:
     more = {"touch__tokenizer_path": None} if kind == "newtons" else {}

@@ -51,7 +51,9 @@ def test_every_tensor_comes_back_without_the_tokenizers_file(make_policy, make_b
     policy.config.touch.tokenizer_path = "/gone"
     policy.save_pretrained(tmp_path)
     loaded = PI05UniforcePolicy.from_pretrained(tmp_path)
-    assert not loaded.training and loaded.config.tokenizer_hash == policy.config.tokenizer_hash != ""
+    assert (
+        not loaded.training and loaded.config.tokenizer_hash == policy.config.tokenizer_hash != ""
+    )
     saved, came = policy.state_dict(), loaded.state_dict()
     assert saved.keys() == came.keys() and sum("tactile_encoder" in k for k in saved) > 10
     assert all(torch.equal(saved[k], came[k]) for k in saved)
@@ -67,10 +69,19 @@ def changed_tokenizer(tensors):
 @pytest.mark.parametrize(
     ("damage", "said"),
     [
-        (lambda t: t.pop("model.force_tokens.proj.0.weight"), "missing.*force_tokens.proj.0.weight"),
+        (
+            lambda t: t.pop("model.force_tokens.proj.0.weight"),
+            "missing.*force_tokens.proj.0.weight",
+        ),
         (lambda t: t.update({"model.surplus": torch.zeros(3)}), "unexpected.*model.surplus"),
-        (lambda t: t.update({"model.action_in_proj.bias": torch.zeros(7)}), "misshapen.*action_in_proj.bias"),
-        (lambda t: t["model.action_in_proj.bias"].fill_(torch.nan), r"action_in_proj.bias of .*NaN or inf"),
+        (
+            lambda t: t.update({"model.action_in_proj.bias": torch.zeros(7)}),
+            "misshapen.*action_in_proj.bias",
+        ),
+        (
+            lambda t: t["model.action_in_proj.bias"].fill_(torch.nan),
+            r"action_in_proj.bias of .*NaN or inf",
+        ),
         (changed_tokenizer, "tokenizer hash"),
     ],
 )
@@ -102,12 +113,15 @@ def test_swap_runs_the_same_checkpoint(make_policy, make_batch, tmp_path):
     config = PreTrainedConfig.from_pretrained(tmp_path, cli_overrides=["--swap=touch0:left"])
     policy = PI05UniforcePolicy.from_pretrained(tmp_path, config=config)
     batch = make_batch(policy)
-    chunk = policy.predict_action_chunk({k: v for k, v in batch.items() if "tactile_right" not in k})
+    chunk = policy.predict_action_chunk(
+        {k: v for k, v in batch.items() if "tactile_right" not in k}
+    )
     assert chunk.shape == (2, 16, 5) and torch.isfinite(chunk).all()
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("slots", {"touch0": "left"}), ("tokenizer", {"hash": "beef"}), ("site", "suffix")]
+    ("name", "value"),
+    [("slots", {"touch0": "left"}), ("tokenizer", {"hash": "beef"}), ("site", "suffix")],
 )
 def test_touch_settings_must_be_the_checkpoints_own(checkpoint, name, value):
     config = PreTrainedConfig.from_pretrained(checkpoint)
@@ -115,7 +129,8 @@ def test_touch_settings_must_be_the_checkpoints_own(checkpoint, name, value):
     with pytest.raises(CheckpointError, match=f"touch settings.*'{name}'") as error:
         PI05UniforcePolicy.from_pretrained(checkpoint, config=config)
     others = {"slots", "tokenizer", "site"} - {name}
-    assert not any(f"'{other}'" in str(error.value) for other in others)  # only what differs is named
+    # only what differs is named
+    assert not any(f"'{other}'" in str(error.value) for other in others)
 
 
 def test_other_sensors_must_be_asked_for(make_config):
@@ -125,7 +140,12 @@ def test_other_sensors_must_be_asked_for(make_config):
         check_sensors(make_config(touch__trained_sensors=trained), mounted)
     notes = check_sensors(make_config(touch__trained_sensors=trained, left_sensor="uskin"), mounted)
     assert len(notes) == 1 and "gelsight" in notes[0] and "uskin" in notes[0]
-    assert check_sensors(make_config(touch__trained_sensors=trained), {"left": "gelsight", "right": "tactip"}) == []
+    assert (
+        check_sensors(
+            make_config(touch__trained_sensors=trained), {"left": "gelsight", "right": "tactip"}
+        )
+        == []
+    )
     slots = {"touch__slots": {"touch0": "right"}, "touch__trained_sensors": {"touch0": "tactip"}}
     one = make_config(**slots, swap="touch0:left")
     assert len(check_sensors(one, mounted)) == 1
@@ -158,7 +178,9 @@ def test_the_packages_tokenizer_is_stored_once(make_policy, make_batch, tmp_path
 
 
 def test_a_checkpoint_of_0_1_0_is_named_so(tmp_path):
-    (tmp_path / "config.json").write_text(json.dumps({"type": "pi05_uniforce", "touch_input": "latent"}))
+    (tmp_path / "config.json").write_text(
+        json.dumps({"type": "pi05_uniforce", "touch_input": "latent"})
+    )
     with pytest.raises(CheckpointError, match=r"version 0\.1\.0"):
         PI05UniforcePolicy.from_pretrained(tmp_path)
 
@@ -166,19 +188,25 @@ def test_a_checkpoint_of_0_1_0_is_named_so(tmp_path):
 def test_tensors_lie_where_new_ones_would(tmp_path: Path) -> None:
     """A checkpoint's own layout would show in the last bits of what a policy answers."""
     layer = nn.Sequential(nn.Linear(3, 5), nn.Linear(5, 1))
-    save_file({name: value.clone() for name, value in layer.state_dict().items()}, tmp_path / "w.safetensors")
+    save_file(
+        {name: value.clone() for name, value in layer.state_dict().items()},
+        tmp_path / "w.safetensors",
+    )
     fill(layer, tmp_path / "w.safetensors")
     assert all(weight.data_ptr() % 64 == 0 for weight in layer.parameters())
 
 
 @pytest.mark.slow  # a fresh process imports LeRobot: 10 s
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="peak memory is read from Linux's /proc")
+@pytest.mark.skipif(
+    not Path("/proc/self/status").exists(), reason="peak memory is read from Linux's /proc"
+)
 def test_a_checkpoint_is_never_held_twice() -> None:
     """200 MB of weights in a process of their own: memory grows by the weights and little else."""
     wide = {"tiny": TinySettings(width=1024, depth=3, mlp_dim=2048)}
     found = bench_memory(size="tiny", image_resolution=(28, 28), **wide)
     assert found["checkpoint_GB"] > 0.15
-    assert 0.9 < found["ratio"] < 1.15 + 0.02 / found["checkpoint_GB"]  # 20 MB: buffers of a forward
+    # 20 MB: buffers of a forward
+    assert 0.9 < found["ratio"] < 1.15 + 0.02 / found["checkpoint_GB"]
 
 
 def test_base_passes_the_gemma_terms_on_and_tiny_is_free() -> None:
@@ -214,10 +242,14 @@ def test_a_tokenizer_of_ones_own_moves_with_the_preprocessor(tmp_path) -> None:
         again._tokenize_text("wipe")
     again.load_state_dict(own.state_dict())
     assert torch.equal(*(step._tokenize_text("wipe it")["input_ids"] for step in (own, again)))
-    assert again.get_config() == own.get_config() and again.state_dict().keys() == own.state_dict().keys()
+    assert (
+        again.get_config() == own.get_config()
+        and again.state_dict().keys() == own.state_dict().keys()
+    )
     packaged = UniforceTokenizerProcessorStep(max_length=16)
     name = packaged.get_config()["tokenizer_name"]
-    assert packaged.state_dict() == {} and name != SAVED and not name.startswith("/")  # an installation may move
+    # an installation may move
+    assert packaged.state_dict() == {} and name != SAVED and not name.startswith("/")
 
 
 def test_only_who_loads_chooses_how_files_are_verified(make_policy, tmp_path):
@@ -266,8 +298,12 @@ def test_a_policy_of_other_marker_images_is_refused(make_policy, tmp_path: Path)
         PI05UniforcePolicy.from_pretrained(tmp_path)
 
 
-@pytest.mark.parametrize(("stored", "said"), [("", "head_hash"), ("0" * 64, "force head of tactip")])
-def test_a_policy_of_another_force_head_is_refused(make_policy, tmp_path: Path, stored: str, said: str) -> None:
+@pytest.mark.parametrize(
+    ("stored", "said"), [("", "head_hash"), ("0" * 64, "force head of tactip")]
+)
+def test_a_policy_of_another_force_head_is_refused(
+    make_policy, tmp_path: Path, stored: str, said: str
+) -> None:
     """Its newtons would be in another scale, and nothing else would show it."""
     make_policy(touch__input="newtons", touch__tokenizer_path=None).save_pretrained(tmp_path)
     path = tmp_path / "config.json"
@@ -280,7 +316,9 @@ def test_a_policy_of_another_force_head_is_refused(make_policy, tmp_path: Path, 
         PI05UniforcePolicy.from_pretrained(tmp_path)
 
 
-def test_a_head_of_ones_own_travels_with_its_tokenizer(make_policy, make_batch, tmp_path: Path) -> None:
+def test_a_head_of_ones_own_travels_with_its_tokenizer(
+    make_policy, make_batch, tmp_path: Path
+) -> None:
     """Only the package's tokenizers have heads in the package."""
     tokenizer = Tokenizer.from_pretrained(make_policy().config.touch.tokenizer_path)
     path = tokenizer.save(tmp_path / "made" / "tokenizer")
@@ -306,14 +344,21 @@ def test_a_head_of_ones_own_travels_with_its_tokenizer(make_policy, make_batch, 
     config["touch"]["head_sizes"] = None
     (tmp_path / "policy" / "config.json").write_text(json.dumps(config))
     write_hashes(tmp_path / "policy")
-    with pytest.raises(CheckpointError, match="Fit a head"):  # a path in a checkpoint is never followed
+    # a path in a checkpoint is never followed
+    with pytest.raises(CheckpointError, match="Fit a head"):
         PI05UniforcePolicy.from_pretrained(tmp_path / "policy")
 
 
 def test_a_tokenizer_without_a_head_of_its_own_is_refused(make_policy, tmp_path: Path) -> None:
-    path = str(Tokenizer.from_pretrained(make_policy().config.touch.tokenizer_path).save(tmp_path / "tokenizer"))
+    path = str(
+        Tokenizer.from_pretrained(make_policy().config.touch.tokenizer_path).save(
+            tmp_path / "tokenizer"
+        )
+    )
     with pytest.raises(CheckpointError, match="uniforce pretrain"):
         make_policy(touch__input="newtons", touch__tokenizer_path=path)
-    ForceHead(ForceRegressor(HeadConfig()), "tactip", "another").save(tmp_path / "force_head_tactip")
+    ForceHead(ForceRegressor(HeadConfig()), "tactip", "another").save(
+        tmp_path / "force_head_tactip"
+    )
     with pytest.raises(CheckpointError, match="Fit a head"):
         make_policy(touch__input="newtons", touch__tokenizer_path=path)

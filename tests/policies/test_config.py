@@ -32,7 +32,9 @@ def test_groups_are_set_one_by_one_and_the_rest_keeps_its_default() -> None:
     assert (config.tiny.width, config.tiny.depth, config.augment.touch_dropout) == (64, 4, 0.0)
 
 
-def test_lerobots_help_names_our_settings(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_lerobots_help_names_our_settings(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Argparse chokes on a lone % in a comment."""
     monkeypatch.setattr(sys, "argv", ["lerobot-train", "--policy.type=pi05_uniforce", "--help"])
     with pytest.raises(SystemExit) as stop:
@@ -42,7 +44,9 @@ def test_lerobots_help_names_our_settings(monkeypatch: pytest.MonkeyPatch, capsy
 
 @pytest.mark.parametrize("previous_steps", [0, 4])
 def test_a_config_survives_a_round_trip(previous_steps, make_config, tmp_path) -> None:
-    config = make_config(action__previous_steps=previous_steps, swap="touch0:left", left_sensor="uskin")
+    config = make_config(
+        action__previous_steps=previous_steps, swap="touch0:left", left_sensor="uskin"
+    )
     config._save_pretrained(tmp_path)
     again = PreTrainedConfig.from_pretrained(tmp_path)
     assert isinstance(again, PI05UniforceConfig) and again == config
@@ -62,7 +66,10 @@ def test_what_no_size_uses_is_off_and_what_is_given_stays() -> None:
 def test_there_are_at_most_25_settings_of_our_own_at_the_top_and_35_in_groups() -> None:
     own = {f.name for f in dataclasses.fields(PI05UniforceConfig)}
     own -= {f.name for f in dataclasses.fields(PI05UniforceConfig.__base__)} | set(GROUPS)
-    assert len(own) <= 25 and sum(len(dataclasses.fields(getattr(parsed(), group))) for group in GROUPS) <= 35
+    assert (
+        len(own) <= 25
+        and sum(len(dataclasses.fields(getattr(parsed(), group))) for group in GROUPS) <= 35
+    )
 
 
 def test_auto_size_is_tiny_on_a_cpu() -> None:
@@ -80,7 +87,10 @@ def test_auto_size_is_tiny_on_a_cpu() -> None:
         ({"touch__input": "video"}, r"touch\.input"),
         ({"action__form": "velocity"}, r"action\.form"),
         ({"action__objective": "diffusion"}, r"flow \| regression"),
-        *(({"action__previous_steps": 4, "action__previous_axes": a}, "previous_axes") for a in ([5], [1, 1])),
+        *(
+            ({"action__previous_steps": 4, "action__previous_axes": a}, "previous_axes")
+            for a in ([5], [1, 1])
+        ),
         ({"action__previous_steps": 4, "action__form": "absolute"}, "previous_steps"),
         ({"action__previous_steps": 4, "size": "base"}, "previous_steps"),
         ({"action__previous_steps": -1}, "previous_steps"),

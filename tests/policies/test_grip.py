@@ -5,7 +5,10 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig, TouchSettings
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import (
+    PI05UniforceConfig,
+    TouchSettings,
+)
 from lerobot_policy_pi05_uniforce.touch.grip import GripHold, Lift, carried_grip, held_grips
 from uniforce_vtla.errors import ContractError
 
@@ -26,8 +29,12 @@ def test_a_grip_is_as_read_until_the_hand_has_lifted_and_the_stored_one_from_the
     # moving about, closing on the table, lifting, and pressing on the board, lower than it carried
     way = [(0.09, 0.0), (TABLE_m, 0.0), (TABLE_m, READ_N), (CARRIED_m, READ_N), (0.04, READ_N)]
     given = [hold("touch0", reading(grip_N), state(height_m)) for height_m, grip_N in way]
-    assert [float(one[0, 0, 2]) for one in given] == pytest.approx([0.0, 0.0, READ_N, HELD_N, HELD_N])
-    assert all(one[0, 0, :2].tolist() == pytest.approx([0.3, -2.5]) for one in given), "shear is felt"
+    assert [float(one[0, 0, 2]) for one in given] == pytest.approx(
+        [0.0, 0.0, READ_N, HELD_N, HELD_N]
+    )
+    assert all(one[0, 0, :2].tolist() == pytest.approx([0.3, -2.5]) for one in given), (
+        "shear is felt"
+    )
 
 
 def test_fingers_that_hold_nothing_are_never_said_to_hold() -> None:
@@ -35,9 +42,13 @@ def test_fingers_that_hold_nothing_are_never_said_to_hold() -> None:
     for height_m, grip_N in ((TABLE_m, READ_N), (CARRIED_m, READ_N)):
         hold("touch0", reading(grip_N), state(height_m))
     assert float(hold("touch0", reading(0.1), state(CARRIED_m))[0, 0, 2]) == pytest.approx(0.1)
-    assert float(hold("touch0", reading(READ_N), state(CARRIED_m))[0, 0, 2]) == pytest.approx(HELD_N)
+    assert float(hold("touch0", reading(READ_N), state(CARRIED_m))[0, 0, 2]) == pytest.approx(
+        HELD_N
+    )
     hold.reset()
-    assert float(hold("touch0", reading(READ_N), state(CARRIED_m))[0, 0, 2]) == pytest.approx(READ_N), "another episode"
+    assert float(hold("touch0", reading(READ_N), state(CARRIED_m))[0, 0, 2]) == pytest.approx(
+        READ_N
+    ), "another episode"
 
 
 def test_each_environment_of_a_batch_lifts_for_itself() -> None:
@@ -53,7 +64,13 @@ def calibration(r2: float) -> SimpleNamespace:
 
 @pytest.mark.parametrize(
     "grip, r2, holds",
-    [("", 0.85, True), ("", 0.95, False), ("", None, False), ("read", 0.85, False), ("held", 0.95, True)],
+    [
+        ("", 0.85, True),
+        ("", 0.95, False),
+        ("", None, False),
+        ("read", 0.85, False),
+        ("held", 0.95, True),
+    ],
 )
 def test_calibrations_decide_and_a_user_overrides(grip: str, r2: float | None, holds: bool) -> None:
     config = PI05UniforceConfig(size="tiny", device="cpu", grip=grip)
@@ -63,7 +80,9 @@ def test_calibrations_decide_and_a_user_overrides(grip: str, r2: float | None, h
     assert bool(notes) == holds and all("grip held at 8.9 N" in note for note in notes)
 
 
-def test_a_checkpoint_that_knows_no_grip_reads_it_and_refuses_to_hold(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_checkpoint_that_knows_no_grip_reads_it_and_refuses_to_hold(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     config = PI05UniforceConfig(size="tiny", device="cpu")
     assert held_grips(config, {"right": calibration(0.85)}) == ({}, [])  # type: ignore[dict-item]
     assert "taken as read" in caplog.text
@@ -76,7 +95,9 @@ def test_a_checkpoint_that_knows_no_grip_reads_it_and_refuses_to_hold(caplog: py
 def test_a_stored_grip_that_cannot_be_is_refused(held_N: object) -> None:
     with pytest.raises(ContractError, match="carried_N"):
         PI05UniforceConfig(
-            size="tiny", device="cpu", touch=TouchSettings(input="newtons", carried_N={"touch0": held_N})
+            size="tiny",
+            device="cpu",
+            touch=TouchSettings(input="newtons", carried_N={"touch0": held_N}),
         )  # type: ignore[dict-item]
 
 

@@ -22,7 +22,8 @@ from lerobot_policy_pi05_uniforce.sampler.prefix import drop_dead
 from uniforce_vtla.errors import ContractError
 
 TOLERANCE = 1e-4  # on actions in network units, of order 1
-BFLOAT16 = 5e-3  # stated in docs/design.md; measured 2e-3 at π0.5's depth, where bfloat16 itself errs by 8e-3
+# stated in docs/design.md; measured 2e-3 at π0.5's depth, where bfloat16 itself errs by 8e-3
+BFLOAT16 = 5e-3
 GATED = pytest.mark.parametrize("gate", [None, OPEN])
 
 
@@ -50,13 +51,17 @@ def lost(felt, rows):
 @SITES
 @GATED
 @pytest.mark.parametrize("size", [1, 3])
-def test_rows_with_other_prompts_and_a_lost_finger_stay_apart(size, site, gate, make_policy, make_batch):
+def test_rows_with_other_prompts_and_a_lost_finger_stay_apart(
+    size, site, gate, make_policy, make_batch
+):
     policy = gated_policy(make_policy, site, gate)
     given, noise = inputs(policy, make_batch(policy, size=size)), start_noise(policy, size)
     if size > 1:
         shorter = given.masks.clone()
         shorter[1, 12:] = False
-        given = given._replace(masks=shorter, felt=lost(given.felt, torch.tensor([True, True, False])))
+        given = given._replace(
+            masks=shorter, felt=lost(given.felt, torch.tensor([True, True, False]))
+        )
     assert (lerobots_own(policy, given, noise) - ours(policy, given, noise)).abs().max() < TOLERANCE
 
 
@@ -80,7 +85,11 @@ def test_real_time_chunking_guides_both_alike(gate, make_policy, make_batch):
     policy = gated_policy(make_policy, "prefix", gate, rtc_config=rtc, action__form="absolute")
     given, noise = inputs(policy, make_batch(policy)), start_noise(policy)
     free = ours(policy, given, noise)
-    left = {"prev_chunk_left_over": free[:, 2:, :] + 0.5, "inference_delay": 1, "execution_horizon": 4}
+    left = {
+        "prev_chunk_left_over": free[:, 2:, :] + 0.5,
+        "inference_delay": 1,
+        "execution_horizon": 4,
+    }
     fast = ours(policy, given, noise, **left)
     assert (fast - free).abs().max() > 0.01  # it was guided at all
     assert (lerobots_own(policy, given, noise, **left) - fast).abs().max() < TOLERANCE
@@ -117,10 +126,17 @@ CLOSE = {"rtol": 1e-5, "atol": 1e-5}
 
 @torch.no_grad()
 def test_products_and_their_epilogues_are_torchs() -> None:
-    x, w, b, other = torch.randn(2, 7, 24), torch.randn(16, 24) / 5, torch.randn(16), torch.randn(2, 7, 16)
+    x, w, b, other = (
+        torch.randn(2, 7, 24),
+        torch.randn(16, 24) / 5,
+        torch.randn(16),
+        torch.randn(2, 7, 16),
+    )
     plain = F.linear(x, w)
     torch.testing.assert_close(layers.linear(x, w, b), plain + b, **CLOSE)
-    torch.testing.assert_close(layers.linear_gelu(x, w, b), F.gelu(plain + b, approximate="tanh"), **CLOSE)
+    torch.testing.assert_close(
+        layers.linear_gelu(x, w, b), F.gelu(plain + b, approximate="tanh"), **CLOSE
+    )
     torch.testing.assert_close(layers.linear_times(x, w, other), plain * other, **CLOSE)
     torch.testing.assert_close(layers.linear_plus(x, w, b, other), plain + b + other, **CLOSE)
 
@@ -132,7 +148,9 @@ def test_attention_in_one_product_is_torchs(rows: int) -> None:
     mask = None if rows == 0 else torch.rand(1, 1, rows, 300) > 0.3
     k, v = (cache[:, n : n + 1].expand(-1, 8, -1, -1) for n in (0, 1))
     wanted = F.scaled_dot_product_attention(q, k, v, attn_mask=mask, scale=1.0)
-    torch.testing.assert_close(layers.attend_one(q, cache[0, 0], cache[0, 1], mask), wanted, **CLOSE)
+    torch.testing.assert_close(
+        layers.attend_one(q, cache[0, 0], cache[0, 1], mask), wanted, **CLOSE
+    )
 
 
 def test_where_a_gradient_is_wanted_torch_runs() -> None:
@@ -162,7 +180,9 @@ def policy(request, make_policy):
 
 def graphed(make_policy, site):
     """A policy with touch behind a half-open gate, whose norms do something, and uncaptured graphs."""
-    policy = alive(make_policy(touch__input="wrench", touch__site=site, touch__start_at_base=True), OPEN)
+    policy = alive(
+        make_policy(touch__input="wrench", touch__site=site, touch__start_at_base=True), OPEN
+    )
     policy.model.fast.graphed = GraphedSampler(policy.model.fast, capture=False)
     return policy
 
@@ -183,7 +203,9 @@ def test_replays_give_lerobots_actions_for_every_new_observation(policy, make_ba
     assert all(torch.equal(now, then) for now, then in returned)  # a later call overwrites no chunk
 
 
-def test_prompts_cameras_and_lost_fingers_change_and_the_actions_are_still_lerobots(policy, make_batch):
+def test_prompts_cameras_and_lost_fingers_change_and_the_actions_are_still_lerobots(
+    policy, make_batch
+):
     whole = inputs(policy, make_batch(policy))
     shorter = whole.masks.clone()
     shorter[:, 9:] = False
@@ -197,7 +219,8 @@ def test_prompts_cameras_and_lost_fingers_change_and_the_actions_are_still_lerob
     ):
         slow, fast = both(policy, given)
         assert (slow - fast).abs().max() < TOLERANCE
-    assert len(policy.model.fast.graphed._pairs) == 2  # with and without the camera; the rest are values
+    # with and without the camera; the rest are values
+    assert len(policy.model.fast.graphed._pairs) == 2
 
 
 def test_pairs_are_not_kept_for_ever(policy, make_batch):
@@ -231,7 +254,10 @@ def test_nothing_recorded_waits_for_the_device(policy, make_batch):
     with torch.no_grad(), Recorded() as recorded:
         pair.prefill(*pair.prefill._inputs)
         pair.flow(*pair.flow._inputs)
-    assert {"scaled_dot_product_attention", "_scaled_dot_product_flash_attention_for_cpu"} & recorded.names
+    assert {
+        "scaled_dot_product_attention",
+        "_scaled_dot_product_flash_attention_for_cpu",
+    } & recorded.names
     waits = {"_local_scalar_dense", "nonzero", "masked_select", "lift_fresh", "equal", "_unique2"}
     assert not waits & recorded.names
 
@@ -250,7 +276,9 @@ def test_prompts_go_to_the_next_bucket() -> None:
 
 
 @pytest.mark.parametrize(("kind", "made"), [("fast", True), ("eager", False)])
-def test_graphs_are_for_cuda_alone_and_can_be_turned_off(kind, made, make_policy, make_batch, monkeypatch):
+def test_graphs_are_for_cuda_alone_and_can_be_turned_off(
+    kind, made, make_policy, make_batch, monkeypatch
+):
     policy = make_policy(sampler__kind=kind)
     policy.predict_action_chunk(make_batch(policy))
     assert policy.model.fast.graphed is None  # a CPU
@@ -260,8 +288,12 @@ def test_graphs_are_for_cuda_alone_and_can_be_turned_off(kind, made, make_policy
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device: capture was never run")
 def test_a_gpu_captures_them(make_policy, make_batch):
-    policy = make_policy(touch__input="wrench", touch__site="suffix", touch__start_at_base=True).to("cuda")
-    batch = {k: v.cuda() if isinstance(v, torch.Tensor) else v for k, v in make_batch(policy).items()}
+    policy = make_policy(touch__input="wrench", touch__site="suffix", touch__start_at_base=True).to(
+        "cuda"
+    )
+    batch = {
+        k: v.cuda() if isinstance(v, torch.Tensor) else v for k, v in make_batch(policy).items()
+    }
     given, noise = inputs(policy, batch), start_noise(policy).cuda()
     for _ in range(2):
         fast = ours(policy, given, noise)
@@ -269,10 +301,13 @@ def test_a_gpu_captures_them(make_policy, make_batch):
     assert (lerobots_own(policy, given, noise) - fast).abs().max() < 1e-3
 
 
-def test_keys_that_lie_apart_in_memory_cost_no_more():  # a chunk at 112 px took a second instead of 40 ms
+# a chunk at 112 px took a second instead of 40 ms
+def test_keys_that_lie_apart_in_memory_cost_no_more():
     q, cache = torch.randn(1, 161, 8, 16).transpose(1, 2), torch.randn(161, 160)
     keys = cache[:, :16], cache[:, :16].clone()
     with torch.no_grad():
         assert torch.allclose(*(layers.attend_one(q, k, k, None) for k in keys), atol=1e-6)
-        apart_s, close_s = (min(timeit.repeat(lambda k=k: layers.attend_one(q, k, k, None), number=1)) for k in keys)
+        apart_s, close_s = (
+            min(timeit.repeat(lambda k=k: layers.attend_one(q, k, k, None), number=1)) for k in keys
+        )
     assert apart_s < 10 * close_s

@@ -13,7 +13,11 @@ from policy_samples import OPEN, SITES, alive, inputs, ours, start_noise
 from lerobot_env_uniforce_wiping import WipeEnv
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy, training
 from lerobot_policy_pi05_uniforce.checkpoint import check_settings
-from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint, stored_config
+from lerobot_policy_pi05_uniforce.controller import (
+    PolicyController,
+    shipped_checkpoint,
+    stored_config,
+)
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
 from lerobot_policy_pi05_uniforce.touch import controls
 from lerobot_policy_pi05_uniforce.touch.felt import Felt
@@ -24,7 +28,12 @@ from uniforce_vtla.keys import descriptor_key, latent_key, marker_pair_key, tact
 from uniforce_vtla.tokenizer.calibration import Agreement, Calibration, LatentMap
 from uniforce_vtla.tokenizer.finger_balance import FingerBalance
 from uniforce_vtla.tokenizer.force_head import ForceHead
-from uniforce_vtla.tokenizer.latent_range import FREE_LOOKS, FreeAirError, HealthMonitor, LatentRange
+from uniforce_vtla.tokenizer.latent_range import (
+    FREE_LOOKS,
+    FreeAirError,
+    HealthMonitor,
+    LatentRange,
+)
 from uniforce_vtla.tokenizer.plain_touch import DESCRIPTOR_SIZE, descriptors, marker_pairs
 
 PROJECTIONS = ("action_in_proj", "action_out_proj", "time_mlp_in", "time_mlp_out")
@@ -73,7 +82,8 @@ def test_joint_training_velocity_equals_sampling_velocity(site, gate, make_polic
     x, time = start_noise(policy), torch.tensor([0.7, 0.3])
     actions = torch.zeros_like(x)
     x_t = time[:, None, None] * x
-    squared = policy.model.forward(*seen, felt, actions=actions, noise=x, time=time)  # (u − v)², u = x − 0
+    # (u − v)², u = x − 0
+    squared = policy.model.forward(*seen, felt, actions=actions, noise=x, time=time)
     prefix, pads, atts = policy.model.embed_prefix(*seen, felt)
     mask = stock.prepare_attention_masks_4d(stock.make_att_2d_masks(pads, atts))
     joint, places = policy.model.paligemma_with_expert, torch.cumsum(pads, 1) - 1
@@ -108,7 +118,9 @@ def test_cached_latents_equal_encoding_the_images(make_policy, make_batch):
     batch = make_batch(policy)
     touches = policy.felt(batch).touches
     cached = {k: v for k, v in batch.items() if "tactile" not in k}
-    cached |= {latent_key(slot): touches[i].flatten(1) for i, slot in enumerate(("touch0", "touch1"))}
+    cached |= {
+        latent_key(slot): touches[i].flatten(1) for i, slot in enumerate(("touch0", "touch1"))
+    }
     again = policy.felt(cached).touches
     assert all(torch.equal(a, b) for a, b in zip(touches, again, strict=True))
 
@@ -139,7 +151,9 @@ def test_lost_touch_is_an_error(make_policy, make_batch):
     with pytest.raises(RolloutError, match="NaN"):
         policy.predict_action_chunk(nan)
     with pytest.raises(ContractError, match="all black"):
-        policy.predict_action_chunk({**batch, tactile_key("left", True): batch[tactile_key("left")] * 0})
+        policy.predict_action_chunk(
+            {**batch, tactile_key("left", True): batch[tactile_key("left")] * 0}
+        )
 
 
 def test_lost_touch_can_be_masked_and_is_logged_once(make_policy, make_batch, caplog):
@@ -172,22 +186,30 @@ def test_a_sensor_that_is_not_healthy_stops_the_rollout_at_the_third_look(make_p
 
 
 @pytest.mark.parametrize("kind", ["latent", "newtons"])
-def test_an_open_hand_in_free_air_takes_a_new_reference_once_an_episode(make_policy, make_batch, caplog, kind):
-    policy = make_policy(touch__input=kind, **({"touch__tokenizer_path": None} if kind == "newtons" else {}))
+def test_an_open_hand_in_free_air_takes_a_new_reference_once_an_episode(
+    make_policy, make_batch, caplog, kind
+):
+    policy = make_policy(
+        touch__input=kind, **({"touch__tokenizer_path": None} if kind == "newtons" else {})
+    )
     batch = make_batch(policy, size=1)
     current = policy.touch.pair(batch, "right")[1]
-    watched(policy).touch.monitors["right"]._usual.mean = policy.touch.encoder("touch0", "right", current, current)[
-        0
-    ].flatten()
+    watched(policy).touch.monitors["right"]._usual.mean = policy.touch.encoder(
+        "touch0", "right", current, current
+    )[0].flatten()
     open_m = batch[MEASURED_STATE][0, 4].item()
     policy.config.action.target_range = [[0.0] * 5, [0.0] * 4 + [open_m]]
-    odd = [policy.touch.gather(batch, current.device, training=False)[0][0] for _ in range(FREE_LOOKS + 2)]
+    odd = [
+        policy.touch.gather(batch, current.device, training=False)[0][0]
+        for _ in range(FREE_LOOKS + 2)
+    ]
     assert torch.equal(odd[0], odd[FREE_LOOKS - 2]) and not torch.equal(odd[0], odd[FREE_LOOKS - 1])
     assert sum("new reference" in record.message for record in caplog.records) == 1
     policy.reset()  # the next episode begins with the reference it is given
     assert torch.equal(policy.touch.gather(batch, current.device, training=False)[0][0], odd[0])
     policy.reset()
-    policy.config.action.target_range = [[0.0] * 5, [0.0] * 4 + [open_m + 0.03]]  # the hand may hold something
+    # the hand may hold something
+    policy.config.action.target_range = [[0.0] * 5, [0.0] * 4 + [open_m + 0.03]]
     with pytest.raises(SensorError, match="in free air"):
         for _ in range(FREE_LOOKS):
             policy.touch.gather(batch, current.device, training=False)
@@ -212,14 +234,21 @@ def tensors_in(thing, seen):
 
 
 @pytest.mark.parametrize("kind", ["latent", "newtons", "descriptor"])
-def test_whatever_touch_holds_follows_the_policy_to_its_device(kind, make_policy, make_batch, tmp_path):
+def test_whatever_touch_holds_follows_the_policy_to_its_device(
+    kind, make_policy, make_batch, tmp_path
+):
     """No module registers ranges, maps and references: on a GPU the first look failed."""
     more = {"touch__tokenizer_path": None} if kind == "newtons" else {}
     policy = make_policy(touch__input=kind, touch__slots={"touch0": "right"}, **more)
     sizes = (1, DESCRIPTOR_SIZE) if kind == "descriptor" else (16, 6)
-    names = "descriptor" if kind == "descriptor" else policy.config.tokenizer_hash, policy.config.touch.head_hash
+    names = (
+        "descriptor" if kind == "descriptor" else policy.config.tokenizer_hash,
+        policy.config.touch.head_hash,
+    )
     Calibration(LatentMap(*sizes), *names, "tactip:7", "tactip:7", 0.0, 0.0, {}).save(tmp_path)
-    policy = make_policy(touch__input=kind, touch__slots={"touch0": "right"}, right_calibration=str(tmp_path), **more)
+    policy = make_policy(
+        touch__input=kind, touch__slots={"touch0": "right"}, right_calibration=str(tmp_path), **more
+    )
     worn = getattr(policy.touch, "_latents", policy.touch).worn["right"].map
     if kind != "descriptor":
         watched(policy, 99.0).touch.monitors["right"]._worn = worn
@@ -230,7 +259,9 @@ def test_whatever_touch_holds_follows_the_policy_to_its_device(kind, make_policy
     assert not [t for t in tensors_in(policy.issued, {}) if t.device.type != "meta"]
 
 
-def test_a_sensor_that_is_not_healthy_can_be_masked_and_is_not_watched_in_training(make_policy, make_batch):
+def test_a_sensor_that_is_not_healthy_can_be_masked_and_is_not_watched_in_training(
+    make_policy, make_batch
+):
     policy = watched(make_policy(touch__on_sensor_loss="mask"))
     batch = make_batch(policy)
     masks = [policy.felt(batch).masks for _ in range(FREE_LOOKS)]
@@ -242,7 +273,12 @@ def test_a_sensor_that_is_not_healthy_can_be_masked_and_is_not_watched_in_traini
 
 def test_touch_dropout_in_training_with_two_slots_or_on_request(make_policy, make_batch):
     one, two = {"touch0": "right"}, {"touch0": "right", "touch1": "left"}
-    for slots, asked, hidden in ((one, None, False), (one, 0.5, True), (two, None, True), (two, 0.0, False)):
+    for slots, asked, hidden in (
+        (one, None, False),
+        (one, 0.5, True),
+        (two, None, True),
+        (two, 0.0, False),
+    ):
         policy = make_policy(touch__slots=slots, augment__touch_dropout=asked)
         batch = make_batch(policy, size=32)
         policy.train()
@@ -301,7 +337,9 @@ def test_newtons_are_what_the_shipped_head_reads_in_the_latents(make_policy, mak
     for force, z in zip(newtons, read, strict=True):
         torch.testing.assert_close(force[:, 0], head.step(z, None)[0])
     cached = {key: value for key, value in batch.items() if "tactile" not in key}
-    cached |= {latent_key(slot): z.flatten(1) for slot, z in zip(policy.config.slots, read, strict=True)}
+    cached |= {
+        latent_key(slot): z.flatten(1) for slot, z in zip(policy.config.slots, read, strict=True)
+    }
     stored, _ = policy.touch.gather(cached, torch.device("cpu"), training=False)
     torch.testing.assert_close(stored, newtons)
     assert policy.model.force_tokens.input_scale.tolist() == [5.0, 5.0, 10.0]
@@ -310,13 +348,17 @@ def test_newtons_are_what_the_shipped_head_reads_in_the_latents(make_policy, mak
 @pytest.mark.parametrize("kind", ["latent", "newtons", "descriptor", "marker_pair"])
 def test_touch_acts_and_a_swap_mirrors_as_the_right_finger_did(make_policy, make_batch, kind):
     shipped = {"touch__tokenizer_path": None} if kind == "newtons" else {}
-    policy = make_policy(touch__input=kind, touch__slots={"touch0": "right"}, sampler__noise_scale=0.0, **shipped)
+    policy = make_policy(
+        touch__input=kind, touch__slots={"touch0": "right"}, sampler__noise_scale=0.0, **shipped
+    )
     batch = with_dots(make_batch(policy))
     first = policy.predict_action_chunk(batch)
     other = {**batch, tactile_key("right"): batch[tactile_key("left")]}
     assert not torch.equal(first, policy.predict_action_chunk(other))
     # a left finger would have seen it so
-    flipped = {tactile_key("left", r): batch[tactile_key("right", r)].flip(-1) for r in (True, False)}
+    flipped = {
+        tactile_key("left", r): batch[tactile_key("right", r)].flip(-1) for r in (True, False)
+    }
     policy.config.swap = "touch0:left"
     torch.testing.assert_close(policy.predict_action_chunk({**batch, **flipped}), first)
 
@@ -332,7 +374,8 @@ def test_a_masked_policy_acts_without_touch(make_policy, make_batch):
     assert not torch.equal(muted, touched)
 
 
-AT_START = 1e-5  # stated in docs/design.md: what shut touch may move an action, in network units of order 1
+# stated in docs/design.md: what shut touch may move an action, in network units of order 1
+AT_START = 1e-5
 
 
 @SITES
@@ -341,7 +384,8 @@ def test_the_first_action_is_the_bases(site, kind, make_policy, make_batch):
     settings = {"touch__input": "wrench", "touch__site": site, "sampler__kind": kind}
     policy = alive(make_policy(touch__start_at_base=True, **settings))
     given, noise = inputs(policy, make_batch(policy, size=3)), start_noise(policy, 3)
-    without = ours(policy, given._replace(felt=Felt(given.felt.state)), noise)  # touch isn't appended
+    # touch isn't appended
+    without = ours(policy, given._replace(felt=Felt(given.felt.state)), noise)
     assert (ours(policy, given, noise) - without).abs().max() <= AT_START
     alive(policy, gate=OPEN)
     assert (ours(policy, given, noise) - without).abs().max() > 1e-3
@@ -356,15 +400,20 @@ def test_the_gate_has_a_gradient_from_the_first_step(site, make_policy, make_bat
     loss.backward()
     shut = policy.model.touch_gate.gate.grad
     others = policy.model.action_in_proj.weight.grad.abs().max()
-    assert shut.abs().min() > 1e-4 * others  # of a size an optimiser sees, though the gate is at 1e-6
+    # of a size an optimiser sees, though the gate is at 1e-6
+    assert shut.abs().min() > 1e-4 * others
 
 
 @SITES
-def test_a_short_training_opens_the_gate_where_touch_decides_the_action(site, make_policy, make_batch, monkeypatch):
+def test_a_short_training_opens_the_gate_where_touch_decides_the_action(
+    site, make_policy, make_batch, monkeypatch
+):
     """The action is the wrench's first number: without touch the loss can't fall below its variance."""
     monkeypatch.setattr(training, "GATE_LR", 1e-2)
     one = {"touch__slots": {"touch0": "right"}, "action__form": "absolute"}
-    policy = make_policy(touch__input="wrench", touch__site=site, touch__start_at_base=True, **one).train()
+    policy = make_policy(
+        touch__input="wrench", touch__site=site, touch__start_at_base=True, **one
+    ).train()
     optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=3e-3)
     batch = make_batch(policy, size=16, actions=True)
     wrench = torch.randn(16, 4)
@@ -407,14 +456,18 @@ def test_the_gate_and_what_starts_random_learn_at_their_own_rates(make_policy):
     assert trained == {id(p) for p in policy.parameters() if p.requires_grad}
 
 
-def test_a_finger_wears_its_calibration_at_rollout_and_no_checkpoint_names_one(make_policy, make_batch, tmp_path):
+def test_a_finger_wears_its_calibration_at_rollout_and_no_checkpoint_names_one(
+    make_policy, make_batch, tmp_path
+):
     policy = make_policy()
     batch = make_batch(policy)
     before = policy.touch.gather(batch, torch.device("cpu"), training=False)[0][0]
     found = LatentMap(policy.config.tokens_per_slot, policy.config.latent_size)
     found.shift.fill_(0.5)
     judged = {"tool": Agreement(9, (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))}
-    Calibration(found, policy.config.tokenizer_hash, "", "new", "tactip", 1.0, 0.0, judged).save(tmp_path / "map")
+    Calibration(found, policy.config.tokenizer_hash, "", "new", "tactip", 1.0, 0.0, judged).save(
+        tmp_path / "map"
+    )
     finger = policy.config.finger_by_slot()["touch0"]
     policy.save_pretrained(tmp_path / "policy")
     config = PI05UniforceConfig.from_pretrained(
@@ -444,7 +497,8 @@ def test_a_descriptor_is_aligned_as_latents_are(make_policy, make_batch, tmp_pat
     Calibration(found, "descriptor", "", "new", "tactip", 1.0, 0.0, {}).save(tmp_path)
     worn = make_policy(**{"touch__input": "descriptor", f"{finger}_calibration": str(tmp_path)})
     before, after = (
-        policy.touch.gather(make_batch(policy), torch.device("cpu"), training=False)[0][0] for policy in (plain, worn)
+        policy.touch.gather(make_batch(policy), torch.device("cpu"), training=False)[0][0]
+        for policy in (plain, worn)
     )
     assert torch.allclose(after, before + 0.5, atol=1e-6)
     with pytest.raises(ContractError, match="latents to map"):
@@ -452,7 +506,9 @@ def test_a_descriptor_is_aligned_as_latents_are(make_policy, make_batch, tmp_pat
 
 
 @pytest.mark.parametrize(("anchor", "judged"), [("tactip:1", "after"), ("gelsight:1", "before")])
-def test_a_calibrated_unit_is_watched_as_the_unit_that_it_was_calibrated_to(tmp_path, anchor, judged):
+def test_a_calibrated_unit_is_watched_as_the_unit_that_it_was_calibrated_to(
+    tmp_path, anchor, judged
+):
     config = stored_config(shipped_checkpoint())
     found = LatentMap(config.tokens_per_slot, config.latent_size)
     found.shift.fill_(50.0)  # the map turns healthy latents into odd ones
@@ -469,7 +525,9 @@ def test_a_calibrated_unit_is_watched_as_the_unit_that_it_was_calibrated_to(tmp_
 def test_a_calibration_of_another_kind_of_sensor_is_refused(tmp_path):
     config = stored_config(shipped_checkpoint())
     found = LatentMap(config.tokens_per_slot, config.latent_size)
-    Calibration(found, config.tokenizer_hash, "", "uskin:2", "tactip:1", 1.0, 0.0, {}).save(tmp_path)
+    Calibration(found, config.tokenizer_hash, "", "uskin:2", "tactip:1", 1.0, 0.0, {}).save(
+        tmp_path
+    )
     config.right_sensor, config.right_calibration = "gelsight", str(tmp_path)
     with pytest.raises(CheckpointError, match="one of a gelsight, got one of uskin:2"):
         load_calibrations(config, (config.tokens_per_slot, config.latent_size))
@@ -498,7 +556,9 @@ def test_newtons_are_scaled_by_the_gain_that_known_loads_gave(tmp_path):
         read[worn] = policy.touch.read(batch, "touch0", torch.device("cpu"))
     assert read[folder].shape == (1, 1, 3) and torch.allclose(read[folder], 2 * read[""])
     config.right_calibration = worn_gain(tmp_path / "other", "another")
-    with pytest.raises(CheckpointError, match="right_calibration: expected a gain of newtons that head"):
+    with pytest.raises(
+        CheckpointError, match="right_calibration: expected a gain of newtons that head"
+    ):
         load_calibrations(config, (config.tokens_per_slot, config.latent_size))
     config.touch.input = "latent"
     with pytest.raises(CheckpointError, match="this policy feels no newtons"):
@@ -520,7 +580,9 @@ def watch_start(words, monitor="stop", drawn=("right",)):
 
 
 @pytest.mark.slow
-def test_the_shipped_policy_renews_a_shifted_reference_and_stops_on_markers_that_come_and_go(caplog):
+def test_the_shipped_policy_renews_a_shifted_reference_and_stops_on_markers_that_come_and_go(
+    caplog,
+):
     assert set(watch_start("tactip:1")) == {"right"} and "new reference" not in caplog.text
     watch_start("tactip:1+shift=1")
     assert "new reference" in caplog.text
@@ -530,9 +592,13 @@ def test_the_shipped_policy_renews_a_shifted_reference_and_stops_on_markers_that
 
 
 @pytest.mark.slow
-def test_the_shipped_policy_compares_its_finger_with_the_other_one_where_that_is_seen(caplog, monkeypatch):
+def test_the_shipped_policy_compares_its_finger_with_the_other_one_where_that_is_seen(
+    caplog, monkeypatch
+):
     grips_N = []
-    monkeypatch.setattr(FingerBalance, "see", lambda self, own_N, other_N: grips_N.append((own_N, other_N)) or 2.0)
+    monkeypatch.setattr(
+        FingerBalance, "see", lambda self, own_N, other_N: grips_N.append((own_N, other_N)) or 2.0
+    )
     watch_start("tactip:1")
     assert not grips_N
     watch_start("tactip:1", drawn=("left", "right"))

@@ -30,13 +30,21 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     latent = {"dtype": "float32", "shape": (96,), "names": [f"z{i}" for i in range(96)]}
     features = {"observation.images.front": image, "observation.images.wrist": image}
     features |= {"observation.state": five, "action": five, "observation.latent.touch0": latent}
-    made = LeRobotDataset.create("local/wipe", fps=30, features=features, root=root, use_videos=False)
+    made = LeRobotDataset.create(
+        "local/wipe", fps=30, features=features, root=root, use_videos=False
+    )
     random = np.random.default_rng(0)
     for _ in range(2):
         for _ in range(10):
-            frame = {k: random.integers(0, 255, (28, 28, 3), dtype=np.uint8) for k in list(features)[:2]}
-            frame |= {k: random.random(5, dtype=np.float32) for k in ("observation.state", "action")}
-            frame["observation.latent.touch0"] = (7 + 4 * random.standard_normal(96)).astype(np.float32)
+            frame = {
+                k: random.integers(0, 255, (28, 28, 3), dtype=np.uint8) for k in list(features)[:2]
+            }
+            frame |= {
+                k: random.random(5, dtype=np.float32) for k in ("observation.state", "action")
+            }
+            frame["observation.latent.touch0"] = (7 + 4 * random.standard_normal(96)).astype(
+                np.float32
+            )
             made.add_frame({**frame, "task": "wipe the ink off the board"})
         made.save_episode()
     made.finalize()
@@ -63,15 +71,24 @@ def policy_settings(tokenizer_path: Path) -> list[str]:
 
 
 def run_settings(dataset: Path, out: Path, steps: int = 2) -> list[str]:
-    data = ["dataset.repo_id=local/wipe", f"dataset.root={dataset}", f"output_dir={out}", "num_workers=0"]
-    often = f"steps={steps} batch_size={max(2, steps // 5)} log_freq=1 save_freq={max(2, steps // 2)}"
+    data = [
+        "dataset.repo_id=local/wipe",
+        f"dataset.root={dataset}",
+        f"output_dir={out}",
+        "num_workers=0",
+    ]
+    often = (
+        f"steps={steps} batch_size={max(2, steps // 5)} log_freq=1 save_freq={max(2, steps // 2)}"
+    )
     return [*data, *often.split(), "env_eval_freq=0"]
 
 
 def test_lerobot_trains_saves_and_resumes(dataset, tokenizer_path, tmp_path, monkeypatch):
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
     out = tmp_path / "run"
-    lerobot_training.train([*policy_settings(tokenizer_path), *run_settings(dataset, out, steps=20)])
+    lerobot_training.train(
+        [*policy_settings(tokenizer_path), *run_settings(dataset, out, steps=20)]
+    )
     last = out / "checkpoints" / "last" / "pretrained_model"
     early = load_file(out / "checkpoints" / "000010" / "pretrained_model" / "model.safetensors")
     late = load_file(last / "model.safetensors")
@@ -90,10 +107,16 @@ def test_lerobot_trains_saves_and_resumes(dataset, tokenizer_path, tmp_path, mon
     assert policy.config.push_to_hub is False
 
     lerobot_training.train(["resume=true", f"config_path={last / 'train_config.json'}", "steps=24"])
-    assert json.loads((out / "checkpoints/last/training_state/training_step.json").read_text())["step"] == 24
+    assert (
+        json.loads((out / "checkpoints/last/training_state/training_step.json").read_text())["step"]
+        == 24
+    )
 
-    tuned = tmp_path / "tuned"  # from a checkpoint, on new data statistics: LeRobot rebuilds the normaliser
-    lerobot_training.train([f"policy.path={last}", "policy.device=cpu", *run_settings(dataset, tuned)])
+    # from a checkpoint, on new data statistics: LeRobot rebuilds the normaliser
+    tuned = tmp_path / "tuned"
+    lerobot_training.train(
+        [f"policy.path={last}", "policy.device=cpu", *run_settings(dataset, tuned)]
+    )
     last = tuned / "checkpoints/last/pretrained_model"
     saved = load_file(next(last.glob("*normalizer_processor.safetensors")))
     assert "observation.state.q99" in saved
@@ -132,17 +155,28 @@ def test_other_datasets_are_checked_and_stay_with_lerobot(dataset, tmp_path, mon
 def test_command_line_becomes_lerobots():
     given = ["policy=pi05_uniforce", "steps=5", "--policy.size=tiny", "wandb.enable=true"]
     flags = lerobot_training.to_lerobot(given)
-    given = ["--policy.type=pi05_uniforce", "--steps=5", "--policy.size=tiny", "--wandb.enable=true"]
+    given = [
+        "--policy.type=pi05_uniforce",
+        "--steps=5",
+        "--policy.size=tiny",
+        "--wandb.enable=true",
+    ]
     assert flags == [*given, "--policy.push_to_hub=false"]
-    assert {"--num_workers=0", "--save_freq=1000"} <= set(lerobot_training.to_lerobot([*given, "policy.device=cpu"]))
+    assert {"--num_workers=0", "--save_freq=1000"} <= set(
+        lerobot_training.to_lerobot([*given, "policy.device=cpu"])
+    )
     assert lerobot_training.take_verify(["steps=5", "verify=off"]) == ("off", ["steps=5"])
     assert lerobot_training.take_verify(["steps=5"]) == ("", ["steps=5"])
     resumed = lerobot_training.to_lerobot(["resume=true", "config_path=a=b.json"])
     assert resumed == ["--resume=true", "--config_path=a=b.json"]
 
 
-@pytest.mark.skipif(importlib.util.find_spec("peft") is None, reason="peft isn't installed (an extra)")
-def test_lora_through_lerobots_trainer_is_merged_when_shared(dataset, tokenizer_path, tmp_path, monkeypatch):
+@pytest.mark.skipif(
+    importlib.util.find_spec("peft") is None, reason="peft isn't installed (an extra)"
+)
+def test_lora_through_lerobots_trainer_is_merged_when_shared(
+    dataset, tokenizer_path, tmp_path, monkeypatch
+):
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
     gated = [*policy_settings(tokenizer_path), "policy.touch.start_at_base=true"]
     lerobot_training.train([*gated, *run_settings(dataset, tmp_path / "start")])
@@ -150,9 +184,13 @@ def test_lora_through_lerobots_trainer_is_merged_when_shared(dataset, tokenizer_
     more = [f"policy.path={start}", "policy.device=cpu", "--peft.method_type=LORA", "--peft.r=2"]
     lerobot_training.train([*more, *run_settings(dataset, tmp_path / "lora")])
     trained = tmp_path / "lora/checkpoints/last/pretrained_model"
-    assert (trained / "adapter_model.safetensors").exists() and not (trained / "model.safetensors").exists()
+    assert (trained / "adapter_model.safetensors").exists() and not (
+        trained / "model.safetensors"
+    ).exists()
     assert share.main([f"checkpoint={trained}", f"out={tmp_path / 'shared'}"]) == 0
-    merged, before = (load_file(folder / "model.safetensors") for folder in (tmp_path / "shared", start))
+    merged, before = (
+        load_file(folder / "model.safetensors") for folder in (tmp_path / "shared", start)
+    )
     assert merged.keys() == before.keys()
     moved = {name for name in merged if not torch.equal(merged[name], before[name])}
     assert any("gemma_expert" in name for name in moved) and "model.touch_gate.gate" in moved
@@ -161,7 +199,9 @@ def test_lora_through_lerobots_trainer_is_merged_when_shared(dataset, tokenizer_
 
 
 @pytest.mark.slow  # two processes import LeRobot, 10 s each
-def test_two_processes_train_without_a_search_for_unused_parameters(dataset, tokenizer_path, tmp_path, run_to_the_end):
+def test_two_processes_train_without_a_search_for_unused_parameters(
+    dataset, tokenizer_path, tmp_path, run_to_the_end
+):
     """The second step would stop with an error, had any weight of any process been left without a gradient."""
     launch = "torch.distributed.run --standalone --nproc-per-node=2 --module uniforce_cli.train"
     call = [sys.executable, "-m", *launch.split()]
@@ -178,7 +218,9 @@ def test_the_process_group_outlives_the_trainer(monkeypatch):
     """PyTorch deadlocks where the trainer's last frame is the last to hold the group: here it is not."""
     monkeypatch.setattr(lerobot_training, "KEPT_GROUPS", [])
     monkeypatch.setenv("GLOO_SOCKET_IFNAME", "lo")
-    accelerator = lerobot_training.TrainingAccelerator(PI05UniforceConfig(size="tiny", device="cpu"))
+    accelerator = lerobot_training.TrainingAccelerator(
+        PI05UniforceConfig(size="tiny", device="cpu")
+    )
     assert accelerator.ddp_handler.find_unused_parameters is False
     dist = torch.distributed
     dist.init_process_group("gloo", store=dist.HashStore(), rank=0, world_size=1)
@@ -191,11 +233,17 @@ PROGRAM = Path(__file__).with_name("sharded_program.py")
 
 
 @pytest.mark.slow  # two processes import LeRobot, 10 s each
-def test_a_sharded_step_is_the_whole_policys_step(make_policy, make_batch, tmp_path, run_to_the_end):
+def test_a_sharded_step_is_the_whole_policys_step(
+    make_policy, make_batch, tmp_path, run_to_the_end
+):
     still = {f"augment__{name}": 0.0 for name in ("touch_dropout", "camera_variation")}
     policy = make_policy(**still, sampler__noise_scale=0.0, action__objective="regression")
     policy.save_pretrained(tmp_path / "begun")
-    batch = {k: v.contiguous() for k, v in make_batch(policy, 4, actions=True).items() if torch.is_tensor(v)}
+    batch = {
+        k: v.contiguous()
+        for k, v in make_batch(policy, 4, actions=True).items()
+        if torch.is_tensor(v)
+    }
     save_file(batch, tmp_path / "batch.safetensors")
     launch = "torch.distributed.run --standalone --nproc-per-node=2"
     files = [tmp_path / "begun", tmp_path / "batch.safetensors", tmp_path / "sharded"]

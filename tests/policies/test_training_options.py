@@ -33,7 +33,11 @@ def step(policy, make_batch):
 
 
 def without_gradient(policy):
-    trained = {n: p for n, p in policy.named_parameters() if p.requires_grad and not n.endswith(BY_SYMMETRY)}
+    trained = {
+        n: p
+        for n, p in policy.named_parameters()
+        if p.requires_grad and not n.endswith(BY_SYMMETRY)
+    }
     assert trained
     return [n for n, p in trained.items() if p.grad is None or not bool(p.grad.abs().max() > 0)]
 
@@ -49,7 +53,9 @@ def test_every_trained_weight_gets_a_gradient(option, gated, site, make_policy, 
     assert without_gradient(policy) == []
     frozen = {n for n, p in policy.named_parameters() if not p.requires_grad}
     if policy.model.tactile_encoder is not None:
-        assert not policy.model.tactile_encoder.training and any("tactile_encoder" in n for n in frozen)
+        assert not policy.model.tactile_encoder.training and any(
+            "tactile_encoder" in n for n in frozen
+        )
     assert any("vision_tower" in n for n in frozen) == (option in ("expert_only", "frozen_vision"))
     assert any("language_model.layers.0" in n for n in frozen) == (option == "expert_only")
     assert any("language_model.layers.1.mlp" in n for n in frozen)  # the last layer's is not read
@@ -125,8 +131,12 @@ def test_every_picture_gets_a_light_of_its_own() -> None:
     assert tint.std(dim=0).min() > 0.01
 
 
-@pytest.mark.parametrize(("what", "most_px"), [({"shift": 0.03}, 0.03 * 56), ({"turn_rad": 0.03}, 0.03 * 28)])
-def test_a_nudged_camera_moves_the_picture_as_far_as_said(what: dict[str, float], most_px: float) -> None:
+@pytest.mark.parametrize(
+    ("what", "most_px"), [({"shift": 0.03}, 0.03 * 56), ({"turn_rad": 0.03}, 0.03 * 28)]
+)
+def test_a_nudged_camera_moves_the_picture_as_far_as_said(
+    what: dict[str, float], most_px: float
+) -> None:
     """A ramp across the picture reads the move in pixels at each place."""
     px_per_unit = 28.0
     ramp = torch.linspace(-1, 1, 57)[:-1] + 1 / 56
@@ -136,7 +146,9 @@ def test_a_nudged_camera_moves_the_picture_as_far_as_said(what: dict[str, float]
     assert 0.7 * most_px < moved_px.max() <= most_px * 1.05
 
 
-def test_training_varies_what_the_cameras_show_and_a_rollout_does_not(make_policy, make_batch) -> None:
+def test_training_varies_what_the_cameras_show_and_a_rollout_does_not(
+    make_policy, make_batch
+) -> None:
     policy = make_policy(touch__input="none", augment__camera_variation=1.0)
     batch = make_batch(policy)
     cameras = len(policy.config.image_features)

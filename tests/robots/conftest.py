@@ -12,13 +12,22 @@ from uniforce_robots.standins.fci.process import StandIn as ArmStandIn
 from uniforce_robots.standins.process import StandIn
 
 # importlib mode gives test folders no package: their fakes are found here
-sys.path[:0] = [str(Path(__file__).parent / name) for name in ("franka", "recorder", "sensors", "teleop")]
+sys.path[:0] = [
+    str(Path(__file__).parent / name) for name in ("franka", "recorder", "sensors", "teleop")
+]
 RATE_HZ = 100.0  # enough for faults; the rate test starts its own at 500
 # name → how errors call the sensor, the stand-in, and options
 STANDINS = {
     "slcan": ("uskin", "slcan", f"rate_hz={RATE_HZ}"),
     "xela": ("uskin", "standins.xela", f"rate_hz={RATE_HZ}"),
-    "mjpeg": ("tactip on the right finger", "mjpeg", "sensor=tactip", "rate_hz=30", "rest_s=2", "press_s=1"),
+    "mjpeg": (
+        "tactip on the right finger",
+        "mjpeg",
+        "sensor=tactip",
+        "rate_hz=30",
+        "rest_s=2",
+        "press_s=1",
+    ),
     "gello": ("gello", "standins.gello", "swing_rad=0.02"),
     "spacemouse": ("spacemouse", "standins.spacemouse"),
 }

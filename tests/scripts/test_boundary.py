@@ -10,7 +10,12 @@ from typing import Annotated, Literal, get_args
 
 import httpx
 import pytest
-from huggingface_hub.errors import HfHubHTTPError, HFValidationError, LocalTokenNotFoundError, OfflineModeIsEnabled
+from huggingface_hub.errors import (
+    HfHubHTTPError,
+    HFValidationError,
+    LocalTokenNotFoundError,
+    OfflineModeIsEnabled,
+)
 
 from lerobot_env_uniforce_wiping.gripper import GRIPPERS
 from uniforce_cli.boundary import Gripper, Level, command, guarded
@@ -70,19 +75,30 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_what_is_given_reaches_the_config(here: Path) -> None:
-    words = ["count=7", "--inner.share=0.25", "names=b,a", "seeds=[1, 2]", "note=on: [3]", "flag=true"]
+    words = [
+        "count=7",
+        "--inner.share=0.25",
+        "names=b,a",
+        "seeds=[1, 2]",
+        "note=on: [3]",
+        "flag=true",
+    ]
     config = parse(Config, words)
     assert (config.count, config.inner.share, config.names) == (7, 0.25, "b,a")
     assert (config.seeds, config.note, config.flag) == ([1, 2], "on: [3]", True)
     assert not list(here.iterdir())  # what tried the outputs is gone
 
 
-def test_a_tilde_that_the_shell_left_leads_home(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_tilde_that_the_shell_left_leads_home(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     home = here / "home"
     (home / "demos" / "meta").mkdir(parents=True)
     (home / "demos" / "meta" / "info.json").touch()
     monkeypatch.setenv("HOME", str(home))
-    config = parse(Config, ["data=~/demos", "out=~/new/folder", "file=~/x.json", "note=~/not a path"])
+    config = parse(
+        Config, ["data=~/demos", "out=~/new/folder", "file=~/x.json", "note=~/not a path"]
+    )
     assert config.data == f"{home}/demos" and config.note == "~/not a path"
     assert (config.out, config.file) == (f"{home}/new/folder", f"{home}/x.json")
     assert [path.name for path in here.iterdir()] == ["home"]
@@ -170,27 +186,60 @@ def answer(code: int) -> HfHubHTTPError:
         (ContractError("a: expected b,\ngot c."), 2, "uniforce-x: a: expected b, got c."),
         (FileNotFoundError(2, "No such file", "here.txt"), 2, "uniforce-x: here.txt: No such file"),
         (KeyboardInterrupt(), 130, "uniforce-x: stopped"),
-        (PermissionError(13, "Permission denied", Path("here.txt")), 2, "uniforce-x: here.txt: Permission denied"),
-        (UnicodeDecodeError("utf-8", b"\xf6", 0, 1, "invalid start byte"), 2, "uniforce-x: text files: expected UTF-8"),
-        (ModuleNotFoundError("No module named 'franky'", name="franky"), 2, "uniforce-x: No module named 'franky'"),
+        (
+            PermissionError(13, "Permission denied", Path("here.txt")),
+            2,
+            "uniforce-x: here.txt: Permission denied",
+        ),
+        (
+            UnicodeDecodeError("utf-8", b"\xf6", 0, 1, "invalid start byte"),
+            2,
+            "uniforce-x: text files: expected UTF-8",
+        ),
+        (
+            ModuleNotFoundError("No module named 'franky'", name="franky"),
+            2,
+            "uniforce-x: No module named 'franky'",
+        ),
         (ImportError("'x' is required but not installed"), 2, "uniforce-x: 'x' is required"),
-        (ModuleNotFoundError("No module named 'uniforce_cli.x'", name="uniforce_cli.x"), 70, "uniforce-x: a fault"),
-        (OfflineModeIsEnabled("no"), 2, "uniforce-x: hub: expected a connection, got HF_HUB_OFFLINE"),
+        (
+            ModuleNotFoundError("No module named 'uniforce_cli.x'", name="uniforce_cli.x"),
+            70,
+            "uniforce-x: a fault",
+        ),
+        (
+            OfflineModeIsEnabled("no"),
+            2,
+            "uniforce-x: hub: expected a connection, got HF_HUB_OFFLINE",
+        ),
         (httpx.ConnectError("refused"), 2, "uniforce-x: hub: expected a connection, got refused"),
         (httpx.ReadTimeout("slow"), 2, "uniforce-x: hub: expected a connection, got slow"),
         (answer(401), 2, "uniforce-x: hub: expected a login, got answer 401"),
         (answer(403), 2, "uniforce-x: hub: expected a login, got answer 403"),
         (answer(404), 2, "uniforce-x: hub: expected what was asked for, got answered 404"),
         (LocalTokenNotFoundError("Token is required"), 2, "uniforce-x: Token is required"),
-        (HFValidationError("Repo id must"), 2, "uniforce-x: hub: expected what was asked for, got Repo id must"),
-        (ZeroDivisionError("by zero"), 70, "uniforce-x: a fault of this program, ZeroDivisionError: by zero"),
+        (
+            HFValidationError("Repo id must"),
+            2,
+            "uniforce-x: hub: expected what was asked for, got Repo id must",
+        ),
+        (
+            ZeroDivisionError("by zero"),
+            70,
+            "uniforce-x: a fault of this program, ZeroDivisionError: by zero",
+        ),
         (ContractError("http://anna:s3cret@cam"), 2, "uniforce-x: http://***@cam"),
         (DiskFullError("no room"), 4, "uniforce-x: no room"),
-        *((OSError(number, os.strerror(number)), 4, f"uniforce-x: disk: {os.strerror(number)}") for number in FULL),
+        *(
+            (OSError(number, os.strerror(number)), 4, f"uniforce-x: disk: {os.strerror(number)}")
+            for number in FULL
+        ),
         (PermissionError(13, "Permission denied", "/x"), 2, "uniforce-x: /x: Permission denied"),
     ],
 )
-def test_an_error_is_one_line(error: BaseException, code: int, line: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_error_is_one_line(
+    error: BaseException, code: int, line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert guarded("uniforce-x", failing(error)) == code
     out, err = capsys.readouterr()
     assert not out and err.startswith(line) and err.count("\n") == 1

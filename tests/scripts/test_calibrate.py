@@ -31,7 +31,9 @@ from uniforce_vtla.tokenizer.mount_relation import SETTINGS, Mount
 
 
 @pytest.mark.slow
-def test_a_unit_learns_to_read_as_another_one_does(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_unit_learns_to_read_as_another_one_does(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Unit 12 of a TacTip is stiffer and answers to the same grasp by .84 of unit 1."""
     out = tmp_path / "map"
     assert main(["new=tactip:12", "anchor=tactip:1", "grasps=120", f"out={out}"]) == 0
@@ -44,21 +46,39 @@ def test_a_unit_learns_to_read_as_another_one_does(tmp_path: Path, capsys: pytes
 
 
 @pytest.mark.slow
-def test_a_grasp_that_the_canonicaliser_refuses_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_grasp_that_the_canonicaliser_refuses_is_left_out(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     """A pad of four tenths its stiffness moves markers further than any that pretraining saw, in the firmest grasps."""
-    assert main(["new=tactip:1+stiffness=0.4", "anchor=tactip:1", "grasps=120", f"out={tmp_path / 'map'}"]) == 0
+    assert (
+        main(
+            [
+                "new=tactip:1+stiffness=0.4",
+                "anchor=tactip:1",
+                "grasps=120",
+                f"out={tmp_path / 'map'}",
+            ]
+        )
+        == 0
+    )
     assert "of 120 grasps are left out" in caplog.text
 
 
 @pytest.mark.parametrize("words", ["tactip:any", "tactip:left", "nose:3"])
-def test_only_a_sensor_that_stays_the_same_is_calibrated(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_only_a_sensor_that_stays_the_same_is_calibrated(
+    words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main([f"new={words}"]) == 2
     assert words.partition(":")[0] in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("sensors", "new_is"),
-    [(("tactip", "gelsight"), "left"), (("gelsight", "tactip"), "right"), (("tactip_l", "tactip_r"), "left")],
+    [
+        (("tactip", "gelsight"), "left"),
+        (("gelsight", "tactip"), "right"),
+        (("tactip_l", "tactip_r"), "left"),
+    ],
 )
 def test_recorded_pairs_of_two_units_of_a_kind_are_kept_apart(
     sensors: tuple[str, str], new_is: str, tmp_path: Path
@@ -66,13 +86,18 @@ def test_recorded_pairs_of_two_units_of_a_kind_are_kept_apart(
     images = np.zeros((3, 480, 640), np.uint8)
     images[:, 200:280, 280:360] = 255
     recording = PairRecording(sensors, "tool", "", images[0], images[0], images, images)
-    write_uniforce_pairs(tmp_path, recording, "marker")  # folders named as `uniforce pairs` names them
+    # folders named as `uniforce pairs` names them
+    write_uniforce_pairs(tmp_path, recording, "marker")
     value = {"left": 1.0, "right": 2.0}
-    tokenizer = SimpleNamespace(encode=lambda ref, now, finger: Latent.of(torch.full((3, 64, 6), value[finger]), "abc"))
+    tokenizer = SimpleNamespace(
+        encode=lambda ref, now, finger: Latent.of(torch.full((3, 64, 6), value[finger]), "abc")
+    )
     anchor = "gelsight" if "gelsight" in sensors else "tactip:1"
     grasps = recorded_grasps(str(tmp_path), "tactip:7", anchor, "tool,flat", tokenizer)  # type: ignore[arg-type]
     assert grasps.classes == ("tool",) * 3 and len(grasps.new) == 3 and grasps.numbers == (0, 0, 0)
-    assert float(grasps.new.mean()) == value[new_is] and float(grasps.anchor.mean()) != value[new_is]
+    assert (
+        float(grasps.new.mean()) == value[new_is] and float(grasps.anchor.mean()) != value[new_is]
+    )
 
 
 def record_pairs(root: Path, new: str, anchor: str, mount: Mount) -> Path:
@@ -87,7 +112,9 @@ def record_pairs(root: Path, new: str, anchor: str, mount: Mount) -> Path:
         shown = np.stack([as_mounted(image) for image in left.images(contact)])
         sensors = new.partition(":")[0], anchor.partition(":")[0]
         references = as_mounted(left.reference), right.reference
-        recording = PairRecording(sensors, indenter, "", *references, shown, right.images(mirrored(contact)))
+        recording = PairRecording(
+            sensors, indenter, "", *references, shown, right.images(mirrored(contact))
+        )
         write_uniforce_pairs(root, recording, "marker")
     return root
 
@@ -104,7 +131,9 @@ def test_a_sensor_mounted_the_wrong_way_is_refused_until_it_is_said(
         assert main(asked) == 2
         said = capsys.readouterr().err
         assert (
-            f"the one {mount} against the other" in said and f"mounted={mount}" in said and "rotation_deg=180" in said
+            f"the one {mount} against the other" in said
+            and f"mounted={mount}" in said
+            and "rotation_deg=180" in said
         )
         assert ("flip=true" in said) == (mount == "mirrored_y") and not (tmp_path / "map").exists()
     assert main([*asked, f"mounted={mount}"]) == 0
@@ -116,7 +145,9 @@ def test_a_mount_is_stated_of_recorded_pairs_alone(capsys: pytest.CaptureFixture
     assert "recorded pairs" in capsys.readouterr().err
 
 
-def test_simulated_loads_undo_a_pad_that_answers_less(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_simulated_loads_undo_a_pad_that_answers_less(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "gain"
     assert main(["new=tactip:1+gain=0.7", "loads_N=3,6,9", f"out={out}"]) == 0
     assert "tactip:1+gain=0.7: gain 1." in capsys.readouterr().out
@@ -160,7 +191,9 @@ class Pressed:
         self.marker_image = self.canonicalizer.marker_image
 
     def ask(self, said: str) -> None:
-        self.load_N = 0.0 if "hang free" in said else float(said.partition("(")[2].partition(" N")[0])
+        self.load_N = (
+            0.0 if "hang free" in said else float(said.partition("(")[2].partition(" N")[0])
+        )
 
     def reference_image(self) -> np.ndarray:
         return np.repeat(self.marker_image(self.simulator.raw_reference())[..., None], 3, axis=2)
@@ -186,14 +219,23 @@ def test_a_person_lets_the_tool_hang_and_presses_it(capsys: pytest.CaptureFixtur
     finger, tokenizer = Pressed(grip_N=10.0), Tokenizer.from_pretrained()
     asked = (finger, (3, 6, 9), pooled_latents(tokenizer), True)
     z, load_N = presses_by_hand(*asked, ask=finger.ask)  # type: ignore[arg-type]
-    assert sorted(set(load_N.tolist())) == [0, 3, 6, 9] and "grasp the tool" in capsys.readouterr().out
-    assert 0.8 < Calibration.through_a_tool(z, load_N, ForceHead.from_pretrained(), "tactip").gain < 1.25
+    assert (
+        sorted(set(load_N.tolist())) == [0, 3, 6, 9] and "grasp the tool" in capsys.readouterr().out
+    )
+    assert (
+        0.8
+        < Calibration.through_a_tool(z, load_N, ForceHead.from_pretrained(), "tactip").gain
+        < 1.25
+    )
 
 
 @pytest.mark.parametrize("worn", ["tactip:2", "uskin:2", "gelsight:2"])
 def test_every_kind_is_weighed_through_the_tool(worn: str, tmp_path: Path) -> None:
     """A covered flat gel can't be weighed bare; the shear of what it holds it shows."""
-    assert main([f"new={worn}", "loads_N=3,6,9", "through=tool", f"out={tmp_path / 'gain'}"]) in (None, 0)
+    assert main([f"new={worn}", "loads_N=3,6,9", "through=tool", f"out={tmp_path / 'gain'}"]) in (
+        None,
+        0,
+    )
     found = Calibration.load(tmp_path / "gain", Tokenizer.from_pretrained().hash)
     assert found.through_tool and 0.6 < found.gain < 1.4
 
@@ -203,7 +245,9 @@ def record_wipe(root: Path, frames: int) -> Path:
     shear_N = -1.5 + 1.5 * np.cos(np.arange(frames) / 5)
     force = np.column_stack([0 * shear_N, shear_N, 0 * shear_N + 9.0]).astype(np.float32)
     rng = np.random.default_rng(0)
-    face = flat_face_gap(np.zeros((frames, 2)), np.full((frames, 2), 40.0), np.zeros(frames), np.zeros((frames, 2)))
+    face = flat_face_gap(
+        np.zeros((frames, 2)), np.full((frames, 2), 40.0), np.zeros(frames), np.zeros((frames, 2))
+    )
     contact = ContactState(face, force, np.zeros(frames, np.float32))
     views = {"left": WornView(wear("tactip")(0), 0), "right": WornView(wear("uskin:2")(0), 1)}
     images = {finger: view.images(contact) for finger, view in views.items()}
@@ -218,7 +262,9 @@ def record_wipe(root: Path, frames: int) -> Path:
     return root
 
 
-def test_recorded_wipes_scale_the_sensor_beside_a_known_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_recorded_wipes_scale_the_sensor_beside_a_known_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     wipes = record_wipe(tmp_path / "wipes", frames=132)
     asked = ["new=uskin:2", "anchor=tactip", f"wipes={wipes}", f"out={tmp_path / 'gain'}"]
     assert main(asked) in (None, 0)

@@ -37,7 +37,8 @@ def test_every_tensor_of_the_real_size_finds_its_place(site: str) -> None:
     names = own_names(published)
     assert set(published) - set(names) == set(HEADS)
     wanted = {f"model.{n}": tuple(t.shape) for n, t in ours.state_dict().items()}
-    assert any(name.startswith("model.touch_gate.") for name in wanted)  # training starts at the base
+    # training starts at the base
+    assert any(name.startswith("model.touch_gate.") for name in wanted)
     wanted = {name: shape for name, shape in wanted.items() if not name.startswith(FRESH)}
     assert {names[name]: published[name] for name in names} == wanted
     assert sum(p.numel() for p in ours.parameters()) > 3.3e9
@@ -76,29 +77,40 @@ def convert(published: Path, view: Path, out: Path, *more: str) -> int:
 
 
 @pytest.mark.slow
-def test_a_conversion_keeps_every_weight_and_trains_on(published: Path, view: Path, tmp_path: Path) -> None:
+def test_a_conversion_keeps_every_weight_and_trains_on(
+    published: Path, view: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "converted"
     assert convert(published, view, out, "touch_input=wrench", "token_site=suffix") == 0
     policy = PI05UniforcePolicy.from_pretrained(out)
     before = load_file(published / "model.safetensors")
     after = policy.state_dict()
-    assert all(torch.equal(after[name], tensor) for name, tensor in before.items() if name not in HEADS)
+    assert all(
+        torch.equal(after[name], tensor) for name, tensor in before.items() if name not in HEADS
+    )
     assert any("force_tokens" in name for name in after.keys() - before.keys())
     assert json.loads((out / "config.json").read_text())["touch"]["site"] == "suffix"
     data = ["dataset.repo_id=local/view", f"dataset.root={view}", f"output_dir={tmp_path / 'run'}"]
     run = ["steps=2", "batch_size=2", "num_workers=0", "save_freq=2", "policy.device=cpu"]
     lerobot_training.train([f"policy.path={out}", *data, *run])
-    assert (tmp_path / "run" / "checkpoints" / "last" / "pretrained_model" / "model.safetensors").exists()
+    assert (
+        tmp_path / "run" / "checkpoints" / "last" / "pretrained_model" / "model.safetensors"
+    ).exists()
 
 
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (lambda tensors: tensors.pop("model.action_in_proj.weight") is None, "model.action_in_proj.weight"),
+        (
+            lambda tensors: tensors.pop("model.action_in_proj.weight") is None,
+            "model.action_in_proj.weight",
+        ),
         (lambda tensors: tensors.update({"model.strange": torch.zeros(1)}), "model.strange"),
     ],
 )
-def test_missing_and_strange_tensors_are_named(change, says, published, view, tmp_path, capsys) -> None:
+def test_missing_and_strange_tensors_are_named(
+    change, says, published, view, tmp_path, capsys
+) -> None:
     tensors = load_file(published / "model.safetensors")
     change(tensors)
     (tmp_path / "config.json").write_text((published / "config.json").read_text())
@@ -107,7 +119,9 @@ def test_missing_and_strange_tensors_are_named(change, says, published, view, tm
     assert says in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 
-def test_another_policy_is_refused(view: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_another_policy_is_refused(
+    view: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "config.json").write_text('{"type": "act"}')
     assert convert(tmp_path, view, tmp_path / "out") == 2
     assert "pi05" in capsys.readouterr().err

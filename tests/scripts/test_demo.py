@@ -9,14 +9,21 @@ import pytest
 from uniforce_cli import demo, record, view
 from uniforce_datasets.view_plan import EpisodeFacts
 
-CLEAN, EVENT, FAILED, ABORTED = (True, "success"), (False, "success"), (False, "residual"), (False, "aborted")
+CLEAN, EVENT, FAILED, ABORTED = (
+    (True, "success"),
+    (False, "success"),
+    (False, "residual"),
+    (False, "aborted"),
+)
 
 
 class SeenEnoughError(Exception):
     """Ends the demo where a test has seen enough."""
 
 
-def test_it_learns_from_every_demo_that_wiped_the_board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_learns_from_every_demo_that_wiped_the_board(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of three demos all may have an event, and the demo ended there."""
     asked = []
 
@@ -31,7 +38,9 @@ def test_it_learns_from_every_demo_that_wiped_the_board(tmp_path: Path, monkeypa
     assert asked[0].keep_events and not asked[0].keep_failures
 
 
-def test_a_failed_step_shows_the_end_of_the_log_and_where_it_is(tmp_path, monkeypatch, capfd) -> None:
+def test_a_failed_step_shows_the_end_of_the_log_and_where_it_is(
+    tmp_path, monkeypatch, capfd
+) -> None:
     def fail(config: record.RecordConfig) -> None:
         sys.stdout.write("".join(f"line {number}\n" for number in range(100)))
         sys.stderr.write("of a library\n")
@@ -48,7 +57,9 @@ def test_a_failed_step_shows_the_end_of_the_log_and_where_it_is(tmp_path, monkey
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_the_smallest_demo_prints_less_than_forty_lines(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_smallest_demo_prints_less_than_forty_lines(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "demo"
     assert demo.main(["episodes=1", "train_steps=1", "rollouts=1", "level=easy", f"out={out}"]) == 0
     said, warned = capfd.readouterr()
@@ -68,7 +79,9 @@ def test_the_smallest_demo_prints_less_than_forty_lines(tmp_path: Path, capfd: p
         ({"keep_failures": True}, [CLEAN, EVENT, FAILED, ABORTED]),
     ],
 )
-def test_clean_demos_always_others_when_asked_for(settings: dict[str, bool], taken: list[tuple[bool, str]]) -> None:
+def test_clean_demos_always_others_when_asked_for(
+    settings: dict[str, bool], taken: list[tuple[bool, str]]
+) -> None:
     def facts(success: bool, outcome: str) -> EpisodeFacts:
         return EpisodeFacts("demos", 0, 300, "wipe", success, outcome, 0, "gelsight", "tactip")
 

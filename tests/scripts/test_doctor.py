@@ -13,12 +13,23 @@ Usage = namedtuple("Usage", "total used free")
 def test_a_whole_machine_passes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert doctor.main([f"out={tmp_path}"]) == 0
     said = capsys.readouterr().out
-    for name in ("Python", "torch", "device", "disk", "hub cache", "real-time kernel", "cameras", "serial ports"):
+    for name in (
+        "Python",
+        "torch",
+        "device",
+        "disk",
+        "hub cache",
+        "real-time kernel",
+        "cameras",
+        "serial ports",
+    ):
         assert name in said
     assert "missing" not in said
 
 
-def test_a_missing_library_fails_and_says_what_to_do(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys) -> None:
+def test_a_missing_library_fails_and_says_what_to_do(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys
+) -> None:
     monkeypatch.setattr(doctor, "NEEDED", ("torch", "no_such_library"))
     assert doctor.main([f"out={tmp_path}"]) == 1
     line = next(line for line in capsys.readouterr().out.splitlines() if "no_such_library" in line)
@@ -45,7 +56,8 @@ def test_devices_are_listed_and_closed_ones_say_how_to_open_them(
 
 
 @pytest.mark.parametrize(
-    ("is_there", "priority", "state"), [(False, 0, "none"), (True, 0, "no real-time"), (True, 99, "99")]
+    ("is_there", "priority", "state"),
+    [(False, 0, "none"), (True, 0, "no real-time"), (True, 99, "99")],
 )
 def test_a_realtime_kernel_needs_priority_too(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, is_there: bool, priority: int, state: str

@@ -11,7 +11,17 @@ import tomllib
 import pytest
 
 from benchmarks.trust.bad_words import Room
-from benchmarks.trust.command_line import COMMANDS, MODULES, PUBLISHED, ROOT, entry, hashes, judge, prepare, trials
+from benchmarks.trust.command_line import (
+    COMMANDS,
+    MODULES,
+    PUBLISHED,
+    ROOT,
+    entry,
+    hashes,
+    judge,
+    prepare,
+    trials,
+)
 from benchmarks.trust.command_worker import Ended, _code
 from uniforce_cli import main as command
 from uniforce_cli.boundary import REFUSED
@@ -44,16 +54,28 @@ FILES = ("damaged", "another kind", "nothing in it", "file for folder", "folder 
 
 
 @pytest.mark.parametrize("name", sorted({*command.VERBS} - {"train"}))
-def test_every_file_or_folder_of_a_wrong_kind_is_a_users_error(name, room, monkeypatch, capfd) -> None:
+def test_every_file_or_folder_of_a_wrong_kind_is_a_users_error(
+    name, room, monkeypatch, capfd
+) -> None:
     """Whatever a verb is pointed at: one line at the end, after any progress bar, and never a fault of the program."""
     monkeypatch.chdir(room.folder.parent / "work")
     for trial in trials(name, room):
         if trial.bad.kind in FILES:
             code, said = _code(entry(name), trial.words), capfd.readouterr().err.splitlines()
-            assert code == REFUSED and said[-1].startswith(f"uniforce {name}: "), f"{trial.words}: {code} {said[-1:]}"
+            assert code == REFUSED and said[-1].startswith(f"uniforce {name}: "), (
+                f"{trial.words}: {code} {said[-1:]}"
+            )
 
 
-ADDRESSES = ("http://[::1", "http://", "http://127.0.0.1:99999/s", "ftp://x/y", "/nowhere", "/etc/passwd", "/tmp")
+ADDRESSES = (
+    "http://[::1",
+    "http://",
+    "http://127.0.0.1:99999/s",
+    "ftp://x/y",
+    "/nowhere",
+    "/etc/passwd",
+    "/tmp",
+)
 
 
 @pytest.mark.parametrize("source", ADDRESSES)
@@ -62,7 +84,13 @@ def test_a_source_that_is_none_is_a_users_error(source: str, capfd) -> None:
     assert capfd.readouterr().err.splitlines()[-1].startswith("uniforce touch: ")
 
 
-TRAINED = ("policy=pi05_uniforce", "policy.size=tiny", "policy.device=cpu", "dataset.repo_id=local/x", "steps=1")
+TRAINED = (
+    "policy=pi05_uniforce",
+    "policy.size=tiny",
+    "policy.device=cpu",
+    "dataset.repo_id=local/x",
+    "steps=1",
+)
 EPISODES = ("[99]", "[-1]", "[]", "[0, 0]", "[0.5]", "3", "all", "[a]", "{a: 1}")
 
 
@@ -71,13 +99,23 @@ EPISODES = ("[99]", "[-1]", "[]", "[0, 0]", "[0.5]", "3", "all", "[a]", "{a: 1}"
 def test_episodes_that_are_not_there_are_named(data, episodes, room, tmp_path, capfd) -> None:
     words = [*TRAINED, f"dataset.root={room.folder / data}", f"output_dir={tmp_path / 'out'}"]
     assert _code(entry("train"), [*words, f"dataset.episodes={episodes}"]) == REFUSED
-    assert capfd.readouterr().err.splitlines()[-1].startswith("uniforce train: dataset.episodes: expected")
+    assert (
+        capfd.readouterr()
+        .err.splitlines()[-1]
+        .startswith("uniforce train: dataset.episodes: expected")
+    )
 
 
-@pytest.mark.parametrize("given", ["", "{run}", "{run}/checkpoints/last/pretrained_model", "{run}/none.json"])
+@pytest.mark.parametrize(
+    "given", ["", "{run}", "{run}/checkpoints/last/pretrained_model", "{run}/none.json"]
+)
 def test_a_run_to_go_on_with_names_its_settings(given: str, tmp_path, capfd) -> None:
     (tmp_path / "checkpoints" / "last" / "pretrained_model").mkdir(parents=True)
-    words = ["resume=true", "steps=6", *([f"config_path={given.format(run=tmp_path)}"] if given else [])]
+    words = [
+        "resume=true",
+        "steps=6",
+        *([f"config_path={given.format(run=tmp_path)}"] if given else []),
+    ]
     assert _code(entry("train"), words) == REFUSED
     assert "config_path: expected a checkpoint's train_config.json" in capfd.readouterr().err
 
@@ -96,7 +134,9 @@ def undeclared(option: Option) -> bool:
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "train"])
 def test_every_option_declares_what_it_may_be(name: str) -> None:
     options = options_of(entry(name).config_class)
-    assert not [o.name for o in options.values() if undeclared(o) and not o.name.startswith("run.model.")]
+    assert not [
+        o.name for o in options.values() if undeclared(o) and not o.name.startswith("run.model.")
+    ]
     rules = {type(option.rule) for option in options.values()} - {type(None)}
     assert rules <= {Range, Names, Pattern, Plain, Existing, Writable}
 
@@ -117,16 +157,20 @@ def test_help_teaches_with_an_example(name: str, capsys: pytest.CaptureFixture[s
     assert ("uniforce " if name in command.VERBS else "python -m benchmarks.") + name in said
 
 
-def test_one_command_is_installed_and_names_all_its_verbs(capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_command_is_installed_and_names_all_its_verbs(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     scripts = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
-    assert list(scripts) == ["uniforce"] and len(command.VERBS) <= 14
+    assert list(scripts) == ["uniforce"] and len(command.VERBS) <= 15
     assert command.main([]) == 0
     said = capsys.readouterr().out
     assert all(f"  {verb} " in said for verb in command.VERBS)
     assert command.main(["scoer"]) == 2 and "Did you mean score?" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("verb", "most_s"), [((), 1.0), *(((verb,), 2.0) for verb in command.VERBS)])
+@pytest.mark.parametrize(
+    ("verb", "most_s"), [((), 1.0), *(((verb,), 2.0) for verb in command.VERBS)]
+)
 def test_help_is_quick(verb: tuple[str, ...], most_s: float) -> None:
     """Processor time, since the machine may be busy."""
     heavy = "import sys; from uniforce_cli.main import main; from contextlib import suppress\n"
@@ -145,4 +189,6 @@ def test_scripts_hold_no_logic_and_shadow_no_library() -> None:
     for script in found:
         assert len(script.read_text().splitlines()) <= 12, script.name
         found_at = importlib.util.find_spec(script.stem)
-        assert found_at is None or found_at.origin == str(script), f"{script.name} would shadow a library"
+        assert found_at is None or found_at.origin == str(script), (
+            f"{script.name} would shadow a library"
+        )

@@ -11,17 +11,24 @@ from uniforce_cli.pairs import main
 QUICK = ["left_sensor=uskin", "right_sensor=tactip", "indenters=sphere", "chunk=6", "crowded=1"]
 
 
-def test_a_rehearsal_records_goes_on_and_says_what_the_truth_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_rehearsal_records_goes_on_and_says_what_the_truth_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     assert main([*QUICK, "pairs=6", f"out={tmp_path}"]) == 0
     assert main([*QUICK, "pairs=12", f"out={tmp_path}"]) == 0
     said = capsys.readouterr().out
     assert "12 pairs in" in said and "rehearsal, by truth" in said
     session = json.loads((tmp_path / "session.json").read_text())
-    assert session["pairs"] == {"sphere": 12} and session["truth"]["kept"] == session["frames"]["kept"] == 6
+    assert (
+        session["pairs"] == {"sphere": 12}
+        and session["truth"]["kept"] == session["frames"]["kept"] == 6
+    )
 
 
 @pytest.mark.parametrize("wrong", ["indenters=banana", "indenters=sphere,sphere"])
-def test_what_makes_no_sense_is_refused_in_words(tmp_path: Path, capsys: pytest.CaptureFixture[str], wrong: str):
+def test_what_makes_no_sense_is_refused_in_words(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], wrong: str
+):
     assert main([*QUICK, f"out={tmp_path / 'new'}", wrong]) == 2
     assert "expected" in capsys.readouterr().err
 

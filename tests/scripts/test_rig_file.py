@@ -33,7 +33,8 @@ def read(rig: Path, content: str | bytes, *flags: str):
         "robot:\n",
         "robot:\n  address: 127.0.0.99\nteleop:\n  # device: /dev/hidraw3\n",
         "robot:\n  cameras:\n  guards:\n",
-        "robot: {id: null}\nteleop: {type: spacemouse, device: /dev/hidraw3}",  # of another one than was asked for
+        # of another one than was asked for
+        "robot: {id: null}\nteleop: {type: spacemouse, device: /dev/hidraw3}",
         "\ufeffrobot:\n  address: 127.0.0.98\n",
         "robot: {}".encode("utf-16"),
         '{"robot": {"address": "127.0.0.98"}}',
@@ -41,7 +42,11 @@ def read(rig: Path, content: str | bytes, *flags: str):
 )
 def test_what_is_left_out_keeps_its_default(rig: Path, content: str | bytes) -> None:
     robot, teleop = read(rig, content)
-    assert not robot.cameras and robot.guards == type(robot.guards)() and teleop.type == "uniforce_keyboard"
+    assert (
+        not robot.cameras
+        and robot.guards == type(robot.guards)()
+        and teleop.type == "uniforce_keyboard"
+    )
 
 
 def test_flags_override_the_file(rig: Path) -> None:
@@ -77,7 +82,9 @@ def test_flags_override_the_file(rig: Path) -> None:
         ("robot: {cameras: [front]}", "robot.cameras"),
     ],
 )
-def test_a_file_that_will_not_do_is_named_in_a_line(rig: Path, content: str | bytes, names: str) -> None:
+def test_a_file_that_will_not_do_is_named_in_a_line(
+    rig: Path, content: str | bytes, names: str
+) -> None:
     with pytest.raises(ContractError) as error:
         read(rig, content)
     said = str(error.value)
@@ -107,7 +114,9 @@ def test_a_file_that_will_not_do_is_named_in_a_line(rig: Path, content: str | by
         (f"{{type: opencv, index_or_path: 0, {SIZE}, rotation: 45}}", "rotation"),
     ],
 )
-def test_a_camera_that_will_not_do_is_named_with_the_reason(rig: Path, camera: str, reason: str) -> None:
+def test_a_camera_that_will_not_do_is_named_with_the_reason(
+    rig: Path, camera: str, reason: str
+) -> None:
     with pytest.raises(ContractError) as error:
         read(rig, f"robot:\n  cameras:\n    front: {camera}\n")
     said = str(error.value)
@@ -115,7 +124,10 @@ def test_a_camera_that_will_not_do_is_named_with_the_reason(rig: Path, camera: s
 
 
 def test_unknown_teleoperators_and_files_that_are_not_there_are_refused(tmp_path: Path) -> None:
-    for teleop, file, named in (("telepathy", "", "uniforce_keyboard"), ("keyboard", "no.yaml", "no.yaml")):
+    for teleop, file, named in (
+        ("telepathy", "", "uniforce_keyboard"),
+        ("keyboard", "no.yaml", "no.yaml"),
+    ):
         with pytest.raises(ContractError, match=named):
             read_devices([], True, teleop, file)
     with pytest.raises(ContractError, match=str(tmp_path)):
@@ -123,7 +135,15 @@ def test_unknown_teleoperators_and_files_that_are_not_there_are_refused(tmp_path
 
 
 @pytest.mark.parametrize(
-    "flag", ["adress=1", "cameras.front=3", "cameras.front={", "cameras.front.fps=", "cameras=3", "guards=3"]
+    "flag",
+    [
+        "adress=1",
+        "cameras.front=3",
+        "cameras.front={",
+        "cameras.front.fps=",
+        "cameras=3",
+        "guards=3",
+    ],
 )
 def test_a_flag_that_will_not_do_is_named(rig: Path, flag: str) -> None:
     with pytest.raises(ContractError, match=r"robot\."):
@@ -138,7 +158,9 @@ STOCK = {
 
 
 @pytest.mark.parametrize("kind", STOCK)
-def test_lerobots_cameras_are_understood(rig: Path, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lerobots_cameras_are_understood(
+    rig: Path, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     content = f"robot: {{cameras: {{front: {{type: {kind}, {STOCK[kind]}, {SIZE}}}}}}}"
     monkeypatch.setattr(build, "find_spec", lambda name: ModuleSpec(name, None))
     assert read(rig, content)[0].cameras["front"].type == kind
@@ -153,5 +175,7 @@ def test_lerobots_cameras_are_loaded_when_a_file_names_one(rig: Path) -> None:
     code = "import sys; from uniforce_robots.recorder.build import read_devices as read\n"
     code += "assert 'lerobot.cameras.opencv' not in sys.modules\n"
     code += "print(read([], True, 'keyboard', sys.argv[1])[0].cameras['front'])"
-    done = subprocess.run([sys.executable, "-c", code, str(rig)], check=True, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(rig)], check=True, capture_output=True, text=True
+    )
     assert OpenCVCameraConfig.__name__ in done.stdout

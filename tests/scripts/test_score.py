@@ -16,7 +16,13 @@ from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint, stored_c
 from uniforce_cli import score_worker
 from uniforce_cli.score import ROWS, SCRIPTS, ScoreConfig, score, score_arms, write_report
 from uniforce_cli.score_settings import Rig
-from uniforce_cli.score_worker import FrozenTouch, ShuffledTouch, controlled, donated_touch, score_job
+from uniforce_cli.score_worker import (
+    FrozenTouch,
+    ShuffledTouch,
+    controlled,
+    donated_touch,
+    score_job,
+)
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.evaluation.arms import EpisodeRow
 from uniforce_vtla.keys import TACTILE_NAMES
@@ -37,7 +43,9 @@ def rolled_out(monkeypatch: pytest.MonkeyPatch) -> RolledOut:
 
         def fake(index: int, config: ScoreConfig, seed: int) -> tuple[int, EpisodeRow]:
             jobs.append((seed, config))
-            return index, EpisodeRow(seed, "success", clean(seed, config), False, False, 0, 0, 0, 0, 0, 0)
+            return index, EpisodeRow(
+                seed, "success", clean(seed, config), False, False, 0, 0, 0, 0, 0, 0
+            )
 
         monkeypatch.setattr(score_worker, "score_job", fake)
         return jobs
@@ -48,10 +56,15 @@ def rolled_out(monkeypatch: pytest.MonkeyPatch) -> RolledOut:
 def test_a_script_is_not_taken_for_a_policy() -> None:
     arms = [ScoreConfig(policy=policy).arm for policy in ("shipped", "expert")]
     assert arms == ["V+T", "expert"] and ScoreConfig(policy="expert", arm="me").arm == "me"
-    assert ScoreConfig(right_sensor="uskin:7+lag=100", control="masked").arm == "V+T, right uskin:7+lag=100, masked"
+    assert (
+        ScoreConfig(right_sensor="uskin:7+lag=100", control="masked").arm
+        == "V+T, right uskin:7+lag=100, masked"
+    )
 
 
-def test_training_seeds_take_turns_from_scene_to_scene(tmp_path: Path, rolled_out: RolledOut) -> None:
+def test_training_seeds_take_turns_from_scene_to_scene(
+    tmp_path: Path, rolled_out: RolledOut
+) -> None:
     rolled_out(lambda seed, config: "seed0" in config.policy_of(seed))
     config = ScoreConfig(policy="seed0/v, seed1/v", arm="V", rollouts=5, out=str(tmp_path))
     assert config.policies == ["seed0/v", "seed1/v"]
@@ -59,16 +72,27 @@ def test_training_seeds_take_turns_from_scene_to_scene(tmp_path: Path, rolled_ou
     assert [row.clean for row in report.rows] == [True, False, True, False, True]
 
 
-def test_arms_take_turns_and_a_second_run_does_nothing(tmp_path: Path, rolled_out: RolledOut) -> None:
+def test_arms_take_turns_and_a_second_run_does_nothing(
+    tmp_path: Path, rolled_out: RolledOut
+) -> None:
     jobs = rolled_out(lambda *_: True)
-    arms = [ScoreConfig(arm=name, rollouts=2, first_seed=5, out=str(tmp_path)) for name in ("V", "V+T")]
+    arms = [
+        ScoreConfig(arm=name, rollouts=2, first_seed=5, out=str(tmp_path)) for name in ("V", "V+T")
+    ]
     for _ in range(2):
         reports = score_arms(arms, workers=1)
-        assert [(seed, config.arm) for seed, config in jobs] == [(5, "V"), (5, "V+T"), (6, "V"), (6, "V+T")]
+        assert [(seed, config.arm) for seed, config in jobs] == [
+            (5, "V"),
+            (5, "V+T"),
+            (6, "V"),
+            (6, "V+T"),
+        ]
     assert [r.count("clean") for r in reports] == [2, 2]
 
 
-def test_a_scored_seed_is_rolled_out_again_to_be_filmed_and_only_once(tmp_path: Path, rolled_out: RolledOut) -> None:
+def test_a_scored_seed_is_rolled_out_again_to_be_filmed_and_only_once(
+    tmp_path: Path, rolled_out: RolledOut
+) -> None:
     def filmed(seed: int, config: ScoreConfig) -> bool:
         if seed in config.film:
             config.video(seed).touch()
@@ -84,7 +108,9 @@ def test_a_scored_seed_is_rolled_out_again_to_be_filmed_and_only_once(tmp_path: 
         score_arms([dataclasses.replace(plain, film=[8])], workers=1)
 
 
-def test_episodes_of_another_policy_are_neither_taken_over_nor_lost(tmp_path: Path, rolled_out: RolledOut) -> None:
+def test_episodes_of_another_policy_are_neither_taken_over_nor_lost(
+    tmp_path: Path, rolled_out: RolledOut
+) -> None:
     jobs, trained = rolled_out(lambda *_: True), tmp_path / "trained"
     trained.mkdir()
     (trained / "config.json").write_text("{}")
@@ -102,7 +128,9 @@ def test_episodes_of_another_policy_are_neither_taken_over_nor_lost(tmp_path: Pa
     assert len(jobs) == 2
 
 
-def test_a_table_holds_the_scenes_that_were_asked_for_last(tmp_path: Path, rolled_out: RolledOut) -> None:
+def test_a_table_holds_the_scenes_that_were_asked_for_last(
+    tmp_path: Path, rolled_out: RolledOut
+) -> None:
     jobs = rolled_out(lambda *_: True)
     for first, rollouts in ((5, 3), (100, 2), (5, 2)):
         config = ScoreConfig(rollouts=rollouts, first_seed=first, out=str(tmp_path))
@@ -119,22 +147,34 @@ def test_two_processes_do_not_score_into_one_folder(tmp_path: Path, rolled_out: 
     assert not jobs and score_arms([config], workers=1)[0].n == 1
 
 
-def test_a_slot_the_policy_lacks_is_refused_before_processes_start(tmp_path: Path, rolled_out: RolledOut) -> None:
+def test_a_slot_the_policy_lacks_is_refused_before_processes_start(
+    tmp_path: Path, rolled_out: RolledOut
+) -> None:
     jobs = rolled_out(lambda *_: True)
     with pytest.raises(ContractError, match="touch0"):
         score(ScoreConfig(swap="nose:left", workers=1, out=str(tmp_path)))
     assert not jobs
 
 
-@pytest.mark.parametrize(("worn", "fits"), [("uskin", True), ("uskin:1+lag=100", True), ("uskin:2", False)])
+@pytest.mark.parametrize(
+    ("worn", "fits"), [("uskin", True), ("uskin:1+lag=100", True), ("uskin:2", False)]
+)
 def test_the_calibration_of_another_unit_is_refused(
     worn: str, fits: bool, tmp_path: Path, rolled_out: RolledOut
 ) -> None:
     jobs, config = rolled_out(lambda *_: True), stored_config(shipped_checkpoint())
     found = LatentMap(config.tokens_per_slot, config.latent_size)
-    folder = Calibration(found, config.tokenizer_hash, "", "uskin:1", "tactip:1", 1.0, 0.0, {}).save(tmp_path / "map")
-    asked = ScoreConfig(right_sensor=worn, right_calibration=str(folder), rollouts=1, workers=1, out=str(tmp_path))
-    with nullcontext() if fits else pytest.raises(ContractError, match=r"one of uskin:2, got one of uskin:1"):
+    folder = Calibration(
+        found, config.tokenizer_hash, "", "uskin:1", "tactip:1", 1.0, 0.0, {}
+    ).save(tmp_path / "map")
+    asked = ScoreConfig(
+        right_sensor=worn, right_calibration=str(folder), rollouts=1, workers=1, out=str(tmp_path)
+    )
+    with (
+        nullcontext()
+        if fits
+        else pytest.raises(ContractError, match=r"one of uskin:2, got one of uskin:1")
+    ):
         score(asked)
     assert len(jobs) == fits
 
@@ -143,10 +183,14 @@ def test_the_calibration_of_another_unit_is_refused(
 def test_two_dask_workers_score_as_one_process_does(tmp_path: Path) -> None:
     """An extra: joblib's Dask back-end carries rollouts over a cluster."""
     distributed = pytest.importorskip("distributed", reason="dask.distributed is optional")
-    plain = ScoreConfig(policy="expert", level="easy", rollouts=2, videos=0, out=str(tmp_path / "one"))
+    plain = ScoreConfig(
+        policy="expert", level="easy", rollouts=2, videos=0, out=str(tmp_path / "one")
+    )
     one = score_arms([plain], workers=1)
     with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None
+        ) as cluster,
         distributed.Client(cluster),
         joblib.parallel_config(backend="dask"),
     ):
@@ -172,7 +216,9 @@ class Watching:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("phase", [0, 2])
-def test_shuffled_touch_is_another_scenes_in_the_same_phase(phase: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_shuffled_touch_is_another_scenes_in_the_same_phase(
+    phase: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     bank = donated_touch(Rig("easy"), donors=1)
     assert set(bank) == {0, 1, 2, 3}
     monkeypatch.setattr(WipeEnv, "phase", phase)
@@ -184,9 +230,13 @@ def test_shuffled_touch_is_another_scenes_in_the_same_phase(phase: int, monkeypa
         shuffled.chunk(observation, "wipe")
         seen = watching.seen[0]
         images = {name: seen["pixels"][name] for name in TACTILE_NAMES}
-        assert all(i.shape == (480, 640, 3) and set(np.unique(i)) <= {0, 255} for i in images.values())
+        assert all(
+            i.shape == (480, 640, 3) and set(np.unique(i)) <= {0, 255} for i in images.values()
+        )
         packed = {n: np.packbits(image[..., 0] > 0, axis=-1) for n, image in images.items()}
-        assert any(all(np.array_equal(packed[n], donor[n]) for n in TACTILE_NAMES) for donor in bank[phase])
+        assert any(
+            all(np.array_equal(packed[n], donor[n]) for n in TACTILE_NAMES) for donor in bank[phase]
+        )
         assert np.array_equal(seen["pixels"]["front"], observation["pixels"]["front"])
         assert np.array_equal(seen["agent_pos"], observation["agent_pos"])
     if phase == 2:  # pressed on the board there, in free air here
@@ -214,7 +264,9 @@ def test_unknown_controls_and_controls_of_scripts_are_refused(tmp_path: Any) -> 
         score_job(0, ScoreConfig(policy="expert", control="masked", out=str(tmp_path)), 1)
 
 
-def test_a_sensor_that_fails_at_the_first_look_makes_an_aborted_row(tmp_path: Path, caplog: Any) -> None:
+def test_a_sensor_that_fails_at_the_first_look_makes_an_aborted_row(
+    tmp_path: Path, caplog: Any
+) -> None:
     config = ScoreConfig(right_sensor="tactip:1+light=0", out=str(tmp_path))
     _, row = score_job(0, config, 10_000)
     assert (row.code, row.seconds, row.residual) == ("a", 0.0, 1.0)

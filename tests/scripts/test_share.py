@@ -65,18 +65,24 @@ def trained(tmp_path: Path) -> tuple[Path, torch.Tensor]:
     torch.manual_seed(0)
     torch.set_num_threads(1)
     text_tokenizer.build(tmp_path / "words")
-    tactile = TokenizerConfig(side=64, patch=8, width=16, depth=1, decoder_depth=1, heads=2, embed_hidden=0)
+    tactile = TokenizerConfig(
+        side=64, patch=8, width=16, depth=1, decoder_depth=1, heads=2, embed_hidden=0
+    )
     Tokenizer.random(tactile).save(tmp_path / "tactile")
     touch = TouchSettings(input="latent", tokenizer_path=str(tmp_path / "tactile"))
     config = small_config(touch=touch, text_tokenizer_name=str(tmp_path / "words"))
     one = {"q01": np.zeros(5), "q99": np.ones(5), "min": np.zeros(5), "max": np.ones(5)}
     stats = {"observation.state": dict(one), "action": dict(one)}
-    meta = SimpleNamespace(repo_id="somebody/wipe", total_episodes=7, total_frames=70, fps=30, root=tmp_path)
+    meta = SimpleNamespace(
+        repo_id="somebody/wipe", total_episodes=7, total_frames=70, fps=30, root=tmp_path
+    )
     policy = PI05UniforcePolicy(config, dataset_stats=None, dataset_meta=meta).eval()
     before, after = make_processors(config, stats)
     for part in (policy, before, after):
         part.save_pretrained(tmp_path / "trained")
-    (tmp_path / "trained" / "train_config.json").write_text('{"steps": 40, "output_dir": "/machine/only"}')
+    (tmp_path / "trained" / "train_config.json").write_text(
+        '{"steps": 40, "output_dir": "/machine/only"}'
+    )
     return tmp_path / "trained", after(policy.select_action(before(raw_observation())))
 
 
@@ -106,7 +112,9 @@ def test_a_card_does_not_carry_another_policys_scores(trained, tmp_path, capsys)
     checkpoint, file = trained[0], tmp_path / "wiping.json"
     call = [f"checkpoint={checkpoint}", f"out={tmp_path / 'shared'}", f"scores={file}"]
     for acted, code in (("another one's", 2), (content_of(str(checkpoint)), 0)):
-        file.write_text(json.dumps(SCORES | {"arms": {"V+T": SCORES["arms"]["V+T"] | {"policies": [acted]}}}))
+        file.write_text(
+            json.dumps(SCORES | {"arms": {"V+T": SCORES["arms"]["V+T"] | {"policies": [acted]}}})
+        )
         assert share.main(call) == code
     assert "expected those of this checkpoint, got another policy's" in capsys.readouterr().err
 
@@ -120,15 +128,26 @@ def test_what_is_pushed_is_what_was_named_first(trained, tmp_path, monkeypatch, 
     monkeypatch.setattr("huggingface_hub.HfApi", lambda: hub)
     given = [f"checkpoint={trained[0]}", f"out={tmp_path / 'shared'}", "push=somebody/pi05-wipe"]
     assert share.main(given) == 0
-    assert pushed[0]["repo_id"] == "somebody/pi05-wipe" and pushed[0]["folder_path"] == tmp_path / "shared"
+    assert (
+        pushed[0]["repo_id"] == "somebody/pi05-wipe"
+        and pushed[0]["folder_path"] == tmp_path / "shared"
+    )
     there = {path.name for path in (tmp_path / "shared").iterdir()}
-    assert json.loads((tmp_path / "shared" / "hashes.json").read_text()).keys() == there - {"hashes.json"}
+    assert json.loads((tmp_path / "shared" / "hashes.json").read_text()).keys() == there - {
+        "hashes.json"
+    }
     assert {"config.json", "model.safetensors", "README.md", "policy_preprocessor.json"} <= there
     assert set(pushed[0]["allow_patterns"]) == there <= set(capsys.readouterr().out.split())
     card = ModelCard.load(tmp_path / "shared" / "README.md")
     assert "# pi05-wipe" in card.text and ModelCard(str(card)).data.to_dict() == card.data.to_dict()
-    assert (card.data.license, card.data.library_name, card.data.pipeline_tag) == ("apache-2.0", "lerobot", "robotics")
-    assert card.data.datasets == "somebody/wipe" and {"lerobot", "robotics", "tactile"} <= set(card.data.tags)
+    assert (card.data.license, card.data.library_name, card.data.pipeline_tag) == (
+        "apache-2.0",
+        "lerobot",
+        "robotics",
+    )
+    assert card.data.datasets == "somebody/wipe" and {"lerobot", "robotics", "tactile"} <= set(
+        card.data.tags
+    )
 
 
 def test_a_pushed_datasets_card_is_what_the_hub_reads(tmp_path, monkeypatch, capsys) -> None:
@@ -140,7 +159,9 @@ def test_a_pushed_datasets_card_is_what_the_hub_reads(tmp_path, monkeypatch, cap
     assert share.main([*given, "licence=cc-by-4.0"]) == 0 and share.main(given) == 0
     stated, unstated = (DatasetCard(str(card)).data for card in cards)  # parsed again from the text
     assert stated.license == "cc-by-4.0" and unstated.license is None
-    assert stated.task_categories == ["robotics"] and {"LeRobot", "robotics", "tactile"} <= set(stated.tags)
+    assert stated.task_categories == ["robotics"] and {"LeRobot", "robotics", "tactile"} <= set(
+        stated.tags
+    )
     assert "marker images" in cards[0].text and '"total_episodes": 1' in cards[0].text
 
 
@@ -152,7 +173,13 @@ CARD_BEFORE = {
     "message": f"robot at 172.16.0.2: see {HOME}/log",
     "notes": ["Jane was late"],
     "peak_force_N": 5.5,
-    "sensors": {"tactile_left": {"rate_hz": 30.0, "source": "http://jane.doe:s3cret@cam", "settings": {"fps": 30.0}}},
+    "sensors": {
+        "tactile_left": {
+            "rate_hz": 30.0,
+            "source": "http://jane.doe:s3cret@cam",
+            "settings": {"fps": 30.0},
+        }
+    },
     "rig": {"address": "172.16.0.2"},
     "settings": {
         "robot": "franka",
@@ -194,7 +221,9 @@ def demos(tmp_path: Path) -> Path:
     return root
 
 
-def test_a_pushed_dataset_tells_nothing_of_this_machine_and_stays_whole(demos, tmp_path, monkeypatch, capsys) -> None:
+def test_a_pushed_dataset_tells_nothing_of_this_machine_and_stays_whole(
+    demos, tmp_path, monkeypatch, capsys
+) -> None:
     hub = MagicMock()
     monkeypatch.setattr("lerobot.datasets.lerobot_dataset.HfApi", lambda: hub)
     cards: list[DatasetCard] = []
@@ -202,7 +231,8 @@ def test_a_pushed_dataset_tells_nothing_of_this_machine_and_stays_whole(demos, t
     for name in STRAYS:
         (demos / name).write_text("s3cret")
     before = {path: path.read_bytes() for path in demos.rglob("*") if path.is_file()}
-    monkeypatch.setattr("uniforce_datasets.lossless.check_hashes", lambda *_: None)  # it would refuse the strays
+    # it would refuse the strays
+    monkeypatch.setattr("uniforce_datasets.lossless.check_hashes", lambda *_: None)
     assert share.main([f"dataset={demos}", "push=somebody/wiping"]) == 0
     sent = hub.upload_folder.call_args.kwargs
     named = [line.strip() for line in capsys.readouterr().out.splitlines() if line.startswith("  ")]
@@ -226,7 +256,9 @@ def test_who_may_not_write_there_hears_it_before_the_long_check(demos, monkeypat
     assert "HF_HUB_OFFLINE" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("other", ["wandb.json", "notes/credentials.json", "train_config.json", "model.bin"])
+@pytest.mark.parametrize(
+    "other", ["wandb.json", "notes/credentials.json", "train_config.json", "model.bin"]
+)
 def test_a_folder_with_other_files_is_not_handed_on(trained, tmp_path, other, capsys) -> None:
     file = tmp_path / "shared" / other
     file.parent.mkdir(parents=True)
@@ -237,16 +269,32 @@ def test_a_folder_with_other_files_is_not_handed_on(trained, tmp_path, other, ca
     assert not (tmp_path / "shared" / "README.md").exists()
 
 
-def test_scores_and_provenance_lose_their_paths_and_a_config_with_one_is_refused(trained, tmp_path, capsys) -> None:
+def test_scores_and_provenance_lose_their_paths_and_a_config_with_one_is_refused(
+    trained, tmp_path, capsys
+) -> None:
     checkpoint, file = trained[0], tmp_path / "wiping.json"
-    file.write_text(json.dumps(SCORES | {"command": f"uniforce score policy={HOME}/x", "version": "1", "tests": []}))
-    (checkpoint / "provenance.json").write_text(json.dumps({"command": HOME, "device": "cpu", "dirty": False}))
+    file.write_text(
+        json.dumps(
+            SCORES | {"command": f"uniforce score policy={HOME}/x", "version": "1", "tests": []}
+        )
+    )
+    (checkpoint / "provenance.json").write_text(
+        json.dumps({"command": HOME, "device": "cpu", "dirty": False})
+    )
     given = [f"checkpoint={checkpoint}", f"scores={file}", f"out={tmp_path / 'shared'}"]
     assert share.main(given) == 0
-    assert json.loads((tmp_path / "shared" / "scores.json").read_text()) == SCORES | {"version": "1", "tests": []}
-    assert json.loads((tmp_path / "shared" / "provenance.json").read_text()) == {"device": "cpu", "dirty": False}
+    assert json.loads((tmp_path / "shared" / "scores.json").read_text()) == SCORES | {
+        "version": "1",
+        "tests": [],
+    }
+    assert json.loads((tmp_path / "shared" / "provenance.json").read_text()) == {
+        "device": "cpu",
+        "dirty": False,
+    }
     config = json.loads((checkpoint / "config.json").read_text())
-    (checkpoint / "config.json").write_text(json.dumps(config | {"trained_on": {"repo_id": f"{HOME}/demos"}}))
+    (checkpoint / "config.json").write_text(
+        json.dumps(config | {"trained_on": {"repo_id": f"{HOME}/demos"}})
+    )
     assert share.main(given) == 2
     assert "repo_id in config.json: expected no path of this machine" in capsys.readouterr().err
 
@@ -265,7 +313,9 @@ def test_what_is_no_score_or_no_checkpoint_is_said(trained, tmp_path, capsys) ->
     assert "a checkpoint's folder" in capsys.readouterr().err
 
 
-def test_half_the_size_the_same_action_and_the_tokenizer_bit_by_bit(trained: tuple[Path, torch.Tensor], tmp_path: Path):
+def test_half_the_size_the_same_action_and_the_tokenizer_bit_by_bit(
+    trained: tuple[Path, torch.Tensor], tmp_path: Path
+):
     source, _ = trained
     whole, half = tmp_path / "whole", tmp_path / "half"
     for out, rounded in ((whole, "false"), (half, "true")):

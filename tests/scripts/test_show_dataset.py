@@ -69,7 +69,9 @@ def test_a_page_holds_its_pictures(recorded: Path, tmp_path: Path) -> None:
     assert len(parser.found) == 1  # and nothing from a network
     for source in parser.found:
         encoded = source.removeprefix("data:image/png;base64,")
-        picture = cv2.imdecode(np.frombuffer(base64.b64decode(encoded, validate=True), np.uint8), cv2.IMREAD_COLOR)
+        picture = cv2.imdecode(
+            np.frombuffer(base64.b64decode(encoded, validate=True), np.uint8), cv2.IMREAD_COLOR
+        )
         assert picture is not None and picture.std() > 10
     assert "wipe the dots" in page and "tactip" in page and "Estimated" in page
     content = json.loads((tmp_path / "episode_1.json").read_text())
@@ -78,7 +80,9 @@ def test_a_page_holds_its_pictures(recorded: Path, tmp_path: Path) -> None:
 
 def test_latents_are_zero_in_free_air_and_seen_from_the_sensor(recorded: Path) -> None:
     source, tokenizer = read_source(recorded), Tokenizer.from_pretrained()
-    left, right = (latent_change(tokenizer, source, source.episodes[0], finger) for finger in FINGERS)
+    left, right = (
+        latent_change(tokenizer, source, source.episodes[0], finger) for finger in FINGERS
+    )
     strength = np.linalg.norm(left, axis=-1)  # (n, g, g)
     assert len(left) == FRAMES and strength[0].max() < 1e-5  # the dots start at rest
     assert strength[-1].max() > 0.05
@@ -86,16 +90,23 @@ def test_latents_are_zero_in_free_air_and_seen_from_the_sensor(recorded: Path) -
     assert not np.allclose(left, right, atol=1e-3)
 
 
-def test_a_force_head_reads_the_latents_instead_of_the_descriptors(recorded: Path, tmp_path: Path) -> None:
+def test_a_force_head_reads_the_latents_instead_of_the_descriptors(
+    recorded: Path, tmp_path: Path
+) -> None:
     assert main([f"root={recorded}", f"out={tmp_path}", "head=tactip"]) == 0
     page, content = (tmp_path / f"episode_0.{kind}" for kind in ("html", "json"))
     assert "force head tactip, from latents" in page.read_text()
     recording = RecordingForces(recorded, descriptor_heads())
     by_descriptor = recording.read(recording.source.episodes[0]).force_N
-    assert json.loads(content.read_text())["strongest_N"]["left"] != np.abs(by_descriptor).max(axis=0)[0].tolist()
+    assert (
+        json.loads(content.read_text())["strongest_N"]["left"]
+        != np.abs(by_descriptor).max(axis=0)[0].tolist()
+    )
 
 
-def test_unknown_episodes_and_forms_are_refused(recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_unknown_episodes_and_forms_are_refused(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     for words, said in (
         (["episode=7"], "from 0 to 1"),
         (["episode=last"], "all, or numbers"),
@@ -107,7 +118,9 @@ def test_unknown_episodes_and_forms_are_refused(recorded: Path, tmp_path: Path, 
     assert not list(tmp_path.iterdir())
 
 
-def test_without_rerun_its_form_is_refused_before_any_work(recorded, tmp_path, monkeypatch, capsys) -> None:
+def test_without_rerun_its_form_is_refused_before_any_work(
+    recorded, tmp_path, monkeypatch, capsys
+) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
     assert main([f"root={recorded}", "form=rerun", f"out={tmp_path}"]) == 2
     assert "[rerun]" in capsys.readouterr().err
@@ -115,7 +128,9 @@ def test_without_rerun_its_form_is_refused_before_any_work(recorded, tmp_path, m
 
 def test_rerun_receives_everything_on_one_time_line(recorded, tmp_path, monkeypatch) -> None:
     views = ("Spatial2DView", "TimeSeriesView", "TextDocumentView", "TextLogView")
-    rerun = MagicMock(blueprint=MagicMock(spec=("Blueprint", "Horizontal", "Vertical", "Grid", *views)))
+    rerun = MagicMock(
+        blueprint=MagicMock(spec=("Blueprint", "Horizontal", "Vertical", "Grid", *views))
+    )
     rerun.TimeColumn = lambda name, duration: len(duration)
     rerun.EncodedImage.columns = lambda blob, media_type: len(blob)
     rerun.Scalars.columns = lambda scalars: len(scalars)
@@ -126,8 +141,17 @@ def test_rerun_receives_everything_on_one_time_line(recorded, tmp_path, monkeypa
     assert received.save.call_args.args == (tmp_path / "episode_0.rrd",)
     sent = [call.args for call in received.send_columns.call_args_list]
     assert all(times == [count] == [FRAMES] for _, times, count in sent)  # one time for each value
-    wanted = {"camera/front", "camera/wrist", "markers/left", "markers/right", "latent/left", "latent/right"}
-    assert wanted | {"force_N/left/fz_estimate", "force_N/right/fx_true"} <= {path for path, *_ in sent}
+    wanted = {
+        "camera/front",
+        "camera/wrist",
+        "markers/left",
+        "markers/right",
+        "latent/left",
+        "latent/right",
+    }
+    assert wanted | {"force_N/left/fz_estimate", "force_N/right/fx_true"} <= {
+        path for path, *_ in sent
+    }
     assert traces(summary_of()).keys() >= {"press_N/estimate", "friction_used/estimate"}
     logged = [call.args[1] for call in received.log.call_args_list]
     assert "start" in logged and any(text.startswith("estimated:") for text in logged)
@@ -187,7 +211,9 @@ def films_of(frames: int, name: str = "camera/front") -> Films:
 
 def made_up_page(folder: Path, title: str = "made up", camera: str = "camera/front") -> Path:
     summary = summary_of(title)
-    return write_sheet(summary, films_of(len(summary.time_s), camera), {"task": "<img src=http://x>"}, folder, "e")
+    return write_sheet(
+        summary, films_of(len(summary.time_s), camera), {"task": "<img src=http://x>"}, folder, "e"
+    )
 
 
 def test_what_a_dataset_says_of_itself_is_text_never_html(tmp_path: Path) -> None:
@@ -215,11 +241,18 @@ def seen(page: Page) -> dict[str, object]:
     """Return what the page shows now that the slider may change."""
     found = dict(page.read("[...document.querySelectorAll('#films img')].map(i => [i.id, i.src])"))
     found |= {row: page.read(ROW.format(row)) for row in ("estimate", "true")}
-    found |= {name: page.read(f"document.getElementById('{name}').textContent") for name in ("time", "number")}
-    return found | {"cursor": page.read("document.getElementById('cursor').getBoundingClientRect().left")}
+    found |= {
+        name: page.read(f"document.getElementById('{name}').textContent")
+        for name in ("time", "number")
+    }
+    return found | {
+        "cursor": page.read("document.getElementById('cursor').getBoundingClientRect().left")
+    }
 
 
-def test_the_slider_moves_pictures_numbers_time_and_the_line_in_the_plots(recorded, tmp_path, browser: Page) -> None:
+def test_the_slider_moves_pictures_numbers_time_and_the_line_in_the_plots(
+    recorded, tmp_path, browser: Page
+) -> None:
     assert main([f"root={recorded}", "episode=1", f"out={tmp_path}"]) == 0
     browser.open(tmp_path / "episode_1.html", width=1280, height=800)
     assert all(width > 0 for width in browser.read(LOADED))
@@ -236,14 +269,21 @@ def test_the_slider_moves_pictures_numbers_time_and_the_line_in_the_plots(record
     assert not browser.complaints
 
 
-def test_events_and_plots_move_the_slider_and_the_press_is_told_from_its_band(tmp_path, browser: Page) -> None:
+def test_events_and_plots_move_the_slider_and_the_press_is_told_from_its_band(
+    tmp_path, browser: Page
+) -> None:
     browser.open(made_up_page(tmp_path, "<b>made up</b>"), width=1280, height=800)
     assert browser.read("document.title") == "<b>made up</b>"
-    press = "[document.getElementById('press').textContent, document.getElementById('press').className]"
+    press = (
+        "[document.getElementById('press').textContent, document.getElementById('press').className]"
+    )
     time_s = "parseFloat(document.getElementById('time').textContent)"
     assert browser.read(press) == ["not pressing", "none"]
     browser.click("button.beyond")
-    assert browser.read(time_s) == 4.0 and browser.read(press) == ["press above 4 to 8 N", "outside"]
+    assert browser.read(time_s) == 4.0 and browser.read(press) == [
+        "press above 4 to 8 N",
+        "outside",
+    ]
     assert browser.read("document.querySelectorAll('[aria-pressed=true]').length") > 0
     browser.click("#plot", 0.999)
     assert browser.read(time_s) == pytest.approx(6.0, abs=0.05)
@@ -255,7 +295,10 @@ def test_events_and_plots_move_the_slider_and_the_press_is_told_from_its_band(tm
     while browser.read(time_s) == middle and time.monotonic() < end:
         time.sleep(0.05)
     browser.click("#play")
-    assert browser.read(time_s) > middle and browser.read("document.getElementById('play').textContent") == "Play"
+    assert (
+        browser.read(time_s) > middle
+        and browser.read("document.getElementById('play').textContent") == "Play"
+    )
     assert not browser.complaints
 
 
@@ -266,17 +309,23 @@ def test_a_browser_complains_of_a_page_that_is_wrong(tmp_path: Path, browser: Pa
     assert "missing" in "".join(browser.complaints) and "nowhere" in "".join(browser.complaints)
 
 
-def test_an_episode_too_short_to_judge_is_shown_all_the_same(recorded, tmp_path, monkeypatch) -> None:
+def test_an_episode_too_short_to_judge_is_shown_all_the_same(
+    recorded, tmp_path, monkeypatch
+) -> None:
     recording = RecordingForces(recorded, descriptor_heads())
     episode, tokenizer = recording.source.episodes[0], Tokenizer.from_pretrained()
     grip = np.tile([0.0, 0.0, 9.0], (FRAMES, 2, 1))
-    height = np.where(np.arange(FRAMES) > 5, 0.2, 0.1)  # lifted for two frames: too short to weigh anything
+    # lifted for two frames: too short to weigh anything
+    height = np.where(np.arange(FRAMES) > 5, 0.2, 0.1)
     place = np.stack([0 * height, 0 * height, height], axis=1)
     forces = EpisodeForces(np.arange(FRAMES) / RATE, place, grip, None)
     monkeypatch.setattr(recording, "read", lambda _: forces)
     summary = summarise_episode(recording, tokenizer, episode, None, "short")
     assert summary.found is None and "time after the lift" in summary.verdict[0]
-    assert "time after the lift" in write_sheet(summary, films_of(FRAMES), {}, tmp_path, "e").read_text()
+    assert (
+        "time after the lift"
+        in write_sheet(summary, films_of(FRAMES), {}, tmp_path, "e").read_text()
+    )
 
 
 RAW_FRAMES = 8
@@ -311,7 +360,9 @@ def test_frames_and_counts_are_the_episodes_own(raw_recorded: Path) -> None:
     assert change == [int(100 * step / 4000 * 255) for step in range(RAW_FRAMES)]
 
 
-def test_what_was_not_kept_is_not_shown_and_what_is_truncated_is_an_error(raw_recorded: Path, tmp_path: Path) -> None:
+def test_what_was_not_kept_is_not_shown_and_what_is_truncated_is_an_error(
+    raw_recorded: Path, tmp_path: Path
+) -> None:
     source = read_source(raw_recorded)
     file = raw_path(raw_recorded, "left", 0)
     whole = file.read_bytes()
@@ -329,10 +380,16 @@ def test_the_page_shows_what_was_kept(raw_recorded: Path, tmp_path: Path) -> Non
     assert main([f"root={raw_recorded}", "episode=1", f"out={tmp_path / 'kept'}"]) == 0
     file = raw_path(raw_recorded, "left", 1)
     file.rename(file.with_suffix(".away"))
-    assert main([f"root={raw_recorded}", "episode=1", f"out={tmp_path / 'away'}", "verify=off"]) == 0
+    assert (
+        main([f"root={raw_recorded}", "episode=1", f"out={tmp_path / 'away'}", "verify=off"]) == 0
+    )
     file.with_suffix(".away").rename(file)
     kept, away = ((tmp_path / folder / "episode_1.html").read_text() for folder in ("kept", "away"))
-    assert "left finger, raw" in kept and "left finger, raw" not in away and "right finger, raw" in away
+    assert (
+        "left finger, raw" in kept
+        and "left finger, raw" not in away
+        and "right finger, raw" in away
+    )
 
 
 @pytest.mark.slow  # records a demonstration: 15 s

@@ -33,7 +33,9 @@ def test_every_row_can_be_named_on_the_command_line() -> None:
         assert parse(TokenizerReportCommand, [f"only={name}"]).only == name  # no YAML hides in it
 
 
-def test_one_row_measured_anew_leaves_the_rest_of_the_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_row_measured_anew_leaves_the_rest_of_the_table(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     recipe = replace(HETERO_HARD, sequences=2, length=3, canonicalize=False)
     sets = {name: draw_hard(recipe, as_virtual(name), 128) for name in ("tactip", "uskin")}
     table = Table(sets, sets, HeadTrainingConfig(steps=2))
@@ -41,7 +43,9 @@ def test_one_row_measured_anew_leaves_the_rest_of_the_table(tmp_path: Path, monk
     report_set = REPORT_SETS["hetero_hard_v2"]
     (tmp_path / report_set.facts_file).write_text(json.dumps(set_facts(recipe, sets)))
     tokenizer = Tokenizer.random(TokenizerConfig(width=16, depth=1, heads=2))
-    command = TokenizerReportCommand(set=report_set.name, results=str(tmp_path), facts=str(tmp_path), seeds=1)
+    command = TokenizerReportCommand(
+        set=report_set.name, results=str(tmp_path), facts=str(tmp_path), seeds=1
+    )
     before = measure(replace(command, only="mean,UniForce"), report_set, tokenizer)
     before |= {"speed": {"ours": 1}, "measured_by": {"mean": {"command": "yesterday's"}}}
     (tmp_path / report_set.table).write_text(json.dumps(before))

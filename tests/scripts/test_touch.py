@@ -75,8 +75,11 @@ def test_rerun_receives_everything(monkeypatch: pytest.MonkeyPatch):
     started: list[list[str]] = []
     monkeypatch.setattr(subprocess, "Popen", lambda command, **how: started.append(command))
     OUTPUTS["rerun"]()(view())
-    assert started[0][1:] == ["-m", "rerun", "--bind", "127.0.0.1"]  # its own default is every interface
-    assert logged["markers"] == (480, 640) and logged["force_N/z"] == 7.25 and logged["age_ms"] == 3.2
+    # its own default is every interface
+    assert started[0][1:] == ["-m", "rerun", "--bind", "127.0.0.1"]
+    assert (
+        logged["markers"] == (480, 640) and logged["force_N/z"] == 7.25 and logged["age_ms"] == 3.2
+    )
 
 
 @pytest.mark.slow
@@ -93,7 +96,9 @@ def test_live_view_of_a_stand_in(tmp_path: Path, capsys: pytest.CaptureFixture[s
 @pytest.mark.slow
 def test_live_view_of_a_camera_stand_in(capsys: pytest.CaptureFixture[str]):
     with StandIn("mjpeg", "sensor=gelsight", "rate_hz=10", "press_s=0") as stand_in:
-        assert main(["sensor=gelsight", f"source={stand_in.address}", "seconds=1", "head=none"]) == 0
+        assert (
+            main(["sensor=gelsight", f"source={stand_in.address}", "seconds=1", "head=none"]) == 0
+        )
     out = capsys.readouterr().out
     assert "mean grey" in out and "no head" in out
 
@@ -103,7 +108,10 @@ def test_a_missing_sensor_is_named(capsys: pytest.CaptureFixture[str]):
     out = capsys.readouterr().err
     assert "touch: uskin on the left finger" in out and "/dev/absent" in out
     assert main(["source="]) == 2 and "source=standin" in capsys.readouterr().err
-    assert main(["sensor=paxini", "source=/dev/absent"]) == 2 and "No driver" in capsys.readouterr().err
+    assert (
+        main(["sensor=paxini", "source=/dev/absent"]) == 2
+        and "No driver" in capsys.readouterr().err
+    )
 
 
 @pytest.fixture
@@ -120,7 +128,9 @@ def test_rate_check(patch: str, capsys: pytest.CaptureFixture[str]):
 
 
 @pytest.mark.parametrize(("rotation", "code"), [(0, 0), (90, 1)])
-def test_orientation_check(patch: str, rotation: int, code: int, capsys: pytest.CaptureFixture[str]):
+def test_orientation_check(
+    patch: str, rotation: int, code: int, capsys: pytest.CaptureFixture[str]
+):
     options = ["check=orientation", "quarters=top-left", "seconds=60", f"rotation_deg={rotation}"]
     assert main(["sensor=uskin", f"source={patch}", *options]) == code
     out = capsys.readouterr().out
@@ -147,7 +157,10 @@ def test_the_pressed_quarter_is_found(sensor: str, where: str):
     if sensor == "uskin":
         free, pressed = taxel_cycle(Scene(press_s=0), 2)[0], taxel_cycle(scene, 2)[0]
     else:
-        free, pressed = frame_cycle(sensor, Scene(press_s=0), 1)[0], frame_cycle(sensor, scene, 1)[0]
+        free, pressed = (
+            frame_cycle(sensor, Scene(press_s=0), 1)[0],
+            frame_cycle(sensor, scene, 1)[0],
+        )
     finger = Still(sensor, free)
     response = quarter_response(finger, pressed)
     assert QUARTERS[int(response.argmax())] == where and response.max() >= 1
@@ -191,7 +204,10 @@ class Dragged:
         force = np.column_stack([0 * pull, -pull, np.full(6, 5.0)]).astype(np.float32)
         frames = simulator.raw_frames(ContactState(face, force, np.zeros(6, np.float32)))
         upright = Orientation(set_deg)
-        mounted = [Orientation(-mounted_deg % 360).of_frame(f) for f in (simulator.raw_reference(), *frames)]
+        mounted = [
+            Orientation(-mounted_deg % 360).of_frame(f)
+            for f in (simulator.raw_reference(), *frames)
+        ]
         self.frames = [upright.of_frame(frame) for frame in mounted]
         self.canonicalizer = Canonicalizer("tactip")
         self.canonicalizer.set_reference(self.frames[0])
@@ -201,11 +217,15 @@ class Dragged:
         return np.repeat(self.marker_image(self.frames[0])[..., None], 3, axis=2)
 
     def next_touch(self, index: int, _: float) -> SimpleNamespace:
-        return SimpleNamespace(index=index + 1, raw=self.frames[min(index + 2, len(self.frames) - 1)])
+        return SimpleNamespace(
+            index=index + 1, raw=self.frames[min(index + 2, len(self.frames) - 1)]
+        )
 
 
 @pytest.mark.parametrize(("mounted", "rotation"), [(0, 0), (18, 18), (339, 0), (18, 0)])
-def test_a_drag_tells_the_angle_on_the_mount(mounted: int, rotation: int, capsys: pytest.CaptureFixture[str]):
+def test_a_drag_tells_the_angle_on_the_mount(
+    mounted: int, rotation: int, capsys: pytest.CaptureFixture[str]
+):
     code = check_angle(Dragged(mounted, rotation), 20.0)  # type: ignore[arg-type]
     out = capsys.readouterr().out
     assert code == int(mounted != rotation) and ("angle agrees" in out) == (mounted == rotation)
@@ -240,11 +260,18 @@ def test_references_of_films_are_listed_and_a_film_without_one_fails(
     assert lines[1] == "ball/1.avi: BORROWED from mug/1.avi, frame 10, pad 0, 0.21 px off"
     stored = json.loads((tmp_path / "found.json").read_text())["films"]
     assert [one["borrowed"] for one in stored] == [False, True] and stored[1]["of"] == "mug/1.avi"
-    assert check_references([own, reference("lemon/1.avi", why="lemon/1.avi: expected a free frame, got none.")]) == 1
+    assert (
+        check_references(
+            [own, reference("lemon/1.avi", why="lemon/1.avi: expected a free frame, got none.")]
+        )
+        == 1
+    )
     assert "1 with a free frame, 0 borrow one, 1 have none" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("words", [["films={0}"], ["check=reference"], ["check=reference", "films={0}", "source=x"]])
+@pytest.mark.parametrize(
+    "words", [["films={0}"], ["check=reference"], ["check=reference", "films={0}", "source=x"]]
+)
 def test_films_are_looked_at_without_a_device(
     words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

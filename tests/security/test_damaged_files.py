@@ -55,11 +55,18 @@ def test_a_video_whose_metadata_is_no_text(dataset: Path) -> None:
         stored_frames(video)
 
 
-IMPOSSIBLE = [("total_frames", 10**15), ("total_episodes", 10**15), ("total_frames", -1), ("fps", 0)]
+IMPOSSIBLE = [
+    ("total_frames", 10**15),
+    ("total_episodes", 10**15),
+    ("total_frames", -1),
+    ("fps", 0),
+]
 IMPOSSIBLE += [("fps", float("nan")), ("fps", "30"), ("features", []), ("codebase_version", None)]
 
 
-@pytest.mark.parametrize(("name", "value"), [*IMPOSSIBLE, ("features", {"observation.state": None})])
+@pytest.mark.parametrize(
+    ("name", "value"), [*IMPOSSIBLE, ("features", {"observation.state": None})]
+)
 def test_an_info_that_cannot_be(dataset: Path, name: str, value: Any) -> None:
     set_in(dataset / "meta" / "info.json", **{name: value})
     began_s = time.process_time()
@@ -78,7 +85,11 @@ def test_a_processors_state_that_is_damaged(policy_copy: Path) -> None:
 @pytest.mark.parametrize(
     "changes",
     [
-        *({"tiny": {"depth": 10**9}}, {"tiny": {"width": 10**9}}, {"image_resolution": [10**9, 56]}),
+        *(
+            {"tiny": {"depth": 10**9}},
+            {"tiny": {"width": 10**9}},
+            {"image_resolution": [10**9, 56]},
+        ),
         *({"type": "pi05"}, {"type": ["pi05_uniforce"]}, {"touch": 7}, {"touch": {"slots": 7}}),
         *({"swap": 5}, {"chunk_size": "16"}),
     ],
@@ -90,15 +101,24 @@ def test_a_policy_that_cannot_be(policy_copy: Path, changes: dict[str, Any]) -> 
 
 
 def test_sizes_beyond_any_machine_cost_nothing(tmp_path: Path) -> None:
-    small = TokenizerConfig(side=32, patch=8, width=16, depth=1, decoder_depth=1, heads=2, embed_hidden=0)
+    small = TokenizerConfig(
+        side=32, patch=8, width=16, depth=1, decoder_depth=1, heads=2, embed_hidden=0
+    )
     tokenizer = Tokenizer.random(small).save(tmp_path / "tokenizer")
     head = ForceHead(ForceRegressor(HeadConfig()), "tactip", "a").save(tmp_path / "head")
     agreed = {"small": Agreement(9, (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))}
-    calibration = Calibration(LatentMap(4, 6), "a", "b", "new", "anchor", 1.0, 0.0, agreed).save(tmp_path / "map")
+    calibration = Calibration(LatentMap(4, 6), "a", "b", "new", "anchor", 1.0, 0.0, agreed).save(
+        tmp_path / "map"
+    )
     for folder in (tokenizer, head, calibration):
         drop_hashes(folder)
     facts = json.loads((tokenizer / "config.json").read_text())["model"]
-    for changes in ({"width": 8192, "depth": 64}, {"depth": 10**9}, {"side": 2048, "patch": 1}, {"patch": 0}):
+    for changes in (
+        {"width": 8192, "depth": 64},
+        {"depth": 10**9},
+        {"side": 2048, "patch": 1},
+        {"patch": 0},
+    ):
         set_in(tokenizer / "config.json", model=facts | changes)
         with pytest.raises(CheckpointError):
             Tokenizer.from_pretrained(tokenizer)
@@ -134,7 +154,9 @@ def test_a_damaged_training_state_is_named(tmp_path: Path) -> None:
 
 ROOT = Path(__file__).parents[2]
 OURS = ("policies", "robots", "uniforce_vtla")
-SHIPPED = sorted(path.parent for folder in OURS for path in (ROOT / folder).rglob("model.safetensors"))
+SHIPPED = sorted(
+    path.parent for folder in OURS for path in (ROOT / folder).rglob("model.safetensors")
+)
 SOUND = {damage.sound: replace(damage, do=lambda _: None) for damage in CHECKPOINT_DAMAGES}
 
 

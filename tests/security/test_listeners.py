@@ -19,20 +19,25 @@ LISTENING = ("bind", "create_server", "HTTPServer", "ThreadingHTTPServer", "star
 
 def listeners(source: str) -> list[str]:
     calls = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call)]
-    return [ast.unparse(call) for call in calls if ast.unparse(call.func).split(".")[-1] in LISTENING]
+    return [
+        ast.unparse(call) for call in calls if ast.unparse(call.func).split(".")[-1] in LISTENING
+    ]
 
 
 def test_no_listener_in_the_source_is_open_to_everybody(source_files) -> None:
     found = [call for file in source_files for call in listeners(file.read_text())]
     assert len(found) >= 4  # the stand-ins'
     assert not [call for call in found if any(word in call for word in EVERYWHERE)]
-    assert listeners("sock.bind(('', 0))") == ["sock.bind(('', 0))"]  # the search finds what it looks for
+    # the search finds what it looks for
+    assert listeners("sock.bind(('', 0))") == ["sock.bind(('', 0))"]
 
 
 def addresses(pid: int) -> list[str]:
     """Return the addresses a process listens on, TCP, and is bound to, UDP."""
     connections = psutil.Process(pid).net_connections("inet")
-    open_ones = [c for c in connections if c.status == psutil.CONN_LISTEN or c.type == socket.SOCK_DGRAM]
+    open_ones = [
+        c for c in connections if c.status == psutil.CONN_LISTEN or c.type == socket.SOCK_DGRAM
+    ]
     return [connection.laddr.ip for connection in open_ones]
 
 

@@ -27,7 +27,9 @@ PROCESSES = {  # of joblib: its loader is what unpickles files
 def breaches(source: str, name: str) -> Iterator[str]:
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
-            yield from (f"import {a.name}" for a in node.names if a.name.split(".")[0] in UNPICKLERS)
+            yield from (
+                f"import {a.name}" for a in node.names if a.name.split(".")[0] in UNPICKLERS
+            )
         elif isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in UNPICKLERS:
             names = {a.name for a in node.names}
             if not names <= PROCESSES.get(node.module or "", set()):
@@ -43,7 +45,10 @@ def call_breaches(call: ast.Call, name: str) -> Iterator[str]:
         yield called
     if called == "torch.load":
         yield "torch.load"
-    if given.get("allow_pickle", "False") != "False" or given.get("trust_remote_code", "False") != "False":
+    if (
+        given.get("allow_pickle", "False") != "False"
+        or given.get("trust_remote_code", "False") != "False"
+    ):
         yield f"{called} that trusts the file"
     if given.get("shell", "False") != "False":
         yield f"{called} through a shell"
@@ -127,15 +132,23 @@ def replace_steps(folder: Path, change) -> None:
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (lambda steps: steps.insert(0, {"class": "os.mkdir", "config": {"path": "MARK"}}), "registry_name"),
-        (lambda steps: steps[0].update({"class": "os.mkdir", "config": {"path": "MARK"}}), "registry_name"),
+        (
+            lambda steps: steps.insert(0, {"class": "os.mkdir", "config": {"path": "MARK"}}),
+            "registry_name",
+        ),
+        (
+            lambda steps: steps[0].update({"class": "os.mkdir", "config": {"path": "MARK"}}),
+            "registry_name",
+        ),
         (lambda steps: steps[3].update(state_file="../elsewhere.safetensors"), "a file beside it"),
         (lambda steps: steps[3].update(state_file="/etc/passwd"), "a file beside it"),
         (lambda steps: steps.clear(), "steps"),
         (lambda steps: steps[0].update(registry_name="no_such_step"), "no_such_step"),
     ],
 )
-def test_a_checkpoint_runs_no_class_of_its_choice(policy_copy: Path, mark: Path, change, says: str) -> None:
+def test_a_checkpoint_runs_no_class_of_its_choice(
+    policy_copy: Path, mark: Path, change, says: str
+) -> None:
     replace_steps(policy_copy, change)
     file = policy_copy / "policy_preprocessor.json"
     file.write_text(file.read_text().replace("MARK", str(mark)))

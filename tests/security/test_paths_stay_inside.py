@@ -27,7 +27,9 @@ OPENERS: dict[str, Callable[[Path], Any]] = {
     "read_source": read_source,
     "open_dataset": open_dataset,
     "build_view": lambda root: build_view(root, root.parent / "view", encoder=BlockMeans()),
-    "show_dataset": lambda root: show_dataset(ShowDatasetConfig(root=str(root), out=str(root.parent / "out"))),
+    "show_dataset": lambda root: show_dataset(
+        ShowDatasetConfig(root=str(root), out=str(root.parent / "out"))
+    ),
     "make_training_dataset": lambda root: make_training_dataset(
         SimpleNamespace(dataset=SimpleNamespace(root=str(root), repo_id="local/x")), pytest.fail
     ),
@@ -75,13 +77,18 @@ TEMPLATES = [
 SPOILT: list[Callable[[dict[str, Any]], Any]] = [
     *(lambda info, t=template: info.update(video_path=t) for template in TEMPLATES),
     *(lambda info, t=template: info.update(data_path=t) for template in TEMPLATES[:3]),
-    *(lambda info, n=name: rename_video(info, n) for name in ("../front", "/etc", "..", "a/b", "a\\b", ".", "")),
+    *(
+        lambda info, n=name: rename_video(info, n)
+        for name in ("../front", "/etc", "..", "a/b", "a\\b", ".", "")
+    ),
 ]
 
 
 @pytest.mark.parametrize("opener", OPENERS)
 @pytest.mark.parametrize("spoil", SPOILT[:3])
-def test_every_opener_refuses_paths_that_lead_outside(dataset: Path, opener: str, spoil: Callable) -> None:
+def test_every_opener_refuses_paths_that_lead_outside(
+    dataset: Path, opener: str, spoil: Callable
+) -> None:
     rewrite(dataset, spoil)
     with pytest.raises(DatasetError, match="a path inside"):
         OPENERS[opener](dataset)
@@ -96,7 +103,9 @@ def test_all_kinds_of_paths_are_judged(dataset: Path, spoil: Callable) -> None:
 
 @pytest.mark.parametrize("opener", OPENERS)
 @pytest.mark.parametrize("part", ["meta/info.json", "videos", "data/chunk-000/file-000.parquet"])
-def test_links_out_of_a_dataset_are_refused(dataset: Path, tmp_path: Path, opener: str, part: str) -> None:
+def test_links_out_of_a_dataset_are_refused(
+    dataset: Path, tmp_path: Path, opener: str, part: str
+) -> None:
     outside = tmp_path / "outside"
     (dataset / part).rename(outside)
     (dataset / part).symlink_to(outside)

@@ -77,7 +77,10 @@ class GelloStandIn(StandInServer):
                 return
             whole, self._in = self._in[:size], self._in[size:]
             data = b""
-            if checksum(whole[:-2]) == int.from_bytes(whole[-2:], "little") and self.fault != "mute":
+            if (
+                checksum(whole[:-2]) == int.from_bytes(whole[-2:], "little")
+                and self.fault != "mute"
+            ):
                 data = self._answer(whole[7], whole[4], whole[8:-2])
             if data:
                 self.plug.send(self.rng.bytes(GARBAGE_BYTES) if self.fault == "garbage" else data)

@@ -40,7 +40,9 @@ def fragmented(text: bytes, pieces: int) -> bytes:
     """Return a text in several frames, a ping between any two (section 5.4)."""
     size = max(-(-len(text) // pieces), 1)
     parts = [text[i * size : (i + 1) * size] for i in range(pieces)]
-    framed = [frame(Opcode.CONT if i else Opcode.TEXT, p, i == pieces - 1) for i, p in enumerate(parts)]
+    framed = [
+        frame(Opcode.CONT if i else Opcode.TEXT, p, i == pieces - 1) for i, p in enumerate(parts)
+    ]
     return frame(Opcode.PING, b"in between").join(framed)
 
 
@@ -66,10 +68,23 @@ def message(number: int, scan: np.ndarray, fault: str) -> str:
     words = [f"{count:04X}" for count in scan.ravel().tolist()]
     forms = {"short": ",".join(words[:30]), "list": words, "integers": scan.ravel().tolist()}
     now, data = time.time(), forms.get(fault, ",".join(words))
-    sensor = {"time": now, "sensor": "1", "model": "XR1944", "taxels": 16, "data": data, "temp": [301.0] * 16}
+    sensor = {
+        "time": now,
+        "sensor": "1",
+        "model": "XR1944",
+        "taxels": 16,
+        "data": data,
+        "temp": [301.0] * 16,
+    }
     body: dict[str, object] = {"message": number, "time": now, "sensors": 1, "type": "routine"}
-    body["2" if fault == "absent" else "1"] = sensor | ({"calibrated": None} if fault == "null" else {})
-    return json.dumps(body | ({"bustype": "sim"} if fault == "sim" else {}) | {"version": "1.7.6", "sendtime": now})
+    body["2" if fault == "absent" else "1"] = sensor | (
+        {"calibrated": None} if fault == "null" else {}
+    )
+    return json.dumps(
+        body
+        | ({"bustype": "sim"} if fault == "sim" else {})
+        | {"version": "1.7.6", "sendtime": now}
+    )
 
 
 class XelaStandIn(StandInServer):

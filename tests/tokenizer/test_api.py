@@ -19,7 +19,11 @@ def tokenizer(tiny: TokenizerConfig) -> Tokenizer:
 def test_pair_and_arrays_agree(tokenizer: Tokenizer, dots: np.ndarray) -> None:
     pair = MarkerPair(dots[0], dots[1], "right", "tactip")
     z = tokenizer.encode(pair)
-    assert z.shape == (1, tokenizer.num_patches, 6) and z.dtype == torch.float32 and not z.requires_grad
+    assert (
+        z.shape == (1, tokenizer.num_patches, 6)
+        and z.dtype == torch.float32
+        and not z.requires_grad
+    )
     torch.testing.assert_close(z, tokenizer.encode(dots[:1], dots[1:2], finger="right"))
 
 
@@ -30,7 +34,9 @@ def test_mirror_contract(tokenizer: Tokenizer, dots: np.ndarray) -> None:
     assert not torch.allclose(tokenizer.encode(flipped[:1], flipped[1:], "left"), left)
 
 
-def test_batch_equals_one_by_one_and_one_reference_serves_all(tokenizer: Tokenizer, dots: np.ndarray) -> None:
+def test_batch_equals_one_by_one_and_one_reference_serves_all(
+    tokenizer: Tokenizer, dots: np.ndarray
+) -> None:
     together = tokenizer.encode(dots[:1], dots)
     alone = torch.cat([tokenizer.encode(dots[:1], dots[i : i + 1]) for i in range(3)])
     torch.testing.assert_close(together, alone, atol=1e-5, rtol=0)
@@ -42,18 +48,24 @@ def test_decode_has_the_models_size(tokenizer: Tokenizer, dots: np.ndarray) -> N
     assert image.shape == (3, 32, 32) and image.min() >= 0 and image.max() <= 1
 
 
-def test_the_reference_is_encoded_once(tokenizer: Tokenizer, dots: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_reference_is_encoded_once(
+    tokenizer: Tokenizer, dots: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
     calls = []
     encoder = tokenizer.model.encoder
     original = encoder.encode_reference
-    monkeypatch.setattr(encoder, "encode_reference", lambda image: calls.append(1) or original(image))
+    monkeypatch.setattr(
+        encoder, "encode_reference", lambda image: calls.append(1) or original(image)
+    )
     for _ in range(5):
         tokenizer.encode(dots[:1], dots[1:2])
     assert len(calls) == 1
 
 
 def test_memory_stays_flat_over_two_thousand_frames(dots: np.ndarray) -> None:
-    tokenizer = Tokenizer.random(TokenizerConfig(side=32, patch=8, width=8, depth=1, heads=1, embed_hidden=0))
+    tokenizer = Tokenizer.random(
+        TokenizerConfig(side=32, patch=8, width=8, depth=1, heads=1, embed_hidden=0)
+    )
     head = ForceHead(ForceRegressor(HeadConfig(hidden=2, mlp=2)), "tactip", tokenizer.hash)
     small = dots[:, ::2, ::2]
     state = read(tokenizer, head, small, 50, None)
@@ -67,7 +79,9 @@ def read(
     tokenizer: Tokenizer, head: ForceHead, dots: np.ndarray, frames: int, state: torch.Tensor | None
 ) -> torch.Tensor | None:
     for i in range(frames):
-        _, state = head.step(tokenizer.encode(dots[:1], np.roll(dots[1:2], i % 7, axis=2), "right"), state)
+        _, state = head.step(
+            tokenizer.encode(dots[:1], np.roll(dots[1:2], i % 7, axis=2), "right"), state
+        )
     return state
 
 
@@ -77,7 +91,9 @@ def live_tensors() -> int:
 
 
 @pytest.mark.parametrize("fill", [0.0, np.nan])
-def test_bad_frames_and_references_are_refused(tokenizer: Tokenizer, dots: np.ndarray, fill: float) -> None:
+def test_bad_frames_and_references_are_refused(
+    tokenizer: Tokenizer, dots: np.ndarray, fill: float
+) -> None:
     nan = np.full(dots[:1].shape, np.nan, np.float32)
     for bad in (nan, dots[1:2, :48], dots[1:2].astype(np.int32)):
         with pytest.raises(ContractError, match="expected"):

@@ -15,7 +15,9 @@ from uniforce_vtla.tokenizer.latent_map import LatentMap, fit_map
 from uniforce_vtla.tokenizer.settings import CalibrationConfig
 
 CLASSES = ("small", "tool") * 150
-WHOLE = torch.eye(96) + 0.3 * torch.randn(96, 96, generator=torch.Generator().manual_seed(1)) / 96**0.5
+WHOLE = (
+    torch.eye(96) + 0.3 * torch.randn(96, 96, generator=torch.Generator().manual_seed(1)) / 96**0.5
+)
 
 
 @pytest.fixture
@@ -43,7 +45,9 @@ def test_grasps_it_never_saw_balance_afterwards(head: ForceHead) -> None:
     before, after = ((z[200:] - anchor[200:]).square().mean() for z in (new, found(new)))
     assert before > 0.05 and after < 0.02 * before
     for judged in found.agreement.values():
-        assert min(judged.r2) > 0.95 and judged.grasps == 20 and max(judged.r2_before) < min(judged.r2)
+        assert (
+            min(judged.r2) > 0.95 and judged.grasps == 20 and max(judged.r2_before) < min(judged.r2)
+        )
     assert found.worst()[1] == min(judged.r2[2] for judged in found.agreement.values())
 
 
@@ -51,7 +55,11 @@ def test_equal_sensors_stay_as_they_are(head: ForceHead) -> None:
     _, anchor = grasps()
     found = calibrate(anchor, anchor, CLASSES, head, "new", "old")
     assert torch.equal(found(anchor), anchor) and found.gain == 1.0
-    assert found.choice and found.choice.form == "none" and found.agreement["small"].r2 == (1.0, 1.0, 1.0)
+    assert (
+        found.choice
+        and found.choice.form == "none"
+        and found.agreement["small"].r2 == (1.0, 1.0, 1.0)
+    )
 
 
 def test_the_ridge_grows_with_what_can_not_be_explained() -> None:
@@ -68,15 +76,24 @@ def test_one_class_of_objects_does_not_speak_for_the_other(head: ForceHead) -> N
     twisted = new.as_subclass(torch.Tensor).clone()
     twisted[tool] = torch.randn(int(tool.sum()), 16, 6)
     found = calibrate(Latent.of(twisted, "abc"), anchor, CLASSES, head, "new", "old")
-    assert found.worst()[0] == "tool" and found.agreement["tool"].r2[2] < found.agreement["small"].r2[2] - 0.1
+    assert (
+        found.worst()[0] == "tool"
+        and found.agreement["tool"].r2[2] < found.agreement["small"].r2[2] - 0.1
+    )
 
 
-def test_saved_equals_loaded_and_another_tokenizer_is_refused(head: ForceHead, tmp_path: Path) -> None:
+def test_saved_equals_loaded_and_another_tokenizer_is_refused(
+    head: ForceHead, tmp_path: Path
+) -> None:
     new, anchor = grasps()
     found = calibrate(new, anchor, CLASSES, head, "new", "old")
     found.save(tmp_path)
     again = Calibration.load(tmp_path, "abc")
-    assert torch.equal(again(new), found(new)) and again.agreement == found.agreement and again.hash == found.hash
+    assert (
+        torch.equal(again(new), found(new))
+        and again.agreement == found.agreement
+        and again.hash == found.hash
+    )
     assert found.choice and again.choice == found.choice and found.choice.form == "map"
     assert again.head_hash == found.head_hash and again(new).tokenizer_hash == "abc"
     with pytest.raises(CheckpointError, match="Calibrate again"):
@@ -98,10 +115,20 @@ def test_only_pooled_latents_are_mapped(shape: tuple[int, ...], head: ForceHead)
     ("new", "anchor", "classes", "says"),
     [
         (torch.rand(90, 16, 6), torch.rand(90, 16, 6), ("small",) * 90, "tool objects are missing"),
-        (torch.rand(90, 16, 6), torch.rand(90, 16, 6), ("small", "hammer") * 45, "class of an object"),
+        (
+            torch.rand(90, 16, 6),
+            torch.rand(90, 16, 6),
+            ("small", "hammer") * 45,
+            "class of an object",
+        ),
         (torch.rand(90, 16, 6), torch.rand(90, 9, 6), CLASSES[:90], "twice"),
         (torch.rand(90, 16, 6), torch.rand(90, 16, 6), CLASSES[:80], "80 classes"),
-        (torch.rand(90, 16, 6), torch.rand(90, 16, 6), ("small",) * 80 + ("tool",) * 10, "tool objects"),
+        (
+            torch.rand(90, 16, 6),
+            torch.rand(90, 16, 6),
+            ("small",) * 80 + ("tool",) * 10,
+            "tool objects",
+        ),
         (torch.full((90, 16, 6), torch.nan), torch.ones(90, 16, 6), CLASSES[:90], "finite"),
         (torch.rand(90, 16, 6), torch.ones(90, 16, 6), CLASSES[:90], "changing"),
     ],
@@ -110,12 +137,22 @@ def test_bad_grasps_are_refused(
     new: torch.Tensor, anchor: torch.Tensor, classes: tuple[str, ...], says: str, head: ForceHead
 ) -> None:
     with pytest.raises(ContractError, match=says):
-        calibrate(Latent.of(new, "abc"), Latent.of(anchor, "abc"), classes, head, "new", "old", CalibrationConfig())
+        calibrate(
+            Latent.of(new, "abc"),
+            Latent.of(anchor, "abc"),
+            classes,
+            head,
+            "new",
+            "old",
+            CalibrationConfig(),
+        )
 
 
 def test_frames_of_few_grasps_are_refused(head: ForceHead) -> None:
     new, anchor = grasps()
-    with pytest.raises(ContractError, match="separate grasps of small objects: expected at least 3, got 2"):
+    with pytest.raises(
+        ContractError, match="separate grasps of small objects: expected at least 3, got 2"
+    ):
         calibrate(new, anchor, CLASSES, head, "new", "old", grasps=[row % 4 for row in range(300)])
 
 
@@ -123,7 +160,9 @@ def test_a_whole_grasp_judges_or_chooses(head: ForceHead) -> None:
     """Sixty grasps of five rows, a class each in turn: a fifth of them judges."""
     new, anchor = grasps()
     classes = tuple(name for name in CLASSES[:60] for _ in range(5))
-    found = calibrate(new, anchor, classes, head, "new", "old", grasps=[row // 5 for row in range(300)])
+    found = calibrate(
+        new, anchor, classes, head, "new", "old", grasps=[row // 5 for row in range(300)]
+    )
     assert found.choice and found.choice.grasps == 48
     assert [judged.grasps for judged in found.agreement.values()] == [6, 6]
 
@@ -131,7 +170,8 @@ def test_a_whole_grasp_judges_or_chooses(head: ForceHead) -> None:
 def test_who_judges_is_drawn_by_the_seed_alone(head: ForceHead) -> None:
     new, anchor = grasps()
     one, two, three = (
-        calibrate(new, anchor, CLASSES, head, "new", "old", CalibrationConfig(seed=seed)) for seed in (0, 0, 1)
+        calibrate(new, anchor, CLASSES, head, "new", "old", CalibrationConfig(seed=seed))
+        for seed in (0, 0, 1)
     )
     assert one.agreement == two.agreement != three.agreement
     assert np.isfinite([*one.agreement["tool"].abs_r]).all()
@@ -161,7 +201,9 @@ def test_a_sensor_that_is_turned_is_refused_and_shear_that_says_nothing_is_warne
     _, anchor = grasps()
     turned = anchor.as_subclass(torch.Tensor).clone()
     turned[:, 0, :2] *= -1
-    with pytest.raises(ContractError, match=r"both upright, got the one turned .*rotation_deg=180 in the rig"):
+    with pytest.raises(
+        ContractError, match=r"both upright, got the one turned .*rotation_deg=180 in the rig"
+    ):
         calibrate(Latent.of(turned, "abc"), anchor, CLASSES, Plain(), "new", "old")  # type: ignore[arg-type]
     assert not caplog.text
     turned[:, 0, 1] = torch.randn(len(turned))
@@ -177,8 +219,12 @@ def presses(*load_N: float) -> Latent:
 
 def pushed(seed: int, grasps: int = 200, rows: int = 1) -> torch.Tensor:
     """Latents (n, 16, 6) of grasps whose rows are alike."""
-    drawn = torch.randn(grasps, 16, 6, generator=torch.Generator().manual_seed(seed)).repeat_interleave(rows, dim=0)
-    return drawn + 0.01 * torch.randn(drawn.shape, generator=torch.Generator().manual_seed(seed + 1))
+    drawn = torch.randn(
+        grasps, 16, 6, generator=torch.Generator().manual_seed(seed)
+    ).repeat_interleave(rows, dim=0)
+    return drawn + 0.01 * torch.randn(
+        drawn.shape, generator=torch.Generator().manual_seed(seed + 1)
+    )
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02])
@@ -227,13 +273,23 @@ def test_known_loads_give_a_gain_that_is_stored(tmp_path: Path) -> None:
     found = Calibration.of_loads(presses(3, 6, 9), np.array([3, 6, 9]), Scale(), "tactip:7")  # type: ignore[arg-type]
     assert found.gain == pytest.approx(1.25) and torch.equal(found(presses(3)), presses(3))
     again = Calibration.load(found.save(tmp_path / "map"), "abc")
-    assert (again.gain, again.new, again.head_hash, again.hash) == (found.gain, "tactip:7", "def", found.hash)
-    assert again.choice is None and "choice" not in found.facts()  # as of calibrations older than the choice
-    plain = Calibration.of_loads(presses(3.75, 7.5, 11.25), np.array([3, 6, 9]), Scale(), "tactip:7")  # type: ignore[arg-type]
+    assert (again.gain, again.new, again.head_hash, again.hash) == (
+        found.gain,
+        "tactip:7",
+        "def",
+        found.hash,
+    )
+    # as of calibrations older than the choice
+    assert again.choice is None and "choice" not in found.facts()
+    plain = Calibration.of_loads(
+        presses(3.75, 7.5, 11.25), np.array([3, 6, 9]), Scale(), "tactip:7"
+    )  # type: ignore[arg-type]
     assert plain.gain == pytest.approx(1.0) and plain.hash != found.hash
 
 
-@pytest.mark.parametrize("load_N", [(3, 6), (0, 3, 6), (3, 6, np.nan), (300, 600, 900), (9, 6, 3), (3, 6, 9, 9)])
+@pytest.mark.parametrize(
+    "load_N", [(3, 6), (0, 3, 6), (3, 6, np.nan), (300, 600, 900), (9, 6, 3), (3, 6, 9, 9)]
+)
 def test_loads_that_give_no_gain_are_refused(load_N: tuple[float, ...]) -> None:
     with pytest.raises(ContractError, match=r"loads|presses"):
         Calibration.of_loads(presses(3, 6, 9)[: len(load_N)], np.array(load_N), Scale(), "tactip:7")  # type: ignore[arg-type]
@@ -259,9 +315,13 @@ def through_tool(*load_N: float) -> Latent:
 
 def test_a_tool_on_a_scale_gives_a_gain_of_shear_alone(tmp_path: Path) -> None:
     loads = (0.0, 3.0, 6.0, 9.0)
-    found = Calibration.through_a_tool(through_tool(*loads), np.array(loads), ShearScale(), "uskin:7")  # type: ignore[arg-type]
+    found = Calibration.through_a_tool(
+        through_tool(*loads), np.array(loads), ShearScale(), "uskin:7"
+    )  # type: ignore[arg-type]
     assert found.gain == pytest.approx(0.8) and found.through_tool
-    assert found.scaled(torch.tensor([[1.0, 2.0, 9.0]])).tolist() == [pytest.approx([0.8, 1.6, 9.0])]
+    assert found.scaled(torch.tensor([[1.0, 2.0, 9.0]])).tolist() == [
+        pytest.approx([0.8, 1.6, 9.0])
+    ]
     assert not found.reads_grip and "shear alone" in found.grip_in_words
     again = Calibration.load(found.save(tmp_path / "map"), "abc")
     assert (again.gain, again.through_tool, again.hash) == (found.gain, True, found.hash)
@@ -269,7 +329,9 @@ def test_a_tool_on_a_scale_gives_a_gain_of_shear_alone(tmp_path: Path) -> None:
     assert bare.reads_grip and bare.scaled(torch.ones(1, 3)).tolist() == [pytest.approx([1.25] * 3)]
 
 
-@pytest.mark.parametrize("load_N", [(3, 6, 9, 9), (0, 3, 6, 6), (0, 3, 6, np.nan), (0, 9, 6, 3), (0, -3, 6, 9), (0, 3)])
+@pytest.mark.parametrize(
+    "load_N", [(3, 6, 9, 9), (0, 3, 6, 6), (0, 3, 6, np.nan), (0, 9, 6, 3), (0, -3, 6, 9), (0, 3)]
+)
 def test_tools_that_give_no_gain_are_refused(load_N: tuple[float, ...]) -> None:
     pressed = through_tool(0, 3, 6, 9)
     with pytest.raises(ContractError, match=r"loads|presses"):
@@ -289,7 +351,12 @@ def test_a_finger_takes_its_scale_from_the_one_that_holds_the_tool_with_it(tmp_p
     new, anchor = carried(0.5 * WIPES_N, 0.1), carried(WIPES_N, 0.2, seed=1)
     found = Calibration.beside_an_anchor(new, anchor, ShearScale(), "uskin:7", "tactip")  # type: ignore[arg-type]
     assert found.gain == pytest.approx(2.0, rel=0.03)  # noise of both shrinks neither
-    assert (found.new, found.anchor, found.through_tool, found.reads_grip) == ("uskin:7", "tactip", True, False)
+    assert (found.new, found.anchor, found.through_tool, found.reads_grip) == (
+        "uskin:7",
+        "tactip",
+        True,
+        False,
+    )
     assert Calibration.load(found.save(tmp_path / "map"), "abc").hash == found.hash
 
 
@@ -303,6 +370,10 @@ def test_a_finger_takes_its_scale_from_the_one_that_holds_the_tool_with_it(tmp_p
         (WIPES_N[:40], WIPES_N, "Pair them"),
     ],
 )
-def test_wipes_that_give_no_scale_are_refused(new_N: np.ndarray, anchor_N: np.ndarray, says: str) -> None:
+def test_wipes_that_give_no_scale_are_refused(
+    new_N: np.ndarray, anchor_N: np.ndarray, says: str
+) -> None:
     with pytest.raises(ContractError, match=says):
-        Calibration.beside_an_anchor(carried(new_N), carried(anchor_N), ShearScale(), "uskin:7", "tactip")  # type: ignore[arg-type]
+        Calibration.beside_an_anchor(
+            carried(new_N), carried(anchor_N), ShearScale(), "uskin:7", "tactip"
+        )  # type: ignore[arg-type]

@@ -12,7 +12,9 @@ from uniforce_vtla.tokenizer.descriptor import DESCRIPTOR_NAMES, NATURAL_UNITS, 
 from uniforce_vtla.tokenizer.descriptor_head import DescriptorHead
 
 
-def grid(scale: float = 1.0, shift: tuple[int, int] = (0, 0), size: int = 8, turn: float = 0.0) -> np.ndarray:
+def grid(
+    scale: float = 1.0, shift: tuple[int, int] = (0, 0), size: int = 8, turn: float = 0.0
+) -> np.ndarray:
     image = np.zeros((200, 240), np.uint8)
     for y in range(-60, 61, 40):
         for x in range(-80, 81, 40):
@@ -64,7 +66,9 @@ def test_a_saved_head_reads_the_same(tmp_path) -> None:
     read = head.read(seen)
     assert np.abs(read - force).mean() < 0.5 * np.abs(force).mean()
     head.save(tmp_path)
-    np.testing.assert_array_equal(DescriptorHead.from_pretrained("tactip", tmp_path).read(seen), read)
+    np.testing.assert_array_equal(
+        DescriptorHead.from_pretrained("tactip", tmp_path).read(seen), read
+    )
     with pytest.raises(CheckpointError):
         DescriptorHead.from_pretrained("uskin", tmp_path)
 

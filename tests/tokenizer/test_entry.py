@@ -21,7 +21,11 @@ def random_markers(seed: int, shape: tuple[int, ...] = (2, 48, 64)) -> np.ndarra
 def test_keeps_the_aspect_and_centres_on_black() -> None:
     out = prepare(np.full((1, 480, 640), 255, np.uint8), "left", 128)
     assert out.shape == (1, 1, 128, 128) and out.dtype == torch.float32
-    assert torch.all(out[:, :, 16:112] == 1) and out[:, :, :16].sum() == 0 and out[:, :, 112:].sum() == 0
+    assert (
+        torch.all(out[:, :, 16:112] == 1)
+        and out[:, :, :16].sum() == 0
+        and out[:, :, 112:].sum() == 0
+    )
 
 
 @given(seed=st.integers(0, 1000), factor=st.integers(2, 4))
@@ -51,11 +55,17 @@ def test_portrait_images_are_letterboxed_too() -> None:
     assert out.sum() == 32 * 24 and out[..., 0].sum() == 0
 
 
-OTHER_KINDS = [np.zeros((1, 2, 8, 8), np.uint8), np.zeros((1, 8, 8), np.int32), np.zeros((1, 0, 8), np.uint8), [[0, 1]]]
+OTHER_KINDS = [
+    np.zeros((1, 2, 8, 8), np.uint8),
+    np.zeros((1, 8, 8), np.int32),
+    np.zeros((1, 0, 8), np.uint8),
+    [[0, 1]],
+]
 
 
 @pytest.mark.parametrize(
-    "images", [*OTHER_KINDS, *(np.full((1, 8, 8), value, np.float32) for value in (np.nan, 255.0, -0.1))]
+    "images",
+    [*OTHER_KINDS, *(np.full((1, 8, 8), value, np.float32) for value in (np.nan, 255.0, -0.1))],
 )
 def test_bad_images_raise(images: np.ndarray) -> None:
     with pytest.raises(ContractError, match="expected"):
@@ -79,7 +89,9 @@ def test_what_only_picks_joins_and_moves_keeps_the_origin() -> None:
 def test_what_computes_gives_plain_tensors() -> None:
     plain = [Z * 2, Z + Z, Z.mean(), Z @ Z[0].T, torch.where(Z > 3, Z, 0.0), Z - 1]
     assert all(type(z) is torch.Tensor for z in plain)
-    assert type(Z.numpy()).__name__ == "ndarray" and torch.equal(Z, torch.arange(96.0).view(1, 16, 6))
+    assert type(Z.numpy()).__name__ == "ndarray" and torch.equal(
+        Z, torch.arange(96.0).view(1, 16, 6)
+    )
 
 
 def test_latents_of_two_origins_join_without_one() -> None:

@@ -27,6 +27,8 @@ def test_a_finger_that_reads_nothing_gives_a_number() -> None:
     assert times > 100 and imbalance(times) > 1
 
 
-@pytest.mark.parametrize(("times", "alarm"), [(USUAL, False), (1.2, False), (0.9, False), (1.4, True), (0.75, True)])
+@pytest.mark.parametrize(
+    ("times", "alarm"), [(USUAL, False), (1.2, False), (0.9, False), (1.4, True), (0.75, True)]
+)
 def test_what_clean_wipes_show_raises_no_alarm(times: float, alarm: bool) -> None:
     assert (imbalance(times) > 1) == alarm

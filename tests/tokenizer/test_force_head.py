@@ -3,7 +3,13 @@ import pytest
 import torch
 
 from uniforce_vtla.errors import CheckpointError, ContractError
-from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig, HeadTrainingConfig, train_head
+from uniforce_vtla.tokenizer.force_head import (
+    ForceHead,
+    ForceRegressor,
+    HeadConfig,
+    HeadTrainingConfig,
+    train_head,
+)
 from uniforce_vtla.tokenizer.latent import Latent
 
 
@@ -26,7 +32,9 @@ def test_steps_equal_a_sequence_for_every_prefix(head: ForceHead) -> None:
     one_by_one = torch.stack(read, dim=1)
     torch.testing.assert_close(one_by_one, head.sequence(z), atol=1e-6, rtol=0)
     for length in range(1, 6):
-        torch.testing.assert_close(head.sequence(z[:, :length]), one_by_one[:, :length], atol=1e-6, rtol=0)
+        torch.testing.assert_close(
+            head.sequence(z[:, :length]), one_by_one[:, :length], atol=1e-6, rtol=0
+        )
 
 
 def test_call_treats_a_batch_as_frames_without_history(head: ForceHead) -> None:
@@ -34,7 +42,8 @@ def test_call_treats_a_batch_as_frames_without_history(head: ForceHead) -> None:
     torch.testing.assert_close(head(z), head.sequence(z[:, None])[:, 0], atol=1e-6, rtol=0)
     torch.testing.assert_close(head(z)[2:3], head(z[2:3]), atol=1e-6, rtol=0)
     _, state = head.step(z, None)
-    assert not torch.allclose(head.step(z, state)[0], head(z))  # the second frame remembers the first
+    # the second frame remembers the first
+    assert not torch.allclose(head.step(z, state)[0], head(z))
 
 
 @pytest.mark.parametrize("length", [1, 6])
@@ -52,13 +61,21 @@ def test_trained_head_reads_force_with_and_without_history(length: int) -> None:
 
 def test_training_is_seeded() -> None:
     z, force = torch.randn(20, 3, 16, 6), np.random.default_rng(0).random((20, 3, 3), np.float32)
-    first, second, third = (train_head(z, force, HeadTrainingConfig(steps=3), seed=s) for s in (1, 1, 2))
+    first, second, third = (
+        train_head(z, force, HeadTrainingConfig(steps=3), seed=s) for s in (1, 1, 2)
+    )
     assert torch.equal(first.linear.weight, second.linear.weight)
     assert not torch.equal(first.linear.weight, third.linear.weight)
 
 
 @pytest.mark.parametrize(
-    "z", [torch.zeros(1, 63, 6), torch.zeros(1, 64, 5), torch.zeros(64, 6), torch.full((1, 64, 6), torch.nan)]
+    "z",
+    [
+        torch.zeros(1, 63, 6),
+        torch.zeros(1, 64, 5),
+        torch.zeros(64, 6),
+        torch.full((1, 64, 6), torch.nan),
+    ],
 )
 def test_bad_latents_raise(head: ForceHead, z: torch.Tensor) -> None:
     with pytest.raises(ContractError, match="expected"):
@@ -78,7 +95,9 @@ def test_bad_latents_raise(head: ForceHead, z: torch.Tensor) -> None:
         (Latent.of(torch.zeros(1, 64, 6), "another"), CheckpointError),
     ],
 )
-def test_latents_of_another_origin_raise(head: ForceHead, z: torch.Tensor, error: type[Exception]) -> None:
+def test_latents_of_another_origin_raise(
+    head: ForceHead, z: torch.Tensor, error: type[Exception]
+) -> None:
     for call in (head, head.sequence):
         with pytest.raises(error, match="latents for the force head of tactip"):
             call(z)

@@ -16,7 +16,9 @@ PATCHES, CHANNELS = 4, 3
 def drawn(count: int, seed: int = 0) -> torch.Tensor:
     """Return (n, P, L) latents whose numbers depend on one another."""
     generator = torch.Generator().manual_seed(seed)
-    mixing = torch.randn(PATCHES * CHANNELS, PATCHES * CHANNELS, generator=torch.Generator().manual_seed(1))
+    mixing = torch.randn(
+        PATCHES * CHANNELS, PATCHES * CHANNELS, generator=torch.Generator().manual_seed(1)
+    )
     rows = torch.randn(count, PATCHES * CHANNELS, generator=generator) @ mixing + 5
     return rows.unflatten(1, (PATCHES, CHANNELS))
 
@@ -32,7 +34,9 @@ def test_what_was_fitted_lies_one_away_whatever_its_scale(usual: LatentRange) ->
     mean_square = usual.distance(drawn(2000, 7)).square().mean().item()
     assert 0.7 < mean_square < 1.05  # the floor takes a little
     stretched = LatentRange.fit(100 * drawn(4000), "tactip", "abc")
-    assert torch.allclose(stretched.distance(100 * drawn(5, 3)), usual.distance(drawn(5, 3)), rtol=1e-2)
+    assert torch.allclose(
+        stretched.distance(100 * drawn(5, 3)), usual.distance(drawn(5, 3)), rtol=1e-2
+    )
 
 
 def test_too_few_latents_are_refused() -> None:
@@ -43,7 +47,12 @@ def test_too_few_latents_are_refused() -> None:
 def test_a_range_is_stored_and_read_back(usual: LatentRange, tmp_path: Path) -> None:
     again = LatentRange.from_pretrained("tactip", usual.save(tmp_path / "range"))
     assert torch.allclose(again.distance(drawn(3)), usual.distance(drawn(3)))
-    assert (again.kind, again.tokenizer_hash, again.free_limit, again.run_limit) == ("tactip", "abc", 1.6, 1.4)
+    assert (again.kind, again.tokenizer_hash, again.free_limit, again.run_limit) == (
+        "tactip",
+        "abc",
+        1.6,
+        1.4,
+    )
 
 
 def test_a_folder_without_limits_is_refused(usual: LatentRange, tmp_path: Path) -> None:
@@ -67,12 +76,16 @@ def test_one_odd_look_is_forgiven_and_half_a_second_of_them_is_not(usual: Latent
     for look in drawn(20, 9):
         monitor.see(look[None])
     monitor.see(usual.mean.unflatten(0, (PATCHES, CHANNELS))[None] * 1.01)
-    with pytest.raises(SensorError, match=r"tactip on the right finger over half a second.*monitor=off"):
+    with pytest.raises(
+        SensorError, match=r"tactip on the right finger over half a second.*monitor=off"
+    ):
         for _ in range(LOOKS):
             monitor.see(odd)
 
 
-def test_an_odd_picture_in_free_air_is_noticed_at_the_third_look_of_each_episode(usual: LatentRange) -> None:
+def test_an_odd_picture_in_free_air_is_noticed_at_the_third_look_of_each_episode(
+    usual: LatentRange,
+) -> None:
     monitor, odd = HealthMonitor(usual, "left", LOOKS), drawn(1, 3) + 20
     for _ in range(2):
         monitor.reset()
@@ -82,7 +95,9 @@ def test_an_odd_picture_in_free_air_is_noticed_at_the_third_look_of_each_episode
             monitor.see(odd)
 
 
-def test_with_a_new_reference_a_few_flickering_markers_pass_and_many_do_not(usual: LatentRange) -> None:
+def test_with_a_new_reference_a_few_flickering_markers_pass_and_many_do_not(
+    usual: LatentRange,
+) -> None:
     monitor = HealthMonitor(usual, "left", LOOKS)
     for times, alarm in ((1.5, False), (3.0, True)):
         for renewed in (False, True):

@@ -32,7 +32,9 @@ def test_written_out_temporal_attention_is_the_masked_softmax() -> None:
     wanted = masked_pair(attention, tokens)
     reference, past = attention.reference(tokens[:, 0])
     torch.testing.assert_close(reference, wanted[:, 0], atol=1e-5, rtol=0)
-    torch.testing.assert_close(attention.current(tokens[:, 1], past), wanted[:, 1], atol=1e-5, rtol=0)
+    torch.testing.assert_close(
+        attention.current(tokens[:, 1], past), wanted[:, 1], atol=1e-5, rtol=0
+    )
 
 
 def test_current_depends_on_reference_and_never_the_other_way(tiny: TokenizerConfig) -> None:
@@ -78,7 +80,9 @@ def test_same_seed_same_weights_and_global_generator_untouched(tiny: TokenizerCo
     before = torch.random.get_rng_state()
     first, second = build_model(tiny, 5), build_model(tiny, 5)
     assert torch.equal(torch.random.get_rng_state(), before)
-    assert all(torch.equal(a, b) for a, b in zip(first.parameters(), second.parameters(), strict=True))
+    assert all(
+        torch.equal(a, b) for a, b in zip(first.parameters(), second.parameters(), strict=True)
+    )
 
 
 @pytest.mark.parametrize("wrong", [{"side": 33}, {"heads": 3}, {"width": 18, "heads": 3}])

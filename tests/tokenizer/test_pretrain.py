@@ -30,7 +30,12 @@ from uniforce_vtla.tokenizer.losses import (
 from uniforce_vtla.tokenizer.model import Posterior, build_model
 from uniforce_vtla.tokenizer.pair_cache import PairCache, build_cache, draw_finger, rigs
 from uniforce_vtla.tokenizer.pretrain import Pretraining, learning_rate, pair_loss
-from uniforce_vtla.tokenizer.settings import LossConfig, PairCacheConfig, PretrainSettings, TokenizerConfig
+from uniforce_vtla.tokenizer.settings import (
+    LossConfig,
+    PairCacheConfig,
+    PretrainSettings,
+    TokenizerConfig,
+)
 from uniforce_vtla.tokenizer.worn_heads import WornSequences
 
 SMALL_DATA = PairCacheConfig(side=32, units=2, pairs_per_unit=4, units_per_shard=1)
@@ -49,7 +54,12 @@ def settings(tiny: TokenizerConfig) -> PretrainSettings:
 
 def test_pairs_come_mirrored_and_in_range(data: PairCache) -> None:
     pairs = data.draw(np.random.default_rng(0), units=3, pairs=2)
-    assert pairs.left_reference.shape == (3, 1, 32, 32) and pairs.right_current.shape == (6, 1, 32, 32)
+    assert pairs.left_reference.shape == (3, 1, 32, 32) and pairs.right_current.shape == (
+        6,
+        1,
+        32,
+        32,
+    )
     stored = torch.from_numpy(data.arrays["right_reference"][:, None]).float() / 255
     same = [torch.equal(pairs.right_reference[0], s.flip(-1)) for s in stored]
     assert any(same) and pairs.left_current.max() <= 1
@@ -70,10 +80,17 @@ def test_cache_resumes_and_refuses_another_recipe(tmp_path: Path) -> None:
             build_cache(tmp_path, replace(SMALL_DATA, **other))
 
 
-def test_a_run_from_before_an_option_goes_on(data: PairCache, settings: PretrainSettings, tmp_path: Path) -> None:
+def test_a_run_from_before_an_option_goes_on(
+    data: PairCache, settings: PretrainSettings, tmp_path: Path
+) -> None:
     Pretraining(settings, tmp_path, data).run(until=2)
     recipe = json.loads((tmp_path / "recipe.json").read_text())
-    del recipe["pairs"], recipe["model"]["warp"], recipe["loss"]["equilibrium_scale"], recipe["data"]["left_out"]
+    del (
+        recipe["pairs"],
+        recipe["model"]["warp"],
+        recipe["loss"]["equilibrium_scale"],
+        recipe["data"]["left_out"],
+    )
     (tmp_path / "recipe.json").write_text(json.dumps(recipe))
     assert Pretraining(settings, tmp_path, data).step == 2
     others = {"pairs": "elsewhere", "loss": replace(settings.loss, equilibrium_scale="per_unit")}
@@ -102,7 +119,9 @@ def test_a_tiny_batch_is_overfitted(data: PairCache, tiny: TokenizerConfig) -> N
     assert losses[-1] < 0.8 * losses[0] and reconstructed < 0.8 * parts["copied"].item()
 
 
-def test_resumed_run_equals_an_uninterrupted_one(data: PairCache, settings: PretrainSettings, tmp_path: Path) -> None:
+def test_resumed_run_equals_an_uninterrupted_one(
+    data: PairCache, settings: PretrainSettings, tmp_path: Path
+) -> None:
     whole = Pretraining(settings, tmp_path / "whole", data).run()
     Pretraining(settings, tmp_path / "parts", data).run(until=4)
     resumed = Pretraining(settings, tmp_path / "parts", data)
@@ -116,7 +135,9 @@ def test_resumed_run_equals_an_uninterrupted_one(data: PairCache, settings: Pret
     assert (tmp_path / "parts" / "tokenizer" / "model.safetensors").exists()
 
 
-def test_a_run_may_start_from_another_ones_weights(data: PairCache, settings: PretrainSettings, tmp_path: Path) -> None:
+def test_a_run_may_start_from_another_ones_weights(
+    data: PairCache, settings: PretrainSettings, tmp_path: Path
+) -> None:
     first = Pretraining(settings, tmp_path / "first", data).run(until=2)
     first.save(tmp_path / "weights")
     warm = replace(settings, init=str(tmp_path / "weights"))
@@ -152,14 +173,18 @@ def test_equilibrium_in_a_units_own_size_knows_no_gain() -> None:
     plain = float(equilibrium(left, right, config, per_unit=4))
     weak = torch.cat([0.5 * right[:4], 2.0 * right[4:]])  # two units that answer otherwise
     assert equilibrium(0.01 * left, weak, config, per_unit=4) == pytest.approx(plain, rel=1e-3)
-    assert equilibrium(left, torch.cat([right[:2], 0.5 * right[2:]]), config, per_unit=4) > 1.5 * plain
+    assert (
+        equilibrium(left, torch.cat([right[:2], 0.5 * right[2:]]), config, per_unit=4) > 1.5 * plain
+    )
     absolute = replace(config, equilibrium_scale="absolute")
     assert equilibrium(left, weak, absolute) > 1.5 * equilibrium(left, right, absolute)
 
 
 def test_kl_is_zero_for_the_prior_only() -> None:
     prior = Posterior(torch.zeros(1, 4, 6), torch.zeros(1, 4, 6))
-    assert kl(prior) == 0 and kl(Posterior(prior.mean + 1, prior.log_variance)) == pytest.approx(0.5)
+    assert kl(prior) == 0 and kl(Posterior(prior.mean + 1, prior.log_variance)) == pytest.approx(
+        0.5
+    )
 
 
 def test_changed_pixels_count_more_when_asked() -> None:
@@ -168,7 +193,9 @@ def test_changed_pixels_count_more_when_asked() -> None:
     current[..., :2] = 1
     side = Side(reference, current, Posterior(reference, reference))
     plain = reconstruction(reference, side, LossConfig(changed_pixel_weight=0, perceptual_weight=0))
-    weighted = reconstruction(reference, side, LossConfig(changed_pixel_weight=9, perceptual_weight=0))
+    weighted = reconstruction(
+        reference, side, LossConfig(changed_pixel_weight=9, perceptual_weight=0)
+    )
     assert weighted == pytest.approx(10 * plain.item())
 
 
@@ -194,20 +221,27 @@ def fresh_accelerator() -> Iterator[None]:
     AcceleratorState._reset_state(reset_partial_state=True)
 
 
-def test_bf16_trains(settings: PretrainSettings, data: PairCache, tmp_path: Path, fresh_accelerator: None) -> None:
+def test_bf16_trains(
+    settings: PretrainSettings, data: PairCache, tmp_path: Path, fresh_accelerator: None
+) -> None:
     report = Pretraining(replace(settings, mixed_precision="bf16"), tmp_path, data).train_step()
     assert np.isfinite(report["loss"])
 
 
 SMALL_COMMAND = [
     *(f"run.model.{size}" for size in ("side=32", "patch=8", "width=16", "heads=2")),
-    *(f"run.data.{size}" for size in ("side=32", "units=2", "units_per_shard=1", "pairs_per_unit=2")),
+    *(
+        f"run.data.{size}"
+        for size in ("side=32", "units=2", "units_per_shard=1", "pairs_per_unit=2")
+    ),
     "run.pairs_per_unit=2",
 ]
 
 
 def run_command(folder: Path, *more: str) -> int:
-    return main([*SMALL_COMMAND, "heads=none", f"cache={folder / 'pairs'}", f"out={folder / 'out'}", *more])
+    return main(
+        [*SMALL_COMMAND, "heads=none", f"cache={folder / 'pairs'}", f"out={folder / 'out'}", *more]
+    )
 
 
 def test_command_trains_continues_and_leaves_a_loadable_tokenizer(tmp_path: Path) -> None:
@@ -233,7 +267,12 @@ def test_command_trains_on_recorded_pairs_and_says_where_there_are_none(
         recording = PairRecording(("left", "right"), indenter, "", free, seen[0], left, right)
         write_uniforce_pairs(tmp_path, recording, "own")
     pairs = recorded_pairs(str(tmp_path), 32).draw(np.random.default_rng(0), units=3, pairs=2)
-    assert pairs.left_reference.shape == (3, 1, 32, 32) and pairs.right_current.shape == (6, 1, 32, 32)
+    assert pairs.left_reference.shape == (3, 1, 32, 32) and pairs.right_current.shape == (
+        6,
+        1,
+        32,
+        32,
+    )
     assert torch.equal(pairs.left_current, pairs.right_current)
     assert torch.equal(pairs.left_reference, pairs.right_reference)
     assert not torch.equal(pairs.left_current[0], pairs.left_reference[0])
@@ -244,12 +283,27 @@ def test_command_trains_on_recorded_pairs_and_says_where_there_are_none(
     assert "collection_log.txt, got none" in capsys.readouterr().err
 
 
-def test_command_leaves_a_head_beside_its_tokenizer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_command_leaves_a_head_beside_its_tokenizer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """It reads that tokenizer's latents, wherever a tokenizer's folder is named."""
-    monkeypatch.setattr(worn_heads, "WornSequences", lambda: WornSequences(units=1, moving=1, held=15))
+    monkeypatch.setattr(
+        worn_heads, "WornSequences", lambda: WornSequences(units=1, moving=1, held=15)
+    )
     monkeypatch.setattr(worn_heads, "WORN_HEADS", HeadTrainingConfig(steps=3, batch=4))
     out = tmp_path / "out"
-    assert main([*SMALL_COMMAND, "run.steps=1", "heads=tactip", f"cache={tmp_path / 'pairs'}", f"out={out}"]) == 0
+    assert (
+        main(
+            [
+                *SMALL_COMMAND,
+                "run.steps=1",
+                "heads=tactip",
+                f"cache={tmp_path / 'pairs'}",
+                f"out={out}",
+            ]
+        )
+        == 0
+    )
     tokenizer = Tokenizer.from_pretrained(out / "tokenizer")
     head = ForceHead.from_pretrained("tactip", out / "tokenizer")
     assert (head.source, head.tokenizer_hash) == ("tactip", tokenizer.hash)
@@ -261,7 +315,9 @@ def test_the_family_replaces_cameras_only_and_only_its_share() -> None:
     rng = np.random.default_rng(0)
     drawn = [draw_finger(rng, "gelsight", PairCacheConfig(family_share=0.5)) for _ in range(200)]
     assert 60 < sum(isinstance(s, VirtualSensor) for s in drawn) < 140
-    assert all(draw_finger(rng, "uskin", PairCacheConfig(family_share=1.0)) == "uskin" for _ in range(5))
+    assert all(
+        draw_finger(rng, "uskin", PairCacheConfig(family_share=1.0)) == "uskin" for _ in range(5)
+    )
     assert draw_finger(rng, "tactip", PairCacheConfig()) == "tactip"
 
 
@@ -290,7 +346,10 @@ def test_leaving_a_kind_out_draws_as_many_pairs(tmp_path: Path) -> None:
 
 
 def test_each_stage_of_small_starts_from_what_the_one_before_left() -> None:
-    stages = [read(PretrainCommand, [f"preset={n}"], PRESETS)[0] for n in ("small_draw", "small_agree", "small")]
+    stages = [
+        read(PretrainCommand, [f"preset={n}"], PRESETS)[0]
+        for n in ("small_draw", "small_agree", "small")
+    ]
     for earlier, later in itertools.pairwise(stages):
         assert later.run.init == f"{earlier.out}/tokenizer" and later.run.model == earlier.run.model
         assert later.run.data == earlier.run.data or later.cache != earlier.cache

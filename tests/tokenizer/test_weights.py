@@ -12,7 +12,13 @@ from uniforce_vtla.errors import CheckpointError
 from uniforce_vtla.file_hashes import drop_hashes
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.tokenizer import Latent, Tokenizer, TokenizerConfig
-from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig, HeadTrainingConfig, train_head
+from uniforce_vtla.tokenizer.force_head import (
+    ForceHead,
+    ForceRegressor,
+    HeadConfig,
+    HeadTrainingConfig,
+    train_head,
+)
 from uniforce_vtla.tokenizer.weights import ASSETS, SIZES
 
 
@@ -53,7 +59,11 @@ def test_every_wrong_tensor_is_listed(saved: Path) -> None:
     rewrite(saved, spoil)
     with pytest.raises(CheckpointError) as error:
         Tokenizer.from_pretrained(saved)
-    for line in ("missing decoder.inject.bias", "unexpected extra", "decoder.inject.weight is (2, 2)"):
+    for line in (
+        "missing decoder.inject.bias",
+        "unexpected extra",
+        "decoder.inject.weight is (2, 2)",
+    ):
         assert line in str(error.value)
 
 
@@ -63,7 +73,9 @@ def test_a_number_that_is_not_finite_is_named(saved: Path) -> None:
         tensors["decoder.inject.weight"][0, 0] = torch.nan
 
     rewrite(saved, spoil)
-    with pytest.raises(CheckpointError, match=r"NaN or inf in decoder.inject.bias; .*decoder.inject.weight"):
+    with pytest.raises(
+        CheckpointError, match=r"NaN or inf in decoder.inject.bias; .*decoder.inject.weight"
+    ):
         Tokenizer.from_pretrained(saved)
 
 
@@ -82,7 +94,9 @@ def test_hash_follows_weights_config_and_scales(tiny: TokenizerConfig) -> None:
     tokenizer = Tokenizer.random(tiny, seed=1)
     assert tokenizer.hash == Tokenizer.random(tiny, seed=1).hash
     assert tokenizer.hash != Tokenizer.random(tiny, seed=2).hash
-    other = Tokenizer(tokenizer.model, tokenizer.canonicalizer | {"taxel_scales": {"version": "other"}})
+    other = Tokenizer(
+        tokenizer.model, tokenizer.canonicalizer | {"taxel_scales": {"version": "other"}}
+    )
     assert tokenizer.hash != other.hash
     with torch.no_grad():
         tokenizer.model.decoder.inject.bias[0] += 1e-3
@@ -97,7 +111,11 @@ def test_force_head_round_trip_and_missing_source(tmp_path: Path) -> None:
     torch.testing.assert_close(loaded(z), head(z))
     with pytest.raises(CheckpointError):
         ForceHead.from_pretrained("unheard-of")
-    assert read_object(tmp_path / "head" / "provenance.json", CheckpointError).keys() >= {"device", "commit", "dirty"}
+    assert read_object(tmp_path / "head" / "provenance.json", CheckpointError).keys() >= {
+        "device",
+        "commit",
+        "dirty",
+    }
     assert ForceHead.from_pretrained("tactip", tmp_path / "head").source == "tactip"
     with pytest.raises(CheckpointError, match="expected gelsight, got tactip"):
         ForceHead.from_pretrained("gelsight", tmp_path / "head")
@@ -121,13 +139,19 @@ def test_heads_belong_to_their_tokenizer(size: str) -> None:
         assert head.source == sensor and head.tokenizer_hash == tokenizer.hash
 
 
-def test_shipped_head_reads_another_sensor_and_beats_an_untrained_encoder(tokenizer: Tokenizer) -> None:
+def test_shipped_head_reads_another_sensor_and_beats_an_untrained_encoder(
+    tokenizer: Tokenizer,
+) -> None:
     recipe = replace(FROZEN, sequences=16, length=6, seed=11)
     target = draw_labelled(recipe, "gelsight", tokenizer.config.side)
     trained = shipped_cell(ForceHead.from_pretrained("tactip"), tokenizer, target)
     untrained = Tokenizer.random(tokenizer.config)
-    source = draw_labelled(replace(HEAD_TRAINING, sequences=24, length=6), "tactip", tokenizer.config.side)
-    head = train_head(encode_set(untrained, source), source.force_N, HeadTrainingConfig(steps=60), seed=0)
+    source = draw_labelled(
+        replace(HEAD_TRAINING, sequences=24, length=6), "tactip", tokenizer.config.side
+    )
+    head = train_head(
+        encode_set(untrained, source), source.force_N, HeadTrainingConfig(steps=60), seed=0
+    )
     baseline = score(target.force_N, predict(head, encode_set(untrained, target)))
     assert np.mean(trained["r2"]) > np.mean(baseline["r2"]) + 0.1
     assert trained["r2"][2] > 0.3

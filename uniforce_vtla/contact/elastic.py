@@ -38,7 +38,8 @@ class Gel:
 
     size_mm: tuple[float, float]  # (x, y) extent; a dome's diameter twice
     layers: tuple[Layer, ...]  # from the skin inwards
-    readout_mm: float  # depth below the skin of what is observed: printed markers, roots of pins, magnets
+    # depth below the skin of what is observed: printed markers, roots of pins, magnets
+    readout_mm: float
     dome_radius_mm: float | None = None  # radius of curvature of the skin; None for a flat pad
     cell_mm: float = 1.0  # side of the cells that carry traction
 
@@ -52,7 +53,8 @@ class Gel:
 class Influence:
     """Displacement in mm per newton on each of C cells; linear, so that tractions superpose."""
 
-    skin: np.ndarray  # (3, C, 3, C) mean displacement of each cell; [axis, cell, axis of force, loaded cell]
+    # (3, C, 3, C) mean displacement of each cell; [axis, cell, axis of force, loaded cell]
+    skin: np.ndarray
     inside: np.ndarray  # (3, rows, columns, 3, C) displacement of the nodes at the readout depth
     x_mm: np.ndarray  # (columns,) of those nodes
     y_mm: np.ndarray  # (rows,)
@@ -73,7 +75,11 @@ def influence(gel: Gel) -> Influence:
 
 def cache_folder() -> Path:
     """Return where influence matrices are kept: ``$XDG_CACHE_HOME`` or ``~/.cache``, in ``uniforce_vtla``."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "uniforce_vtla" / "influence"
+    return (
+        Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        / "uniforce_vtla"
+        / "influence"
+    )
 
 
 @lru_cache(maxsize=16)
@@ -109,12 +115,16 @@ def compute_influence(gel: Gel, progress: bool = True) -> Influence:
     skin = np.zeros((3, C, 3, C), np.float32)
     inside = np.zeros((3, rows + 1, columns + 1, 3, C), np.float32)
     quarter = [(j, i) for j, i in np.argwhere(mesh.inside) if 2 * j < rows and 2 * i < columns]
-    for j, i in tqdm(quarter, desc="finite elements of a pad", unit="cell", disable=not progress, leave=False):
+    for j, i in tqdm(
+        quarter, desc="finite elements of a pad", unit="cell", disable=not progress, leave=False
+    ):
         top, deep = mesh.response(j, i)
         for flip_y, flip_x, sign in _mirrors():
             jj, ii = (rows - 1 - j if flip_y else j), (columns - 1 - i if flip_x else i)
             c = cell_of[jj, ii]
-            turned = [f[:, :: -1 if flip_y else 1, :: -1 if flip_x else 1] * sign for f in (top, deep)]
+            turned = [
+                f[:, :: -1 if flip_y else 1, :: -1 if flip_x else 1] * sign for f in (top, deep)
+            ]
             skin[:, :, :, c] = _cell_means(turned[0])[:, mesh.inside]
             inside[..., c] = turned[1]
     return Influence(skin, inside, mesh.x_mm, mesh.y_mm)
@@ -146,7 +156,8 @@ class PadMesh:
     """Hexahedra of one gel, its stiffness matrix factorised."""
 
     def __init__(self, gel: Gel) -> None:
-        from skfem import Basis, ElementHex1, ElementVector, MeshHex  # .4 s to import, and the cache seldom misses
+        # .4 s to import, and the cache seldom misses
+        from skfem import Basis, ElementHex1, ElementVector, MeshHex
 
         self.x_mm, self.y_mm = (cell_edges(length, gel.cell_mm) for length in gel.size_mm)
         self.cell_shape = (len(self.y_mm) - 1, len(self.x_mm) - 1)
@@ -154,13 +165,23 @@ class PadMesh:
         grid = MeshHex.init_tensor(self.x_mm, self.y_mm, levels)
         x, y = ((e[1:] + e[:-1]) / 2 for e in (self.x_mm, self.y_mm))
         radius = np.hypot(*np.meshgrid(x, y))
-        self.inside = radius <= gel.size_mm[0] / 2 if gel.dome_radius_mm else np.ones(self.cell_shape, dtype=bool)
+        self.inside = (
+            radius <= gel.size_mm[0] / 2
+            if gel.dome_radius_mm
+            else np.ones(self.cell_shape, dtype=bool)
+        )
         centre = grid.p[:, grid.t].mean(axis=1)
-        column, row = np.searchsorted(self.x_mm, centre[0]) - 1, np.searchsorted(self.y_mm, centre[1]) - 1
+        column, row = (
+            np.searchsorted(self.x_mm, centre[0]) - 1,
+            np.searchsorted(self.y_mm, centre[1]) - 1,
+        )
         grid = grid.restrict(np.flatnonzero(self.inside[row, column]))
         level = np.searchsorted(levels, grid.p[2] - _SPLIT_MM)
         self._node = np.full((len(levels), len(self.y_mm), len(self.x_mm)), -1)
-        place = [np.searchsorted(e, v - _SPLIT_MM) for e, v in ((self.y_mm, grid.p[1]), (self.x_mm, grid.p[0]))]
+        place = [
+            np.searchsorted(e, v - _SPLIT_MM)
+            for e, v in ((self.y_mm, grid.p[1]), (self.x_mm, grid.p[0]))
+        ]
         self._node[level, place[0], place[1]] = np.arange(grid.p.shape[1])
         fixed = level == len(levels) - 1
         if gel.dome_radius_mm:
@@ -217,7 +238,10 @@ def _levels(gel: Gel) -> np.ndarray:
     borders = np.cumsum([0.0, *(layer.thickness_mm for layer in gel.layers)])
     wanted = np.unique(np.round([*borders, gel.readout_mm], 6))
     largest = gel.thickness_mm / (_HEIGHTS - 1)
-    parts = [np.linspace(a, b, max(1, round((b - a) / largest)), endpoint=False) for a, b in itertools.pairwise(wanted)]
+    parts = [
+        np.linspace(a, b, max(1, round((b - a) / largest)), endpoint=False)
+        for a, b in itertools.pairwise(wanted)
+    ]
     return np.concatenate([*parts, wanted[-1:]])
 
 
@@ -248,7 +272,9 @@ def _stiffness(basis, centre_only, layers: list[Layer]):  # type: ignore[no-unty
     from skfem import BilinearForm
     from skfem.helpers import ddot, div, sym_grad
 
-    young, poisson = (np.array([getattr(layer, n) for layer in layers]) for n in ("young_MPa", "poisson"))
+    young, poisson = (
+        np.array([getattr(layer, n) for layer in layers]) for n in ("young_MPa", "poisson")
+    )
     shear, bulk = young / (2 + 2 * poisson), young / (3 - 6 * poisson)
 
     @BilinearForm
@@ -262,13 +288,15 @@ def _stiffness(basis, centre_only, layers: list[Layer]):  # type: ignore[no-unty
     def at_points(b, value: np.ndarray) -> np.ndarray:  # type: ignore[no-untyped-def]
         return np.repeat(value[:, None], b.X.shape[1], axis=1)
 
-    return change_of_shape.assemble(basis, shear=at_points(basis, shear)) + change_of_volume.assemble(
-        centre_only, bulk=at_points(centre_only, bulk)
-    )
+    return change_of_shape.assemble(
+        basis, shear=at_points(basis, shear)
+    ) + change_of_volume.assemble(centre_only, bulk=at_points(centre_only, bulk))
 
 
 def _factorised(matrix):  # type: ignore[no-untyped-def]
     from scipy.sparse.linalg import splu
 
     options = {"SymmetricMode": True}
-    return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options=options, diag_pivot_thresh=0.0).solve
+    return splu(
+        matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options=options, diag_pivot_thresh=0.0
+    ).solve

@@ -28,7 +28,8 @@ class Fault:
 
     what: str  # in words
     unit: str  # of a dose
-    put: Callable[[WornSensor, float], WornSensor]  # a worn unit and a dose → the unit with that fault
+    # a worn unit and a dose → the unit with that fault
+    put: Callable[[WornSensor, float], WornSensor]
     signals: tuple[str, ...] = EVERY  # kinds of sensor that can have it
 
 
@@ -43,12 +44,16 @@ def _unit(name: str) -> Callable[[WornSensor, float], WornSensor]:
     return put
 
 
-def _since(**change: Callable[[UnitVariation, float], Any]) -> Callable[[WornSensor, float], WornSensor]:
+def _since(
+    **change: Callable[[UnitVariation, float], Any],
+) -> Callable[[WornSensor, float], WornSensor]:
     """Change the unit after its reference was taken."""
 
     def put(worn: WornSensor, dose: float) -> WornSensor:
         now = worn.since or worn.unit
-        return replace(worn, since=replace(now, **{name: of(now, dose) for name, of in change.items()}))
+        return replace(
+            worn, since=replace(now, **{name: of(now, dose) for name, of in change.items()})
+        )
 
     return put
 

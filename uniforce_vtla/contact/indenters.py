@@ -11,7 +11,8 @@ import numpy as np
 from uniforce_vtla.contact.pads import GRID_CELLS, cell_positions_mm
 from uniforce_vtla.errors import ContractError, expected
 
-Height = Callable[[np.ndarray, np.ndarray], np.ndarray]  # (x, y) mm in the indenter's frame → height mm
+# (x, y) mm in the indenter's frame → height mm
+Height = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 _HALF_MM = 5.0  # typical half-width of an indenter
 
@@ -51,35 +52,46 @@ _CORNERS = tuple((a, b) for a in (-3.5, 3.5) for b in (-3.5, 3.5))
 HEIGHTS: dict[str, Height] = {
     "cone": lambda x, y: _within(np.hypot(x, y) <= 6.0, np.hypot(x, y) * 0.6),
     "cylinder": lambda x, y: _disc(_HALF_MM, x, y),
-    "cylinder_sh": lambda x, y: _within((np.hypot(x, y) <= _HALF_MM) & (np.hypot(x, y) >= 3.0)),  # a shell
+    # a shell
+    "cylinder_sh": lambda x, y: _within((np.hypot(x, y) <= _HALF_MM) & (np.hypot(x, y) >= 3.0)),
     "cylinder_si": lambda x, y: _bar(6.0, 4.0, x, y),  # lying on its side
     # a disc with one blunt dot standing out of its middle
     "dotin": lambda x, y: np.minimum(_ball(2.0, x, y), _disc(_HALF_MM, x, y) + 1.0),
-    "dots": lambda x, y: np.min([_ball(1.8, x - a, y - b) for a, b in (*_CORNERS, (0.0, 0.0))], axis=0),
+    "dots": lambda x, y: np.min(
+        [_ball(1.8, x - a, y - b) for a, b in (*_CORNERS, (0.0, 0.0))], axis=0
+    ),
     "hemisphere": lambda x, y: _ball(_HALF_MM, x, y),
     "hexagon": lambda x, y: _polygon(6, 4.5, x, y),
     "line": lambda x, y: _bar(7.0, 1.5, x, y),
     "moon": lambda x, y: _within((np.hypot(x, y) <= _HALF_MM) & (np.hypot(x - 2.5, y) >= 4.0)),
-    "pacman": lambda x, y: _within((np.hypot(x, y) <= _HALF_MM) & (np.abs(np.arctan2(y, x)) >= np.pi / 5)),
+    "pacman": lambda x, y: _within(
+        (np.hypot(x, y) <= _HALF_MM) & (np.abs(np.arctan2(y, x)) >= np.pi / 5)
+    ),
     "prism": lambda x, y: _within((np.abs(x) <= _HALF_MM) & (np.abs(y) <= 4.0), np.abs(y) * 0.8),
     "random": _random,
     "sphere": lambda x, y: _ball(7.0, x, y),
     "sphere_s": lambda x, y: _ball(3.5, x, y),
     "torus": lambda x, y: _ball(1.8, np.hypot(x, y) - 4.0, np.zeros_like(x)),
     "triangle": lambda x, y: _polygon(3, 3.0, x, y),
-    "wave": lambda x, y: _within((np.abs(x) <= 6.0) & (np.abs(y) <= 4.0), 0.6 * (1 - np.cos(x * np.pi / 2.0))),
+    "wave": lambda x, y: _within(
+        (np.abs(x) <= 6.0) & (np.abs(y) <= 4.0), 0.6 * (1 - np.cos(x * np.pi / 2.0))
+    ),
 }
 UNSEEN = ("sphere_s", "triangle", "pacman", "cone", "wave", "torus")
 SEEN = tuple(name for name in HEIGHTS if name not in UNSEEN)
 PRETRAIN = ("cylinder", "cylinder_si", "dotin", "hexagon", "line", "moon", "prism", "sphere")
 
 
-def gap_map(name: str, center_mm: Sequence[float], angle_rad: float, scale: float = 1.0) -> np.ndarray:
+def gap_map(
+    name: str, center_mm: Sequence[float], angle_rad: float, scale: float = 1.0
+) -> np.ndarray:
     """Return (G, G) float32 gap of one indenter: foremost point at 0, ``inf`` where it has no body."""
     return gap_maps([name], np.array([center_mm]), np.array([angle_rad]), np.array([scale]))[0]
 
 
-def gap_maps(names: Sequence[str], center_mm: np.ndarray, angle_rad: np.ndarray, scale: np.ndarray) -> np.ndarray:
+def gap_maps(
+    names: Sequence[str], center_mm: np.ndarray, angle_rad: np.ndarray, scale: np.ndarray
+) -> np.ndarray:
     """Return (B, G, G) float32 gaps of ``names`` at (B, 2) centres, turned by (B,) angles, sized by (B,) scales.
 
     Raises ContractError: unknown indenter.
@@ -88,12 +100,18 @@ def gap_maps(names: Sequence[str], center_mm: np.ndarray, angle_rad: np.ndarray,
 
 
 def indenter_gap(
-    names: Sequence[str], center_mm: np.ndarray, angle_rad: np.ndarray, scale: np.ndarray, position_mm: np.ndarray
+    names: Sequence[str],
+    center_mm: np.ndarray,
+    angle_rad: np.ndarray,
+    scale: np.ndarray,
+    position_mm: np.ndarray,
 ) -> np.ndarray:
     """Return (B, N) gaps as ``gap_maps`` does, at any (N, 2) positions on the pad."""
     unknown = sorted(set(names) - set(HEIGHTS))
     if unknown:
-        raise ContractError(expected("indenter", " | ".join(HEIGHTS), unknown, "Check the spelling."))
+        raise ContractError(
+            expected("indenter", " | ".join(HEIGHTS), unknown, "Check the spelling.")
+        )
     x, y = _local(center_mm, angle_rad, position_mm)
     scale = np.asarray(scale, dtype=np.float64)[:, None]
     gap = np.empty_like(x)
@@ -118,7 +136,11 @@ def flat_face_gap(
 
 
 def flat_gap(
-    center_mm: np.ndarray, size_mm: np.ndarray, angle_rad: np.ndarray, tilt_rad: np.ndarray, position_mm: np.ndarray
+    center_mm: np.ndarray,
+    size_mm: np.ndarray,
+    angle_rad: np.ndarray,
+    tilt_rad: np.ndarray,
+    position_mm: np.ndarray,
 ) -> np.ndarray:
     """Return (B, N) gaps as ``flat_face_gap`` does, at any (N, 2) positions on the pad."""
     x, y = _local(center_mm, angle_rad, position_mm)
@@ -127,7 +149,9 @@ def flat_gap(
     return _grounded(np.where(inside, np.tan(np.asarray(tilt_rad)) @ position_mm.T, np.inf))
 
 
-def _local(center_mm: np.ndarray, angle_rad: np.ndarray, position_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _local(
+    center_mm: np.ndarray, angle_rad: np.ndarray, position_mm: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return positions as (B, N) x and y in each object's own frame."""
     arm = position_mm[None] - np.asarray(center_mm)[:, None]
     cos, sin = np.cos(angle_rad)[:, None], np.sin(angle_rad)[:, None]

@@ -53,7 +53,9 @@ def has_object(total_gap_mm: np.ndarray) -> np.ndarray:
 def build_pad(gel: Gel) -> Pad:
     """Return the pad of ``gel``; its finite elements are solved at first use."""
     x, y = (cell_edges(length, gel.cell_mm) for length in gel.size_mm)
-    centre = np.stack(np.meshgrid((x[1:] + x[:-1]) / 2, (y[1:] + y[:-1]) / 2), axis=-1).reshape(-1, 2)
+    centre = np.stack(np.meshgrid((x[1:] + x[:-1]) / 2, (y[1:] + y[:-1]) / 2), axis=-1).reshape(
+        -1, 2
+    )
     area = (np.diff(y)[:, None] * np.diff(x)).ravel()
     dome = np.zeros(GRID_CELLS**2, dtype=np.float32)
     if gel.dome_radius_mm:
@@ -62,7 +64,14 @@ def build_pad(gel: Gel) -> Pad:
         dome = sagitta_mm(np.hypot(*cell_positions_mm().T), gel.dome_radius_mm).astype(np.float32)
     moved = influence(gel)
     normal = np.ascontiguousarray(moved.skin[2, :, 2])
-    return Pad(centre.astype(np.float32), area.astype(np.float32), _blocks(centre, gel), dome, moved, normal)
+    return Pad(
+        centre.astype(np.float32),
+        area.astype(np.float32),
+        _blocks(centre, gel),
+        dome,
+        moved,
+        normal,
+    )
 
 
 def _blocks(centre_mm: np.ndarray, gel: Gel) -> np.ndarray:

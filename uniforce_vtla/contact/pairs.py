@@ -34,21 +34,33 @@ class PairBatch:
 class PairSettings:
     """How pairs are drawn."""
 
-    force_range: sampling.ForceRange = field(default_factory=sampling.ForceRange)  # bounds of the loads
+    # bounds of the loads
+    force_range: sampling.ForceRange = field(default_factory=sampling.ForceRange)
     flat_share: float = 0.15  # of flat faces: the wiping eraser's side, which no indenter resembles
     flat_side_mm: tuple[float, float] = sampling.FLAT_SIDE_mm  # their shortest and longest side
-    flat_tilt_rad: float = sampling.FLAT_TILT_rad  # how far they lean at most, along either axis of the pad
+    # how far they lean at most, along either axis of the pad
+    flat_tilt_rad: float = sampling.FLAT_TILT_rad
     unit_strength: float = 1.0  # unit-to-unit variation; 0 for drawings only
-    pairs_per_unit: int = 64  # of the same two units; building one takes as long as some twenty images
+    # of the same two units; building one takes as long as some twenty images
+    pairs_per_unit: int = 64
     options: ContactOptions = field(default_factory=ContactOptions)  # friction and randomness
     look: Look | None = None  # how freely cameras differ; None leaves only the units' own tolerance
-    misaligned_cells: int = 0  # fingers not facing each other: the right contact moves, up to so many cells of 1.25 mm
-    imbalance: float = 0.0  # broken equilibrium: the right force is off by up to this share of the normal force
+    # fingers not facing each other: the right contact moves, up to so many cells of 1.25 mm
+    misaligned_cells: int = 0
+    # broken equilibrium: the right force is off by up to this share of the normal force
+    imbalance: float = 0.0
 
-    def objects(self, rng: np.random.Generator, n: int, indenters: Sequence[str]) -> sampling.Objects:
+    def objects(
+        self, rng: np.random.Generator, n: int, indenters: Sequence[str]
+    ) -> sampling.Objects:
         """Return ``n`` random objects, flat faces as these settings say."""
         return sampling.sample_objects(
-            rng, n, indenters, self.flat_share, flat_side_mm=self.flat_side_mm, flat_tilt_rad=self.flat_tilt_rad
+            rng,
+            n,
+            indenters,
+            self.flat_share,
+            flat_side_mm=self.flat_side_mm,
+            flat_tilt_rad=self.flat_tilt_rad,
         )
 
 
@@ -77,7 +89,9 @@ def equilibrium_pairs(
     force, torsion = sampling.sample_loads(rng, n, settings.force_range, objects.names)
     contact = ContactState(objects.gap_mm, force, torsion)
     left = finger_views(rng, left_sensor, contact, settings, transform)
-    right = finger_views(rng, right_sensor, mirrored(_disturbed(rng, contact, settings)), settings, transform)
+    right = finger_views(
+        rng, right_sensor, mirrored(_disturbed(rng, contact, settings)), settings, transform
+    )
     return PairBatch(*left, *right, force, torsion, objects.names)
 
 
@@ -99,7 +113,9 @@ def finger_views(
     """
     references, currents = [], []
     for part in slices(len(contact.gap_mm), settings.pairs_per_unit):
-        simulator = draw_simulator(rng, sensor, settings.unit_strength, settings.options, settings.look)
+        simulator = draw_simulator(
+            rng, sensor, settings.unit_strength, settings.options, settings.look
+        )
         currents.append(images_of(simulator, rows_of(contact, part), transform))
         reference = simulator.reference()[None]
         kept = transform(reference) if transform else reference
@@ -107,18 +123,29 @@ def finger_views(
     return np.concatenate(references), np.concatenate(currents)
 
 
-def _disturbed(rng: np.random.Generator, contact: ContactState, settings: PairSettings) -> ContactState:
+def _disturbed(
+    rng: np.random.Generator, contact: ContactState, settings: PairSettings
+) -> ContactState:
     """Return the contact as the other finger gets it: the same, but for misalignment and imbalance asked for."""
     gap, force = contact.gap_mm, contact.force_N
     if settings.misaligned_cells:
-        shifts = rng.integers(-settings.misaligned_cells, settings.misaligned_cells + 1, (len(gap), 2))
+        shifts = rng.integers(
+            -settings.misaligned_cells, settings.misaligned_cells + 1, (len(gap), 2)
+        )
         reach, cells = settings.misaligned_cells, gap.shape[1]
-        padded = np.pad(gap, ((0, 0), (reach, reach), (reach, reach)), constant_values=np.inf)  # no object beyond
+        # no object beyond
+        padded = np.pad(gap, ((0, 0), (reach, reach), (reach, reach)), constant_values=np.inf)
         starts = reach - shifts  # (n, 2) column, row
-        gap = np.stack([g[y : y + cells, x : x + cells] for g, (x, y) in zip(padded, starts, strict=True)])
+        gap = np.stack(
+            [g[y : y + cells, x : x + cells] for g, (x, y) in zip(padded, starts, strict=True)]
+        )
     if settings.imbalance:
         off = rng.uniform(-1, 1, force.shape) * settings.imbalance * force[:, 2:]
         force = force + off
-        room = settings.force_range.friction * force[:, 2] / np.maximum(np.hypot(*force[:, :2].T), 1e-9)
+        room = (
+            settings.force_range.friction
+            * force[:, 2]
+            / np.maximum(np.hypot(*force[:, :2].T), 1e-9)
+        )
         force[:, :2] *= np.minimum(1, room)[:, None]  # stays within friction
     return ContactState(gap, force.astype(np.float32), contact.torsion_Nmm)

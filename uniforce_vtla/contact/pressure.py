@@ -10,11 +10,13 @@ import numpy as np
 from uniforce_vtla.contact.pads import Pad, has_object
 from uniforce_vtla.errors import ContractError, expected
 
-_MAX_STEPS = 12  # marker motion is then within .3 % of the limit's in the median contact, 2 % in the worst
+# marker motion is then within .3 % of the limit's in the median contact, 2 % in the worst
+_MAX_STEPS = 12
 _TOLERANCE = 0.02  # share of the load that a step still moves from cell to cell: enough
 _REACH_MM = 3.0  # cells this close to the first touch carry the load the iteration starts from
 _LEAST_N = 1e-9  # smaller loads give way as this one does: squares of gaps over them leave float32
-_FLATTEST = 1e-6  # mm per newton: softest distribution of pressure that is real; compliances' least is 7e-5
+# mm per newton: softest distribution of pressure that is real; compliances' least is 7e-5
+_FLATTEST = 1e-6
 _TINY = np.float32(1e-30)
 
 
@@ -26,7 +28,9 @@ class Pressure:
     depth_mm: np.ndarray
 
 
-def solve_pressure(pad: Pad, gap_mm: np.ndarray, fz_N: np.ndarray, stiffness: float = 1.0) -> Pressure:
+def solve_pressure(
+    pad: Pad, gap_mm: np.ndarray, fz_N: np.ndarray, stiffness: float = 1.0
+) -> Pressure:
     """Return the pressure under which a rigid object carries ``fz_N``.
 
     Args:
@@ -65,7 +69,11 @@ def share_load(
         share: (B, C) to start from, rows of sum 1.
         steps: at most.
     """
-    direction, old_length, carry = np.zeros_like(share), np.ones(len(share), np.float32), np.zeros(len(share))
+    direction, old_length, carry = (
+        np.zeros_like(share),
+        np.ones(len(share), np.float32),
+        np.zeros(len(share)),
+    )
     for _ in range(steps):
         touching = share > 0
         error = share @ compliance + above
@@ -83,7 +91,8 @@ def share_load(
         stepped = np.maximum(share - size * direction, 0)
         sinks_in = (stepped == 0) & (error < 0)  # free cells that the object would pass through
         stepped = np.where(sinks_in, stepped - size * error, stepped)
-        empty = ~stepped.any(axis=1)  # a step beyond every cell: begin again where the object is deepest
+        # a step beyond every cell: begin again where the object is deepest
+        empty = ~stepped.any(axis=1)
         stepped[empty, error[empty].argmin(axis=1)] = 1
         stepped /= stepped.sum(axis=1, keepdims=True)
         moved = np.abs(stepped - share).sum(axis=1).max()

@@ -51,7 +51,9 @@ def gelsight_frames(
     return np.stack(frames)
 
 
-def tactip_frames(marker_images: np.ndarray, rng: np.random.Generator, noise: PixelNoise) -> np.ndarray:
+def tactip_frames(
+    marker_images: np.ndarray, rng: np.random.Generator, noise: PixelNoise
+) -> np.ndarray:
     """Return (B, 480, 640, 3) uint8 RGB: bright pins on a black dome inside a bright rim.
 
     Args:
@@ -63,7 +65,10 @@ def tactip_frames(marker_images: np.ndarray, rng: np.random.Generator, noise: Pi
     for image in marker_images:
         pin = _blurred(image)
         gap = 1 - pin
-        planes = [dark * gap + light * pin for dark, light in zip(_dome_light(), _pin_light(), strict=True)]
+        planes = [
+            dark * gap + light * pin
+            for dark, light in zip(_dome_light(), _pin_light(), strict=True)
+        ]
         frames.append(_exposed(planes, rng, noise))
     return np.stack(frames)
 
@@ -77,7 +82,9 @@ def _exposed(planes: list[np.ndarray], rng: np.random.Generator, noise: PixelNoi
     """Return the frame (H, W, 3) uint8 of three planes (H, W) with noise; works in place, plane by plane for speed."""
     H, W = planes[0].shape
     if noise == "drawn":
-        grain = (rng.standard_normal((H, W, 3), dtype=np.float32) * np.float32(_PIXEL_NOISE)).transpose(2, 0, 1)
+        grain = (
+            rng.standard_normal((H, W, 3), dtype=np.float32) * np.float32(_PIXEL_NOISE)
+        ).transpose(2, 0, 1)
     else:
         y, x = rng.integers(_SHEET_ROOM_PX, size=2)
         grain = _noise_sheet()[:, y : y + H, x : x + W]
@@ -102,7 +109,9 @@ def _cells_of_pixels(cells: int, px_per_cell: float) -> tuple[np.ndarray, np.nda
     """Return (H, W) column and row of the grid, whose middle is the image's, under each pixel."""
     H, W = MARKER_IMAGE_SHAPE
     middle = (cells - 1) / 2
-    x, y = ((np.arange(n) - c) / px_per_cell + middle for n, c in zip((W, H), CENTRE_PX, strict=True))
+    x, y = (
+        (np.arange(n) - c) / px_per_cell + middle for n, c in zip((W, H), CENTRE_PX, strict=True)
+    )
     column, row = (a.astype(np.float32) for a in np.meshgrid(x, y))
     return column, row
 
@@ -116,7 +125,9 @@ def _planes(frame: np.ndarray) -> np.ndarray:
 def _noise_sheet() -> np.ndarray:
     rows, columns = MARKER_IMAGE_SHAPE
     shape = rows + _SHEET_ROOM_PX, columns + _SHEET_ROOM_PX, 3
-    return _planes(np.random.default_rng(0).standard_normal(shape, dtype=np.float32) * np.float32(_PIXEL_NOISE))
+    return _planes(
+        np.random.default_rng(0).standard_normal(shape, dtype=np.float32) * np.float32(_PIXEL_NOISE)
+    )
 
 
 @cache

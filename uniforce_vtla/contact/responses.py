@@ -17,13 +17,18 @@ from uniforce_vtla.sensors.material import ForceTaxelMaterial, PadMaterial, Taxe
 class ContactOptions:
     """Friction and randomness of a simulated unit."""
 
-    friction: float = 1.0  # Coulomb coefficient of pad against object; rubber on wood or plastic, .8–1.2
+    # Coulomb coefficient of pad against object; rubber on wood or plastic, .8–1.2
+    friction: float = 1.0
     noise: bool = True  # per-marker position noise (camera) or count noise (taxel)
-    noise_px: float = 0.3  # standard deviation of a marker's found centre, in pixels of the canonical image
+    # standard deviation of a marker's found centre, in pixels of the canonical image
+    noise_px: float = 0.3
     noise_counts: float = 1.8  # raw standard deviation of real uSkins at rest is 1.1–2.6 counts
-    marker_loss: bool = False  # drop single camera markers at random; off: the paper's layouts are complete
-    loss_probability: float = 0.01  # per marker and frame (the ViTac 2024 simulation track uses the same)
-    pixel_noise: PixelNoise = "drawn"  # of raw frames: anew for every pixel, or from a "sheet", 11 ms a frame faster
+    # drop single camera markers at random; off: the paper's layouts are complete
+    marker_loss: bool = False
+    # per marker and frame (the ViTac 2024 simulation track uses the same)
+    loss_probability: float = 0.01
+    # of raw frames: anew for every pixel, or from a "sheet", 11 ms a frame faster
+    pixel_noise: PixelNoise = "drawn"
 
     def quiet(self) -> ContactOptions:
         """Return these options without randomness."""
@@ -41,20 +46,30 @@ class MarkerMotion:
         """Return this motion but for the (M,) bool markers that stand still."""
         if not still.any():
             return self
-        return MarkerMotion(np.where(still[:, None], 0, self.shift_mm), np.where(still, 1, self.growth))
+        return MarkerMotion(
+            np.where(still[:, None], 0, self.shift_mm), np.where(still, 1, self.growth)
+        )
 
 
 class PointMotion:
     """Displacement of points at a pad's readout depth, and its gradient along the skin; linear in traction."""
 
-    def __init__(self, influence: Influence, point_mm: np.ndarray, scale: float, reach_mm: float = 0.0) -> None:
+    def __init__(
+        self, influence: Influence, point_mm: np.ndarray, scale: float, reach_mm: float = 0.0
+    ) -> None:
         """Take (M, 2) points; with a reach each moves as the mean of what lies within it."""
-        ring = [reach_mm / 2**0.5 * np.array(way) for way in ((1, 1), (1, -1), (-1, 1), (-1, -1))] if reach_mm else [0]
+        ring = (
+            [reach_mm / 2**0.5 * np.array(way) for way in ((1, 1), (1, -1), (-1, 1), (-1, -1))]
+            if reach_mm
+            else [0]
+        )
         around = np.concatenate([point_mm + offset for offset in ring])
         at = _interpolated(influence.fields, influence.x_mm, influence.y_mm, around)  # (M, F, 3, C)
         at = at.reshape(len(ring), len(point_mm), *at.shape[1:]).mean(axis=0)
         by_cell = (at * np.float32(scale)).transpose(3, 2, 1, 0)  # (C, 3, F, M)
-        self._of_shear, self._of_press = (np.ascontiguousarray(part) for part in (by_cell[:, :2], by_cell[:, 2]))
+        self._of_shear, self._of_press = (
+            np.ascontiguousarray(part) for part in (by_cell[:, :2], by_cell[:, 2])
+        )
 
     def __call__(self, traction: Traction) -> np.ndarray:
         """Return (B, F, M): the six of ``Influence.fields``."""
@@ -64,14 +79,18 @@ class PointMotion:
         return (motion + shear @ self._of_shear[traction.cells].reshape(-1, F * M)).reshape(B, F, M)
 
 
-def _interpolated(field: np.ndarray, x_mm: np.ndarray, y_mm: np.ndarray, point_mm: np.ndarray) -> np.ndarray:
+def _interpolated(
+    field: np.ndarray, x_mm: np.ndarray, y_mm: np.ndarray, point_mm: np.ndarray
+) -> np.ndarray:
     """Return (M, …) of a (rows, columns, …) field at (M, 2) points, bilinearly; beyond the pad its border's value."""
     (i, tx), (j, ty) = _place(x_mm, point_mm[:, 0]), _place(y_mm, point_mm[:, 1])
     corners = (j * len(x_mm) + i)[:, None] + np.array([0, 1, len(x_mm), len(x_mm) + 1])
     weights = np.stack([(1 - ty) * (1 - tx), (1 - ty) * tx, ty * (1 - tx), ty * tx], axis=1)
     rows = np.repeat(np.arange(len(point_mm)), 4)
     nodes = len(x_mm) * len(y_mm)
-    mix = csr_array((weights.ravel().astype(np.float32), (rows, corners.ravel())), (len(point_mm), nodes))
+    mix = csr_array(
+        (weights.ravel().astype(np.float32), (rows, corners.ravel())), (len(point_mm), nodes)
+    )
     return (mix @ field.reshape(nodes, -1)).reshape(len(point_mm), *field.shape[2:])
 
 
@@ -85,7 +104,9 @@ def _place(edges: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray
 class CameraResponse:
     """Markers of one unit as its camera sees them."""
 
-    def __init__(self, influence: Influence, rest_mm: np.ndarray, material: PadMaterial, scale: float = 1.0) -> None:
+    def __init__(
+        self, influence: Influence, rest_mm: np.ndarray, material: PadMaterial, scale: float = 1.0
+    ) -> None:
         self._rest_mm, self._material = rest_mm, material
         self._motion = PointMotion(influence, rest_mm, scale)
 
@@ -93,7 +114,8 @@ class CameraResponse:
         """Return the motion of all markers under a batch of tractions."""
         m, field = self._material, self._motion(traction)
         shift = field[:, :2] - m.pin_mm * field[:, 4:]  # a pin tilts with the skin that holds it
-        nearer = field[:, 2] / m.camera_mm  # (B, M): what is pressed towards the camera looks larger
+        # (B, M): what is pressed towards the camera looks larger
+        nearer = field[:, 2] / m.camera_mm
         shift = shift.transpose(0, 2, 1) + self._rest_mm * nearer[..., None]
         return MarkerMotion(shift, np.sqrt(np.clip(1 + field[:, 3], 0.25, 4.0)) * (1 + nearer))
 
@@ -116,10 +138,16 @@ class TaxelResponse:
     """
 
     def __init__(
-        self, influence: Influence, taxel_mm: np.ndarray, material: TaxelMaterial, gain: np.ndarray, scale: float = 1.0
+        self,
+        influence: Influence,
+        taxel_mm: np.ndarray,
+        material: TaxelMaterial,
+        gain: np.ndarray,
+        scale: float = 1.0,
     ) -> None:
         self._motion = PointMotion(influence, taxel_mm, scale, material.magnet_mm / 2)
-        self._apart_mm = (taxel_mm[None] - taxel_mm[:, None]).astype(np.float32)  # (sensor, magnet, 2)
+        # (sensor, magnet, 2)
+        self._apart_mm = (taxel_mm[None] - taxel_mm[:, None]).astype(np.float32)
         self._material = material
         self._rest = self._field(np.zeros((1, 3, len(taxel_mm)), np.float32))
         self._gain = gain.astype(np.float32)  # (M, 3)
@@ -132,8 +160,10 @@ class TaxelResponse:
     def _field(self, moved_mm: np.ndarray) -> np.ndarray:
         """Return (B, M, 3) counts of the field at the sensors, given (B, 3 or more, M) displacements of magnets."""
         m = self._material
-        aside = self._apart_mm + moved_mm[:, :2].transpose(0, 2, 1)[:, None]  # (B, sensor, magnet, 2)
-        over = np.maximum(m.hall_mm - moved_mm[:, 2], 0.2 * m.hall_mm)[:, None, :, None]  # it can't reach the board
+        # (B, sensor, magnet, 2)
+        aside = self._apart_mm + moved_mm[:, :2].transpose(0, 2, 1)[:, None]
+        # it can't reach the board
+        over = np.maximum(m.hall_mm - moved_mm[:, 2], 0.2 * m.hall_mm)[:, None, :, None]
         r2 = (aside**2).sum(axis=-1, keepdims=True) + over**2
         along = 3 * over**2 / r2 - 1  # dipole: 3 (m·r) r / r⁵ − m / r³
         field = np.concatenate([3 * over * aside / r2, along], axis=-1) / r2**1.5
@@ -143,15 +173,22 @@ class TaxelResponse:
 class ForceTaxelResponse:
     """Taxels that say newtons: each gets its share of the forces on the skin around it, all together all of it."""
 
-    def __init__(self, skin_mm: np.ndarray, taxel_mm: np.ndarray, made: ForceTaxelMaterial, gain: np.ndarray) -> None:
+    def __init__(
+        self, skin_mm: np.ndarray, taxel_mm: np.ndarray, made: ForceTaxelMaterial, gain: np.ndarray
+    ) -> None:
         """Take the skin's cells (C, 2), the taxels (M, 2) and each one's gain (M, 3)."""
         apart_mm = np.linalg.norm(skin_mm[:, None] - taxel_mm, axis=-1)  # (C, M)
         # from the nearest one's on, so that no cell is too far from all
-        share = np.exp((apart_mm.min(axis=1, keepdims=True) ** 2 - apart_mm**2) / (2 * made.spread_mm**2))
+        share = np.exp(
+            (apart_mm.min(axis=1, keepdims=True) ** 2 - apart_mm**2) / (2 * made.spread_mm**2)
+        )
         self._share = (share / share.sum(axis=1, keepdims=True)).astype(np.float32)
-        self._gain = gain.astype(np.float32) * np.array([1, -1, 1], np.float32) / np.float32(made.count_N)
+        self._gain = (
+            gain.astype(np.float32) * np.array([1, -1, 1], np.float32) / np.float32(made.count_N)
+        )
 
     def __call__(self, traction: Traction) -> np.ndarray:
         """Return (B, M, 3) float32 counts, without noise; count y points up."""
-        force_N = np.concatenate([traction.shear_N, traction.press_N[:, None]], axis=1)  # (B, 3, cells)
+        # (B, 3, cells)
+        force_N = np.concatenate([traction.shear_N, traction.press_N[:, None]], axis=1)
         return (force_N @ self._share[traction.cells]).transpose(0, 2, 1) * self._gain

@@ -21,7 +21,8 @@ class ForceRange:
     normal_N: float = 16.0  # beyond the expert's grip, so that over-pressing is known too
     shear_N: float = 8.0  # along either axis
     friction: float = 0.95  # shear over normal; just under the simulator's 1.0: rarely gross slip
-    torsion_arm_mm: float = 2.5  # torsion over friction × normal; a disc of radius 4 mm slips at 2/3 of that
+    # torsion over friction × normal; a disc of radius 4 mm slips at 2/3 of that
+    torsion_arm_mm: float = 2.5
     # the same of flat faces, as frozen sets were drawn; even pressure over a 25 mm pad carries 9.6 mm
     flat_torsion_arm_mm: float = 2.5
 
@@ -53,10 +54,14 @@ def sample_objects(
     gap = gap_maps(names, center, angle, rng.uniform(0.85, 1.15, n))
     flat = rng.random(n) < flat_share
     gap[flat] = _flat_faces(rng, int(flat.sum()), flat_side_mm, flat_tilt_rad)
-    return Objects(gap, tuple(FLAT if is_flat else name for is_flat, name in zip(flat, names, strict=True)))
+    return Objects(
+        gap, tuple(FLAT if is_flat else name for is_flat, name in zip(flat, names, strict=True))
+    )
 
 
-def _flat_faces(rng: np.random.Generator, n: int, side_mm: tuple[float, float], tilt_rad: float) -> np.ndarray:
+def _flat_faces(
+    rng: np.random.Generator, n: int, side_mm: tuple[float, float], tilt_rad: float
+) -> np.ndarray:
     """Return (n, G, G) gaps of tool sides, slightly tilted."""
     return flat_face_gap(
         rng.uniform(-5, 5, (n, 2)),
@@ -89,17 +94,26 @@ def sample_loads(
     direction = rng.uniform(-np.pi, np.pi, n)
     share = rng.random(n)
     unit = np.stack([np.cos(direction), np.sin(direction)], axis=-1)
-    longest = force_range.shear_N / np.abs(unit).max(axis=1)  # the square ±shear_N, in every direction
+    # the square ±shear_N, in every direction
+    longest = force_range.shear_N / np.abs(unit).max(axis=1)
     shear = unit * (np.minimum(force_range.friction * fz, longest) * share)[:, None]
-    spare = np.sqrt(np.maximum(1 - (np.hypot(*shear.T) / np.maximum(force_range.friction * fz, 1e-9)) ** 2, 0))
+    spare = np.sqrt(
+        np.maximum(1 - (np.hypot(*shear.T) / np.maximum(force_range.friction * fz, 1e-9)) ** 2, 0)
+    )
     twist = np.where(rng.random(n) < 0.5, rng.uniform(-1, 1, n), 0)
-    flat = np.array([name == FLAT for name in names], dtype=bool) if names else np.zeros(n, dtype=bool)
+    flat = (
+        np.array([name == FLAT for name in names], dtype=bool) if names else np.zeros(n, dtype=bool)
+    )
     arm_mm = np.where(flat, force_range.flat_torsion_arm_mm, force_range.torsion_arm_mm)
     torsion = twist * spare * force_range.friction * fz * arm_mm
-    return np.concatenate([shear, fz[:, None]], axis=1).astype(np.float32), torsion.astype(np.float32)
+    return np.concatenate([shear, fz[:, None]], axis=1).astype(np.float32), torsion.astype(
+        np.float32
+    )
 
 
-def press_shear_release(rng: np.random.Generator, length: int, force_range: ForceRange) -> np.ndarray:
+def press_shear_release(
+    rng: np.random.Generator, length: int, force_range: ForceRange
+) -> np.ndarray:
     """Return (length, 3) float32 force: press in, shear out and back, release, with a little wobble.
 
     The four parts take random shares of the time; the peak normal force is even over the range, and so is
@@ -110,7 +124,10 @@ def press_shear_release(rng: np.random.Generator, length: int, force_range: Forc
     press = np.interp(time, corners, [0, 1, 1, 1, 0]) * rng.uniform(0.05, 1) * force_range.normal_N
     direction = rng.uniform(-np.pi, np.pi)
     unit = np.array([np.cos(direction), np.sin(direction)])
-    peak = min(force_range.shear_N / np.abs(unit).max(), force_range.friction * press.max()) * rng.random()
+    peak = (
+        min(force_range.shear_N / np.abs(unit).max(), force_range.friction * press.max())
+        * rng.random()
+    )
     shear = np.interp(time, corners, [0, 0, 1, 0, 0])[:, None] * peak * unit
     wobble = 1 + 0.03 * rng.standard_normal(length)  # hand and robot never hold a force exactly
     fz = press * wobble

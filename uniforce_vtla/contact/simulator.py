@@ -27,7 +27,8 @@ from uniforce_vtla.sensors.material import ForceTaxelMaterial, TaxelMaterial
 Transform = Callable[[np.ndarray], np.ndarray]  # (B, 480, 640) uint8 → (B, …), e.g. an area resize
 
 Taxels = TaxelResponse | ForceTaxelResponse
-Drawn = Taxels | PointResponse  # there is no camera: the canonicalizer draws their rows of three numbers
+# there is no camera: the canonicalizer draws their rows of three numbers
+Drawn = Taxels | PointResponse
 _CHUNK = 16  # images drawn at once: 5 MB, stays in cache
 _SCALES = TaxelScales()
 
@@ -98,7 +99,9 @@ class TactileSimulator:
         Raises ContractError: the sensor is a camera.
         """
         if not isinstance(self._respond, Taxels):
-            raise ContractError(expected("counts", "a taxel sensor", self.spec.name, "Use raw_frames for a camera."))
+            raise ContractError(
+                expected("counts", "a taxel sensor", self.spec.name, "Use raw_frames for a camera.")
+            )
         return self._rows(self.traction(contact), self.options.noise)
 
     def raw_reference(self) -> np.ndarray:
@@ -115,7 +118,9 @@ class TactileSimulator:
         if self.spec.dome_radius_mm is not None:
             return tactip_frames(images, self._rng, self.options.pixel_noise)
         scale, noise = self.spec.px_per_mm[0], self.options.pixel_noise
-        return gelsight_frames(images, self._indentation_mm(press_N), CELL_MM, scale, self._rng, noise)
+        return gelsight_frames(
+            images, self._indentation_mm(press_N), CELL_MM, scale, self._rng, noise
+        )
 
     def _pressure(self, contact: ContactState) -> Pressure:
         return solve_pressure(self.pad, contact.gap_mm, contact.force_N[:, 2], self._stiffness)
@@ -135,13 +140,17 @@ class TactileSimulator:
         cells = np.flatnonzero(press.any(axis=0))  # most contacts press few
         press, skin = press[:, cells], self.pad.influence.skin[:, cells][..., cells]
         load = (contact.force_N[:, :2], contact.torsion_Nmm)
-        shear = solve_traction(press, self.pad.position_mm[cells], skin, *load, self.options.friction)
+        shear = solve_traction(
+            press, self.pad.position_mm[cells], skin, *load, self.options.friction
+        )
         return Traction(cells, press, shear)
 
     def _markers(self, traction: Traction, noise: bool) -> tuple[np.ndarray, np.ndarray]:
         if isinstance(self._respond, Drawn):
             discs = self._discs(traction, noise)
-            return np.stack([d.centres_px for d in discs]), 2 * np.stack([d.radii_px for d in discs])
+            return np.stack([d.centres_px for d in discs]), 2 * np.stack(
+                [d.radii_px for d in discs]
+            )
         motion = self._respond(traction).without(self._dead)
         mm = self.spec.marker_size_mm * self.unit.marker_size * self.unit.view_scale
         size = mm * self.spec.px_per_mm[0] * motion.growth
@@ -194,23 +203,32 @@ class TactileSimulator:
         turn = self.unit.rotation_rad + self.unit.view_turn_rad
         if self.spec.marker_shape == "disc":
             return fill_discs(centre_px, size_px)
-        return fill_squares(centre_px, size_px, turn + (np.pi / 4 if self.spec.marker_shape == "diamond" else 0))
+        return fill_squares(
+            centre_px, size_px, turn + (np.pi / 4 if self.spec.marker_shape == "diamond" else 0)
+        )
 
     def _build_response(self) -> CameraResponse | Drawn:
         rng = np.random.default_rng(self.unit.seed)
         offset = np.asarray(self.unit.offset_mm, dtype=np.float32)
         if self.spec.taxels:
             taxel_mm = self.spec.layout_mm + offset
-            gain = self.unit.gain * (1 + 0.5 * self.unit.jitter_mm * rng.standard_normal((len(taxel_mm), 3)))
+            gain = self.unit.gain * (
+                1 + 0.5 * self.unit.jitter_mm * rng.standard_normal((len(taxel_mm), 3))
+            )
         if isinstance(self._material, ForceTaxelMaterial):
-            self._baseline, self._row_noise = np.zeros(self.spec.raw_shape, int), self._material.noise_counts
+            self._baseline, self._row_noise = (
+                np.zeros(self.spec.raw_shape, int),
+                self._material.noise_counts,
+            )
             return ForceTaxelResponse(self.pad.position_mm, taxel_mm, self._material, gain)
         if isinstance(self._material, TaxelMaterial):
             self._row_noise = self.options.noise_counts
             shear = rng.integers(*self._material.baseline_shear, size=(len(taxel_mm), 2))
             normal = rng.integers(*self._material.baseline_normal, size=(len(taxel_mm), 1))
             self._baseline = np.concatenate([shear, normal], axis=1)  # raw counts at rest
-            return TaxelResponse(self.pad.influence, taxel_mm, self._material, gain, 1 / self._stiffness)
+            return TaxelResponse(
+                self.pad.influence, taxel_mm, self._material, gain, 1 / self._stiffness
+            )
         scale = self.unit.gain / self._stiffness
         if self.spec.points:
             self._row_noise = self.spec.points.noise_mm
@@ -265,7 +283,9 @@ def rows_of(contact: ContactState, rows: slice) -> ContactState:
     return ContactState(contact.gap_mm[rows], contact.force_N[rows], contact.torsion_Nmm[rows])
 
 
-def images_of(simulator: TactileSimulator, contact: ContactState, transform: Transform | None = None) -> np.ndarray:
+def images_of(
+    simulator: TactileSimulator, contact: ContactState, transform: Transform | None = None
+) -> np.ndarray:
     """Return (B, …) images chunk by chunk, so that only a transform's (small) results pile up."""
     chunks = []
     for part in slices(len(contact.gap_mm), _CHUNK):

@@ -4,10 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-_STICK_STEPS = 2  # marker motion is then within some 4 % of friction solved step by step; more don't come closer
-_LOST, _ARM_mm = 2e-3, 3.0  # share of the normal force, and its arm, that sticking may lose of the load
+# marker motion is then within some 4 % of friction solved step by step; more don't come closer
+_STICK_STEPS = 2
+# share of the normal force, and its arm, that sticking may lose of the load
+_LOST, _ARM_mm = 2e-3, 3.0
 _TINY = np.float32(1e-30)
-_PASSES = 6  # rounds of handing capped cells' excess to sticking ones; the residual is < 1 % after 4
+# rounds of handing capped cells' excess to sticking ones; the residual is < 1 % after 4
+_PASSES = 6
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,8 @@ def solve_traction(
     total = np.maximum(press_N.sum(axis=1, keepdims=True), 1e-9)
     arm = position_mm.T[None] - ((press_N @ position_mm) / total)[:, :, None]  # (B, 2, C)
     load = (shear_N, torsion_Nmm)
-    ratio = even = _cap(_share(press_N, arm, *load), press_N, arm, *load, friction)  # (B, 2, C) = q / p
+    # (B, 2, C) = q / p
+    ratio = even = _cap(_share(press_N, arm, *load), press_N, arm, *load, friction)
     dragged = skin[:2, :, :2].reshape(2 * C, 2 * C)  # symmetric
     pushed = (press_N @ skin[:2, :, 2].reshape(2 * C, C).T).reshape(B, 2, C)
     weight, direction, old = press_N / total, np.zeros_like(ratio), np.ones(B, np.float32)
@@ -56,7 +60,9 @@ def solve_traction(
         direction = (length / np.maximum(old, _TINY) * (step > 0))[:, None, None] * direction - slip
         change = ((direction * press_N[:, None]).reshape(B, -1) @ dragged).reshape(B, 2, C)
         along = direction * press_N[:, None]
-        size = -(slip * along).sum(axis=(1, 2)) / np.maximum((change * along).sum(axis=(1, 2)), _TINY)
+        size = -(slip * along).sum(axis=(1, 2)) / np.maximum(
+            (change * along).sum(axis=(1, 2)), _TINY
+        )
         ratio = _cap(ratio + size[:, None, None] * direction, press_N, arm, *load, friction)
         old = length
     # near gross slip too few cells stick to carry the load: as much of the even shares as it takes
@@ -90,7 +96,9 @@ def _moment(q: np.ndarray, arm: np.ndarray) -> np.ndarray:
     return (arm[:, 0] * q[:, 1] - arm[:, 1] * q[:, 0]).sum(axis=1)
 
 
-def _share(weight: np.ndarray, arm: np.ndarray, shear_N: np.ndarray, torsion_Nmm: np.ndarray) -> np.ndarray:
+def _share(
+    weight: np.ndarray, arm: np.ndarray, shear_N: np.ndarray, torsion_Nmm: np.ndarray
+) -> np.ndarray:
     """Return (B, 2, C) traction per weight, s + ω × r, that carries the load."""
     total = weight.sum(axis=1)  # (B,)
     inertia = (weight * (arm**2).sum(axis=1)).sum(axis=1)
@@ -101,7 +109,12 @@ def _share(weight: np.ndarray, arm: np.ndarray, shear_N: np.ndarray, torsion_Nmm
 
 
 def _cap(
-    ratio: np.ndarray, p: np.ndarray, arm: np.ndarray, shear_N: np.ndarray, torsion_Nmm: np.ndarray, friction: float
+    ratio: np.ndarray,
+    p: np.ndarray,
+    arm: np.ndarray,
+    shear_N: np.ndarray,
+    torsion_Nmm: np.ndarray,
+    friction: float,
 ) -> np.ndarray:
     """Return ``ratio`` with every cell's length ≤ friction, the excess handed to cells that still stick."""
     for _ in range(_PASSES):
@@ -112,6 +125,10 @@ def _cap(
         q = ratio * p[:, None]
         missing = shear_N - q.sum(axis=2)  # (B, 2)
         sticking = p * (length < friction)
-        ratio = ratio + _share(sticking, arm, missing, torsion_Nmm - _moment(q, arm)) * (sticking > 0)[:, None]
+        ratio = (
+            ratio
+            + _share(sticking, arm, missing, torsion_Nmm - _moment(q, arm))
+            * (sticking > 0)[:, None]
+        )
     length = np.sqrt((ratio**2).sum(axis=1))
     return ratio * np.minimum(1, friction / np.maximum(length, 1e-9))[:, None]

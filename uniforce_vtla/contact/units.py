@@ -19,7 +19,8 @@ class UnitVariation:
 
     offset_mm: tuple[float, float] = (0.0, 0.0)  # shift of the marker pattern, x right, y down
     rotation_rad: float = 0.0  # rotation of the pattern, x towards y
-    jitter_mm: float = 0.0  # standard deviation of single markers around the pattern (taxels: not used)
+    # standard deviation of single markers around the pattern (taxels: not used)
+    jitter_mm: float = 0.0
     view_scale: float = 1.0  # magnification of the camera
     stiffness: float = 1.0  # factor on the foundation
     gain: float = 1.0  # factor on marker motion, or on counts
@@ -36,9 +37,12 @@ class UnitVariation:
     crosstalk: float = 0.0  # part of each taxel's counts that is the mean of all (taxels)
 
     @classmethod
-    def draw(cls, rng: np.random.Generator, sensor: str | VirtualSensor, strength: float = 1.0) -> UnitVariation:
+    def draw(
+        cls, rng: np.random.Generator, sensor: str | VirtualSensor, strength: float = 1.0
+    ) -> UnitVariation:
         """Return a random unit of ``sensor``; ``strength`` 0 gives the drawing, 1 the usual spread."""
-        taxel = as_virtual(sensor).spec.signal != "camera"  # a sensor of points knows their places, too
+        # a sensor of points knows their places, too
+        taxel = as_virtual(sensor).spec.signal != "camera"
         shift_mm = (0.3 if taxel else 0.6) * strength  # moulding tolerance; ViTac 2024 draws ±1 mm
         turn_rad = (0.0 if taxel else 0.03) * strength  # about 2°; ViTac 2024 draws ±.1 rad
         x, y = rng.uniform(-shift_mm, shift_mm, 2)
@@ -90,5 +94,6 @@ class Look:
     shift_mm: float = 1.0  # the pattern's place, ViTac 2024 draws ±1 mm
     turn_rad: float = 0.10  # ViTac 2024
     zoom: float = 0.06  # another lens distance
-    marker_size: tuple[float, float] = (0.85, 1.30)  # our own canonicalizer draws 12 to 32 % larger areas
+    # our own canonicalizer draws 12 to 32 % larger areas
+    marker_size: tuple[float, float] = (0.85, 1.30)
     tilt: float = 0.05  # magnification at the rim of a camera about 3° off

@@ -15,7 +15,13 @@ from uniforce_vtla.sensors.material import Material, TaxelMaterial
 
 def gel_of(spec: SensorSpec, material: Material) -> Gel:
     """Return the body that finite elements are solved for."""
-    return Gel(spec.pad_size_mm, material.layers, material.readout_mm, spec.dome_radius_mm, material.cell_mm)
+    return Gel(
+        spec.pad_size_mm,
+        material.layers,
+        material.readout_mm,
+        spec.dome_radius_mm,
+        material.cell_mm,
+    )
 
 
 def get_material(sensor: str) -> Material:
@@ -77,7 +83,10 @@ def hidden_sensors() -> dict[str, VirtualSensor]:
         "uskin_keen": replace(taxels, rest_counts=1.5 * taxels.rest_counts),
         "uskin_dull": replace(taxels, rest_counts=0.6 * taxels.rest_counts),
     }
-    return {name: _renamed(name.partition("_")[0], name, material) for name, material in materials.items()}
+    return {
+        name: _renamed(name.partition("_")[0], name, material)
+        for name, material in materials.items()
+    }
 
 
 def any_virtual(name: str) -> VirtualSensor:

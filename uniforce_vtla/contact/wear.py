@@ -9,7 +9,8 @@ import numpy as np
 
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
 
-EXPOSURE = (0.70, 1.20)  # of the usual light; above it the TacTip's pins clip, below noise takes over
+# of the usual light; above it the TacTip's pins clip, below noise takes over
+EXPOSURE = (0.70, 1.20)
 CAST = 0.15  # relative gain of single colour channels
 GRADIENT = 0.25  # relative gain at the image's edge, towards a random side
 

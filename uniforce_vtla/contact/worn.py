@@ -21,7 +21,8 @@ CREEP_SHARE = (0.05, 0.20)  # part of a motion that comes late; rubbers .1–.3
 WARN_SHARE = 0.12  # of the markers lost: a healthy unit in the firmest grasps loses up to a tenth
 MARKER_LOSS = 0.02  # chance per marker and frame that the camera misses it; ViTac 2024 draws .01
 LAG_STEPS = 1  # 33 ms from exposure to image
-REFERENCE_FRAMES = 10  # it is the median of, as on a robot: a stream's reference shows what one frame misses
+# it is the median of, as on a robot: a stream's reference shows what one frame misses
+REFERENCE_FRAMES = 10
 STALE_SIDE_mm = 15.0
 STALL_EVERY = 60  # control steps, 2 s
 
@@ -35,15 +36,18 @@ class WornSensor:
     """
 
     sensor: VirtualSensor  # its drawing and material
-    unit: UnitVariation = field(default_factory=UnitVariation)  # how this one differs from the drawing
+    # how this one differs from the drawing
+    unit: UnitVariation = field(default_factory=UnitVariation)
     light: Light | None = None  # on its camera
     creep: Creep | None = None  # of its rubber
     marker_loss: float = 0.0  # chance per marker and frame
     lag_steps: int = 0  # control steps by which its picture is late
-    since: UnitVariation | None = None  # the unit as it is now, if it changed after its reference was taken
+    # the unit as it is now, if it changed after its reference was taken
+    since: UnitVariation | None = None
     light_since: Light | None = None  # the light as it is now, if it changed since the reference
     stale_N: float = 0.0  # pressed on the pad while the reference was taken
-    stall_steps: int = 0  # control steps out of every STALL_EVERY for which the picture stands still
+    # control steps out of every STALL_EVERY for which the picture stands still
+    stall_steps: int = 0
     direct: bool = False  # True: the fast path, no raw frame
 
     @property
@@ -54,7 +58,9 @@ class WornSensor:
     @property
     def stiffness(self) -> float:
         """Stiffness over the nominal one of its kind."""
-        return self.unit.stiffness * self.sensor.material.stiffness / get_material(self.kind).stiffness
+        return (
+            self.unit.stiffness * self.sensor.material.stiffness / get_material(self.kind).stiffness
+        )
 
 
 class WornView:
@@ -81,14 +87,22 @@ class WornView:
         stream: bool = False,
     ) -> None:
         options = ContactOptions(
-            marker_loss=worn.marker_loss > 0, loss_probability=worn.marker_loss, pixel_noise=pixel_noise
+            marker_loss=worn.marker_loss > 0,
+            loss_probability=worn.marker_loss,
+            pixel_noise=pixel_noise,
         )
         self.worn, self.simulator = worn, TactileSimulator(worn.sensor, worn.unit, options, seed)
-        self._canonicalizer = Canonicalizer(worn.kind, register=register, warn_share=WARN_SHARE, stream=stream)
+        self._canonicalizer = Canonicalizer(
+            worn.kind, register=register, warn_share=WARN_SHARE, stream=stream
+        )
         self._light = worn.light
         if worn.direct:
             stale = worn.stale_N > 0
-            shown = self.simulator.marker_images(_left_on(worn.stale_N))[0] if stale else self.simulator.reference()
+            shown = (
+                self.simulator.marker_images(_left_on(worn.stale_N))[0]
+                if stale
+                else self.simulator.reference()
+            )
             self.reference = shown  # (480, 640) uint8
         else:
             left_on = _left_on(worn.stale_N, REFERENCE_FRAMES if stream else 1)
@@ -128,7 +142,12 @@ def _left_on(press_N: float, frames: int = 1) -> ContactState:
     """Return what is on a pad while its reference is taken: nothing, or a small flat thing that presses on it."""
     if not press_N:
         return free_air(frames)
-    flat = np.zeros((frames, 2)), np.full((frames, 2), STALE_SIDE_mm), np.zeros(frames), np.zeros((frames, 2))
+    flat = (
+        np.zeros((frames, 2)),
+        np.full((frames, 2), STALE_SIDE_mm),
+        np.zeros(frames),
+        np.zeros((frames, 2)),
+    )
     force_N = np.tile(np.array([0, 0, press_N], np.float32), (frames, 1))
     return ContactState(flat_face_gap(*flat), force_N, np.zeros(frames, np.float32))
 
@@ -144,4 +163,6 @@ def unit_of(sensor: VirtualSensor, number: int) -> WornSensor:
     unit, creep = UnitVariation.draw(rng, sensor), Creep.draw(rng, CREEP_SHARE)
     if sensor.spec.signal != "camera":
         return WornSensor(sensor, unit, None, creep, lag_steps=LAG_STEPS)
-    return WornSensor(sensor, unit.mounted(rng, Look()), Light.draw(rng), creep, MARKER_LOSS, LAG_STEPS)
+    return WornSensor(
+        sensor, unit.mounted(rng, Look()), Light.draw(rng), creep, MARKER_LOSS, LAG_STEPS
+    )

@@ -27,7 +27,8 @@ def wear(sensor: str | WornSensor) -> Wear:
     name, _, which = words.partition(":")
     drawn, which = any_virtual(name), which or USUAL_UNIT
     if which == ANY:
-        return lambda seed: with_faults(unit_of(drawn, 1_000_000 + seed), faults)  # no unit that a number names
+        # no unit that a number names
+        return lambda seed: with_faults(unit_of(drawn, 1_000_000 + seed), faults)
     if which != DRAWING and not (which.isdecimal() and int(which) < 1_000_000):
         wanted, do = f"a number below 1,000,000, {ANY} or {DRAWING}", "Or leave it out: unit 1."
         raise SensorError(expected(f"unit of {name}", wanted, repr(which), do))
@@ -44,10 +45,16 @@ def with_faults(worn: WornSensor, faults: Sequence[str]) -> WornSensor:
         name, _, dose = words.partition("=")
         fault = FAULTS.get(name)
         if fault is None or worn.sensor.spec.signal not in fault.signals:
-            known = [name for name, fault in FAULTS.items() if worn.sensor.spec.signal in fault.signals]
-            raise SensorError(expected(f"fault of {worn.sensor.name}", " | ".join(known), repr(name), "Name one."))
+            known = [
+                name for name, fault in FAULTS.items() if worn.sensor.spec.signal in fault.signals
+            ]
+            raise SensorError(
+                expected(f"fault of {worn.sensor.name}", " | ".join(known), repr(name), "Name one.")
+            )
         try:
             worn = fault.put(worn, float(dose))
         except ValueError as error:
-            raise SensorError(expected(f"dose of {name}", f"a number [{fault.unit}]", repr(dose), "Say it.")) from error
+            raise SensorError(
+                expected(f"dose of {name}", f"a number [{fault.unit}]", repr(dose), "Say it.")
+            ) from error
     return worn

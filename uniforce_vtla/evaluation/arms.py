@@ -128,7 +128,9 @@ def table(reports: Sequence[ArmReport]) -> str:
     for report in reports:
         counts = [f"{report.in_band_share:.2f}", *(report.count(name) for name in counted)]
         clean, success = (wilson(report.count(c), report.n) for c in ("clean", "success"))
-        lines.append("| " + " | ".join([report.arm, str(clean), str(success), *map(str, counts)]) + " |")
+        lines.append(
+            "| " + " | ".join([report.arm, str(clean), str(success), *map(str, counts)]) + " |"
+        )
     return "\n".join(lines)
 
 

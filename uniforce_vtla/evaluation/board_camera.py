@@ -12,7 +12,8 @@ import numpy as np
 
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 
-TOP_VIEW_px = (170, 230)  # rows, columns of the board seen from above: 1 mm cells of the simulated board
+# rows, columns of the board seen from above: 1 mm cells of the simulated board
+TOP_VIEW_px = (170, 230)
 RIM_share = 0.04  # of the board left out along its edges: blur and shadow
 INK_CONTRAST = 0.35  # a cell darker than the bare board by this share of its brightness is ink
 FADED = 0.25  # of its first strength: fainter is no ink, as in the simulator's own count
@@ -30,7 +31,9 @@ class ResidualEstimate:
     judged: float
 
 
-def estimate_residual(first: np.ndarray, last: np.ndarray, corners_px: np.ndarray) -> ResidualEstimate:
+def estimate_residual(
+    first: np.ndarray, last: np.ndarray, corners_px: np.ndarray
+) -> ResidualEstimate:
     """Estimate the ink left between two pictures of one camera.
 
     Args:
@@ -48,7 +51,8 @@ def estimate_residual(first: np.ndarray, last: np.ndarray, corners_px: np.ndarra
     if ink.sum() < SMALLEST_WORD:
         do = "Take the first picture before the wipe, the arm out of the way; check the corners."
         raise DatasetError(expected("writing on the board", "dark cells", int(ink.sum()), do))
-    ink_colour = np.percentile(before[ink], 25, axis=0)  # strokes are thin: most cells are mixed with board
+    # strokes are thin: most cells are mixed with board
+    ink_colour = np.percentile(before[ink], 25, axis=0)
     strength, _ = _on_the_way(before, bare, ink_colour)
     now_bare = np.median(after[~ink], axis=0)  # light may have changed
     now, off_the_way = _on_the_way(after, now_bare, ink_colour)
@@ -57,25 +61,37 @@ def estimate_residual(first: np.ndarray, last: np.ndarray, corners_px: np.ndarra
     judged = float(seen.sum() / ink.sum())
     if judged < LEAST_JUDGED:
         do = "Move the arm away before the last picture."
-        raise DatasetError(expected("writing in view", f"≥ {LEAST_JUDGED:.0%}", f"{judged:.0%}", do))
+        raise DatasetError(
+            expected("writing in view", f"≥ {LEAST_JUDGED:.0%}", f"{judged:.0%}", do)
+        )
     left = seen & (now > FADED * strength)
     return ResidualEstimate(float(left.sum() / seen.sum()), judged)
 
 
-def _on_the_way(view: np.ndarray, bare: np.ndarray, ink: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _on_the_way(
+    view: np.ndarray, bare: np.ndarray, ink: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return how far each cell's colour lies from bare (0) to ink (1), and its distance from that straight way."""
     way = ink - bare
     share = np.clip((view - bare) @ way / (way @ way), 0, 1)
     return share, np.linalg.norm(view - bare - share[..., None] * way, axis=-1)
 
 
-def _checked(first: np.ndarray, last: np.ndarray, corners_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _checked(
+    first: np.ndarray, last: np.ndarray, corners_px: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     if first.shape != last.shape or first.ndim != 3 or first.shape[2] != 3:
-        raise ContractError(expected("pictures", "two (H, W, 3)", f"{first.shape}, {last.shape}", "Use one camera."))
-    area = abs(cv2.contourArea(corners_px.astype(np.float32))) if corners_px.shape == (4, 2) else 0.0
+        raise ContractError(
+            expected("pictures", "two (H, W, 3)", f"{first.shape}, {last.shape}", "Use one camera.")
+        )
+    area = (
+        abs(cv2.contourArea(corners_px.astype(np.float32))) if corners_px.shape == (4, 2) else 0.0
+    )
     if area < 100 or not cv2.isContourConvex(corners_px.astype(np.float32)):
         do = "Name the board's corners in order around it."
-        raise ContractError(expected("corners_px", "(4, 2), a convex quadrilateral", corners_px.tolist(), do))
+        raise ContractError(
+            expected("corners_px", "(4, 2), a convex quadrilateral", corners_px.tolist(), do)
+        )
     return first, last
 
 

@@ -27,7 +27,9 @@ def paired_clean(first: CleanBySeed, second: CleanBySeed) -> tuple[Clean, Clean]
     return [first[s] for s in seeds], [second[s] for s in seeds]
 
 
-def _scored(arms: Mapping[str, CleanBySeed], pairs: Pairs) -> Iterator[tuple[dict[str, Any], Clean, Clean]]:
+def _scored(
+    arms: Mapping[str, CleanBySeed], pairs: Pairs
+) -> Iterator[tuple[dict[str, Any], Clean, Clean]]:
     """Yield, per pair of arms scored on shared seeds, their names and the clean successes of both."""
     for first, second in pairs:
         if first in arms and second in arms:

@@ -54,9 +54,17 @@ class EpisodeTrace:
         for name in STEP_FIELDS:
             values = getattr(self, name)
             if values.shape != self.time_s.shape or values.ndim != 1:
-                raise ContractError(expected(f"trace.{name}", self.time_s.shape, values.shape, "One value per step."))
+                raise ContractError(
+                    expected(
+                        f"trace.{name}", self.time_s.shape, values.shape, "One value per step."
+                    )
+                )
             if not np.isfinite(values).all():
-                raise ContractError(expected(f"trace.{name}", "finite numbers", "NaN or inf", "Check the simulation."))
+                raise ContractError(
+                    expected(
+                        f"trace.{name}", "finite numbers", "NaN or inf", "Check the simulation."
+                    )
+                )
 
 
 STEP_FIELDS = tuple(f.name for f in fields(EpisodeTrace) if f.name != "rated_depth_mm")
@@ -102,7 +110,11 @@ def score_episode(trace: EpisodeTrace, limits: ScoreLimits | None = None) -> Epi
     outcome, why = _outcome(trace, limits)
     metrics = _metrics(trace, limits)
     in_band = metrics["in_band_share"] >= limits.in_band_share
-    off = [] if in_band else [f"less than {limits.in_band_share:.0%} of the sliding pressed within the band"]
+    off = (
+        []
+        if in_band
+        else [f"less than {limits.in_band_share:.0%} of the sliding pressed within the band"]
+    )
     reasons = (*why, *slips, *excess, *off)
     return EpisodeResult(outcome, bool(slips), bool(excess), reasons, metrics, in_band)
 
@@ -122,7 +134,11 @@ def grasp_faults(trace: EpisodeTrace, limits: ScoreLimits) -> list[str]:
     lifted = trace.phase >= 1
     if not lifted.any():
         return ["never lifted"]
-    loose = lifted & (trace.grip_left_N < limits.lost_grip_N) & (trace.grip_right_N < limits.lost_grip_N)
+    loose = (
+        lifted
+        & (trace.grip_left_N < limits.lost_grip_N)
+        & (trace.grip_right_N < limits.lost_grip_N)
+    )
     faults = []
     if trace.slip_mm.max() > limits.drop_mm:
         faults.append(f"slid out of the hand (> {limits.drop_mm:g} mm)")

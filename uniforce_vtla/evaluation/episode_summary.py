@@ -8,7 +8,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from uniforce_vtla.evaluation.episode import ScoreLimits, runs
-from uniforce_vtla.evaluation.finger_estimates import FRICTION_SHARE, FY, FZ, HELD_N, FingerEstimate, lift_frame
+from uniforce_vtla.evaluation.finger_estimates import (
+    FRICTION_SHARE,
+    FY,
+    FZ,
+    HELD_N,
+    FingerEstimate,
+    lift_frame,
+)
 from uniforce_vtla.figure_file import save_figure
 
 LETTERS = "ABCDEFGH"  # of the key frames, the same in picture and buttons
@@ -67,14 +74,20 @@ class EpisodeSummary:
             f"press > {most_N:g} N": self.found.press_N > most_N,
             "both pads at their friction limit": used > FRICTION_SHARE,
         }
-        return [Stretch(name, int(first), int(end)) for name, flags in beyond.items() for first, end in runs(flags)]
+        return [
+            Stretch(name, int(first), int(end))
+            for name, flags in beyond.items()
+            for first, end in runs(flags)
+        ]
 
     @property
     def verdict(self) -> list[str]:
         """The estimated events in words."""
         if self.found is None:
             return [f"events can't be estimated: {self.note}"]
-        unjudged = [] if self.judges_slip else ["slippage isn't judged: the pads' friction wasn't given"]
+        unjudged = (
+            [] if self.judges_slip else ["slippage isn't judged: the pads' friction wasn't given"]
+        )
         return [*self.found.events, *unjudged]
 
     @property
@@ -113,12 +126,18 @@ def find_key_frames(force_N: np.ndarray, tool_z_m: np.ndarray) -> dict[str, int]
 
 def draw_timeline(summary: EpisodeSummary, path: Path) -> TimeLine:
     """Draw everything over the same seconds; letters mark key frames."""
-    events = [] if summary.found is None else ["press", *(["friction"] if summary.judges_slip else [])]
+    events = (
+        [] if summary.found is None else ["press", *(["friction"] if summary.judges_slip else [])]
+    )
     plots = [*events, *(f"force {finger}" for finger in summary.change)]
     rows = [*summary.films, *plots, *(f"latent {finger}" for finger in summary.change)]
-    heights = [FILM_IN] * len(summary.films) + [PLOT_IN] * len(plots) + [LATENT_IN] * len(summary.change)
+    heights = (
+        [FILM_IN] * len(summary.films) + [PLOT_IN] * len(plots) + [LATENT_IN] * len(summary.change)
+    )
     figure = Figure(figsize=(WIDTH_IN, sum(heights) + 0.8), layout="constrained")
-    panels = dict(zip(rows, figure.subplots(len(rows), 1, sharex=True, height_ratios=heights), strict=True))
+    panels = dict(
+        zip(rows, figure.subplots(len(rows), 1, sharex=True, height_ratios=heights), strict=True)
+    )
     for camera, film in summary.films.items():
         _strip(panels[camera], np.concatenate(film, axis=1), summary.time_s[-1], camera)
     for number, finger in enumerate(summary.change):
@@ -132,16 +151,21 @@ def draw_timeline(summary: EpisodeSummary, path: Path) -> TimeLine:
     for name in plots:
         _finish(panels[name], summary, names=name == plots[0])
     for number, (letter, frame) in enumerate(zip(LETTERS, summary.key_frames, strict=False)):
-        above = {"xytext": (0, 3 + 12 * (number % 2)), "textcoords": "offset points"}  # two lines: neighbours are near
+        # two lines: neighbours are near
+        above = {"xytext": (0, 3 + 12 * (number % 2)), "textcoords": "offset points"}
         at = (summary.time_s[frame.frame], 1.0)
-        panels[rows[0]].annotate(f"{letter} {frame.name}", at, ha="center", fontsize=SMALL, fontweight="bold", **above)
+        panels[rows[0]].annotate(
+            f"{letter} {frame.name}", at, ha="center", fontsize=SMALL, fontweight="bold", **above
+        )
     panels[rows[-1]].set(xlabel="time [s]", xlim=(0, summary.time_s[-1]))
     save_figure(figure, path)
     box = panels[rows[-1]].get_position()  # once drawn
     return TimeLine(path, box.x0, box.x1)
 
 
-def _strip(panel: Axes, picture: np.ndarray, end_s: float, label: str, fontsize: float = 10) -> None:
+def _strip(
+    panel: Axes, picture: np.ndarray, end_s: float, label: str, fontsize: float = 10
+) -> None:
     panel.imshow(picture, extent=(0, end_s, 0, 1), aspect="auto", cmap="magma", vmin=0)
     panel.set(yticks=[])
     panel.set_ylabel(label, fontsize=fontsize)
@@ -154,18 +178,37 @@ def _event(panel: Axes, summary: EpisodeSummary, name: str) -> None:
         return estimate.press_N if name == "press" else estimate.friction_used.min(axis=1)
 
     limits = {
-        "press": (ScoreLimits().mean_press_N, "limit of the 0.5 s mean", "press on board [N]", "#6a4c93"),
+        "press": (
+            ScoreLimits().mean_press_N,
+            "limit of the 0.5 s mean",
+            "press on board [N]",
+            "#6a4c93",
+        ),
         "friction": (FRICTION_SHARE, "limit", "friction used,\nlesser pad", "#bc6c25"),
     }
     limit, limit_label, label, colour = limits[name]
     if summary.truth is not None:
-        panel.plot(summary.time_s, values(summary.truth), color="k", lw=2.2, alpha=0.25, label="from true forces")
+        panel.plot(
+            summary.time_s,
+            values(summary.truth),
+            color="k",
+            lw=2.2,
+            alpha=0.25,
+            label="from true forces",
+        )
     if summary.found is not None:
         panel.plot(summary.time_s, values(summary.found), color=colour, lw=1.4, label="estimate")
     panel.axhline(limit, color=BEYOND, lw=0.8, ls="--", label=limit_label)
     if name == "press":
         low_N, high_N = ScoreLimits().band_N
-        panel.axhspan(low_N, high_N, color=BAND, alpha=0.12, lw=0, label=f"asked for, {low_N:g} to {high_N:g} N")
+        panel.axhspan(
+            low_N,
+            high_N,
+            color=BAND,
+            alpha=0.12,
+            lw=0,
+            label=f"asked for, {low_N:g} to {high_N:g} N",
+        )
     panel.set_ylabel(label)
 
 
@@ -190,4 +233,10 @@ def _finish(panel: Axes, summary: EpisodeSummary, names: bool) -> None:
         panel.axvspan(first_s, last_s, color=BEYOND, alpha=0.12, lw=0, label=label)
     panel.grid(alpha=0.2)
     panel.spines[["top", "right"]].set_visible(False)
-    panel.legend(fontsize=SMALL, loc="upper left", bbox_to_anchor=(1.0, 1.05), frameon=False, labelspacing=0.25)
+    panel.legend(
+        fontsize=SMALL,
+        loc="upper left",
+        bbox_to_anchor=(1.0, 1.05),
+        frameon=False,
+        labelspacing=0.25,
+    )

@@ -32,9 +32,11 @@ class FingerEstimate:
     # (n, 2) shear over what the pad's friction allows at this grip; 0 before the lift
     friction_used: np.ndarray
     slippage: tuple[str, ...]  # reasons for a slippage event, empty if none
-    excess_force: tuple[str, ...]  # reasons for an excess-force event, empty if none. Pad depth isn't judged.
+    # reasons for an excess-force event, empty if none. Pad depth isn't judged.
+    excess_force: tuple[str, ...]
     lost: tuple[str, ...]  # reasons to believe the object was dropped or never lifted
-    in_band_share: float = 0.0  # of the way that the hand moved while pressing, within the limits' band
+    # of the way that the hand moved while pressing, within the limits' band
+    in_band_share: float = 0.0
 
     @property
     def events(self) -> list[str]:
@@ -104,11 +106,15 @@ def _carry(time_s: np.ndarray, start: int) -> slice:
     return slice(start, int(np.searchsorted(time_s, end_s)))
 
 
-def _check(time_s: np.ndarray, force_N: np.ndarray, tool_m: np.ndarray, pad_friction: tuple[float, float]) -> None:
+def _check(
+    time_s: np.ndarray, force_N: np.ndarray, tool_m: np.ndarray, pad_friction: tuple[float, float]
+) -> None:
     n = len(time_s)
     if n < 2 or force_N.shape != (n, 2, 3) or tool_m.shape != (n, 3):
         came = f"{time_s.shape}, {force_N.shape}, {tool_m.shape}"
-        raise ContractError(expected("time, forces, place", "(n,), (n, 2, 3), (n, 3), n ≥ 2", came, "Align them."))
+        raise ContractError(
+            expected("time, forces, place", "(n,), (n, 2, 3), (n, 3), n ≥ 2", came, "Align them.")
+        )
     if not all(np.isfinite(values).all() for values in (time_s, force_N, tool_m)):
         do = "Check the sensors of this episode."
         raise ContractError(expected("time, forces, place", "finite numbers", "NaN or inf", do))

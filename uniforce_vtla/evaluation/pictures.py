@@ -32,7 +32,9 @@ def draw_arms(reports: Sequence[ArmReport], path: Path, title: str) -> Path:
         _draw_bar(axes, place, report)
         clean = wilson(report.count("clean"), report.n)
         rate = clean.k / clean.n
-        axes.errorbar(rate, place, xerr=[[rate - clean.low], [clean.high - rate]], fmt="ko", capsize=3, ms=4)
+        axes.errorbar(
+            rate, place, xerr=[[rate - clean.low], [clean.high - rate]], fmt="ko", capsize=3, ms=4
+        )
     names = [f"{r.arm}  {r.count('clean')}/{r.n}" for r in reports]
     axes.set_yticks(range(len(reports)), names)
     axes.invert_yaxis()  # the first arm on top
@@ -44,7 +46,9 @@ def draw_arms(reports: Sequence[ArmReport], path: Path, title: str) -> Path:
 
 
 def _draw_bar(axes: Axes, place: int, report: ArmReport) -> None:
-    counts = {outcome: report.count(outcome) for outcome in OUTCOME_NAMES} | {"clean": report.count("clean")}
+    counts = {outcome: report.count(outcome) for outcome in OUTCOME_NAMES} | {
+        "clean": report.count("clean")
+    }
     counts["wiped, not clean"] = counts["success"] - counts["clean"]
     left = 0.0
     for name, colour in COLOURS.items():
@@ -65,7 +69,9 @@ def write_trace_sheet(path: Path, rollout: Rollout, title: str) -> Path:
     rows[0].imshow(np.concatenate([rollout.frames[i] for i in chosen], axis=1))
     rows[0].axis("off")
     events = [name for name in ("slippage", "excess_force") if getattr(rollout.result, name)]
-    rows[0].set_title(f"{title}: {rollout.result.outcome}{', ' + ', '.join(events) if events else ''}")
+    rows[0].set_title(
+        f"{title}: {rollout.result.outcome}{', ' + ', '.join(events) if events else ''}"
+    )
     trace = rollout.trace
     time_s = np.asarray(trace.time_s)
     rows[1].plot(time_s, trace.press_N, label="press on board")

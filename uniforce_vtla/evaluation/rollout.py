@@ -63,7 +63,9 @@ class ChunkError(RolloutError):
     """A controller's chunk is none: a fault of the program, which ends the run and not an episode alone."""
 
 
-def roll_out(env: Environment, controller: Controller, seed: int, keep_frames: bool = False) -> Rollout:
+def roll_out(
+    env: Environment, controller: Controller, seed: int, keep_frames: bool = False
+) -> Rollout:
     """Run one episode to its end.
 
     Where a sensor is lost or not healthy, from the first look on, the hand loses its tool, or the policy stops, the
@@ -75,7 +77,8 @@ def roll_out(env: Environment, controller: Controller, seed: int, keep_frames: b
     frames: list[np.ndarray] = []
     try:
         observation, _ = env.reset(seed=seed)
-    except (SensorError, RolloutError) as error:  # what the environment still holds is another episode's
+    # what the environment still holds is another episode's
+    except (SensorError, RolloutError) as error:
         trace = empty_trace()
         return Rollout(seed, _aborted(score_episode(trace), error), trace, np.zeros(0))
     controller.reset(env)
@@ -103,11 +106,17 @@ def _act(
             frames.append(observation["pixels"]["front"])
         start = time.perf_counter()
         chunk = controller.chunk(observation, env.task)
-        if chunk.ndim != 2 or chunk.shape[1] != 5 or len(chunk) == 0 or not np.isfinite(chunk).all():
+        if (
+            chunk.ndim != 2
+            or chunk.shape[1] != 5
+            or len(chunk) == 0
+            or not np.isfinite(chunk).all()
+        ):
             do = "The robot holds; check the policy."
             raise ChunkError(expected("action chunk", "finite (n ≥ 1, 5)", chunk.shape, do))
         think_ms.append(1e3 * (time.perf_counter() - start))
-        done = any(env.advance(action) for action in chunk)  # what comes after the end is not executed
+        # what comes after the end is not executed
+        done = any(env.advance(action) for action in chunk)
         if not done:
             observation = env.observe()
 

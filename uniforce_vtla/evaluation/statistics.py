@@ -30,7 +30,9 @@ def wilson(k: int, n: int, confidence: float = 0.95) -> Proportion:
     Raises ContractError: n < 1, or k outside 0…n.
     """
     if n < 1 or not 0 <= k <= n:
-        raise ContractError(expected("k, n", "0 ≤ k ≤ n, n ≥ 1", f"{k}, {n}", "Roll out at least once."))
+        raise ContractError(
+            expected("k, n", "0 ≤ k ≤ n, n ≥ 1", f"{k}, {n}", "Roll out at least once.")
+        )
     interval = stats.binomtest(k, n).proportion_ci(confidence, method="wilson")
     return Proportion(k, n, float(interval.low), float(interval.high))
 
@@ -62,7 +64,9 @@ def discordant(first: Sequence[bool], second: Sequence[bool]) -> tuple[int, int]
     """
     if len(first) != len(second):
         do = "Use the same seeds."
-        raise ContractError(expected("paired arms", f"{len(first)} seeds", f"{len(second)} seeds", do))
+        raise ContractError(
+            expected("paired arms", f"{len(first)} seeds", f"{len(second)} seeds", do)
+        )
     pairs = list(zip(first, second, strict=True))
     return sum(a and not b for a, b in pairs), sum(b and not a for a, b in pairs)
 
@@ -106,7 +110,9 @@ def non_inferior(
     n = len(new)
     if n == 0 or not 0 < margin < 1:
         came = f"{n} seeds, margin {margin}"
-        raise ContractError(expected("non-inferiority", "1+ seeds, margin in (0, 1)", came, "Adapt."))
+        raise ContractError(
+            expected("non-inferiority", "1+ seeds, margin in (0, 1)", came, "Adapt.")
+        )
     quantile = float(stats.norm.ppf(confidence))
 
     def excess(delta: float) -> float:
@@ -125,4 +131,10 @@ def _tango(only_new: int, only_reference: int, n: int, delta: float) -> float:
     q = (math.sqrt(max(b * b - 8 * n * c, 0.0)) - b) / (4 * n)
     variance = n * (2 * q + delta * (1 - delta))
     shift = only_new - only_reference - n * delta
-    return shift / math.sqrt(variance) if variance > 1e-12 else math.copysign(math.inf, shift) if shift else 0.0
+    return (
+        shift / math.sqrt(variance)
+        if variance > 1e-12
+        else math.copysign(math.inf, shift)
+        if shift
+        else 0.0
+    )

@@ -17,7 +17,14 @@ from scipy.spatial import cKDTree
 
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
 from uniforce_vtla.errors import ContractError, SensorError, expected
-from uniforce_vtla.markers.marker_blobs import MIN_MARKERS, Blobs, MarkerPlan, channel_image, find_blobs, marker_mask
+from uniforce_vtla.markers.marker_blobs import (
+    MIN_MARKERS,
+    Blobs,
+    MarkerPlan,
+    channel_image,
+    find_blobs,
+    marker_mask,
+)
 
 MIN_SIDE_PX = 48  # a smaller frame can't hold a marker pattern
 # the bright ring outside a dome's rim: an arc of blobs that aren't markers, cut off by its radius
@@ -28,7 +35,8 @@ MIN_RING_PX = 25  # sampled pixels needed to fit a circle
 BLACK_LEVEL = 12  # grey levels: no pixel brighter means the lights or the camera are off
 
 
-type Rim = tuple[np.ndarray, float]  # centre (2,) x, y of the bright ring, and how far from it markers lie, px
+# centre (2,) x, y of the bright ring, and how far from it markers lie, px
+type Rim = tuple[np.ndarray, float]
 
 
 @dataclass(frozen=True)
@@ -77,7 +85,8 @@ def segment(
         rim = rim or find_rim(blobs)
         if rim is not None:
             blobs = blobs.without(np.hypot(*(blobs.markers - rim[0]).T) >= rim[1])
-    judge = score_blobs if marker_area is None else has_pattern  # specks of no marker's size don't count against it
+    # specks of no marker's size don't count against it
+    judge = score_blobs if marker_area is None else has_pattern
     if blobs is None or not judge(blobs):
         came = f"{0 if blobs is None else blobs.keep.sum()} blobs without the spacing of a pattern"
         do = "Is the gel torn, unlit, or without markers?"
@@ -91,16 +100,25 @@ def fit_canonical(frame: np.ndarray) -> np.ndarray:
     Raises ContractError: wrong type, rank, dtype or size; SensorError: an all-black or completely even frame.
     """
     shape, dtype = getattr(frame, "shape", None), getattr(frame, "dtype", type(frame).__name__)
-    if not isinstance(frame, np.ndarray) or frame.ndim != 3 or frame.shape[2] != 3 or frame.dtype != np.uint8:
+    if (
+        not isinstance(frame, np.ndarray)
+        or frame.ndim != 3
+        or frame.shape[2] != 3
+        or frame.dtype != np.uint8
+    ):
         do = "Pass the camera's RGB frame, not scaled to floats."
         raise ContractError(expected("camera frame", "(H, W, 3) uint8", f"{dtype} {shape}", do))
     rows, columns = frame.shape[:2]
     if min(rows, columns) < MIN_SIDE_PX:
         wanted = f"at least {MIN_SIDE_PX} px a side"
-        raise ContractError(expected("camera frame", wanted, shape, "Check the camera's resolution."))
+        raise ContractError(
+            expected("camera frame", wanted, shape, "Check the camera's resolution.")
+        )
     if frame.max() <= BLACK_LEVEL or frame.min() == frame.max():
         came = "an all-black frame" if frame.max() <= BLACK_LEVEL else "one even colour"
-        raise SensorError(expected("camera frame", "a lit gel", came, "Check the sensor's lights and cable."))
+        raise SensorError(
+            expected("camera frame", "a lit gel", came, "Check the sensor's lights and cable.")
+        )
     scale = min(MARKER_IMAGE_SHAPE[0] / rows, MARKER_IMAGE_SHAPE[1] / columns)
     if scale == 1:
         return frame
@@ -169,7 +187,8 @@ def has_pattern(blobs: Blobs) -> bool:
 
 def _unevenness(blobs: Blobs) -> float:
     """Return by what factor a kept blob's second neighbour is farther away than its first, the median."""
-    distance = cKDTree(blobs.markers).query(blobs.markers, k=3)[0]  # (M, 3), the first is the point itself
+    # (M, 3), the first is the point itself
+    distance = cKDTree(blobs.markers).query(blobs.markers, k=3)[0]
     return float(np.median(distance[:, 2] / distance[:, 1]))
 
 
@@ -192,7 +211,9 @@ def choose_plan(frame: np.ndarray) -> MarkerPlan:
 
     Raises SensorError: no plan shows anything like a marker pattern.
     """
-    half = cv2.resize(frame, (frame.shape[1] // 2, frame.shape[0] // 2), interpolation=cv2.INTER_AREA)
+    half = cv2.resize(
+        frame, (frame.shape[1] // 2, frame.shape[0] // 2), interpolation=cv2.INTER_AREA
+    )
     views = {channel: channel_image(half, channel) for channel in CHANNELS}
     plans = [MarkerPlan(*parts) for parts in product(CHANNELS, (1, -1), BACKGROUNDS_PX)]
     scores, sides = np.array([_judge_plan(views[plan.channel], plan, 2) for plan in plans]).T
@@ -214,10 +235,17 @@ def _by_promise(plans: list[MarkerPlan], scores: np.ndarray, sides: np.ndarray) 
     same = np.array([plan.polarity == best.polarity for plan in plans])
     wide = widths >= BACKGROUND_PER_SIDE * sides[np.argmax(scores)]
     favoured = same & wide & (scores >= CLOSE_SCORE * scores.max())
-    return sorted(range(len(plans)), key=lambda i: (not favoured[i], widths[i] if favoured[i] else 0, -scores[i]))
+    return sorted(
+        range(len(plans)),
+        key=lambda i: (not favoured[i], widths[i] if favoured[i] else 0, -scores[i]),
+    )
 
 
 def _judge_plan(view: np.ndarray, plan: MarkerPlan, halve: int) -> tuple[float, float]:
     """Return a plan's score and the side of its markers in canonical px; zeros where it shows none."""
     blobs = find_blobs(view, plan, halve)
-    return (0.0, 0.0) if blobs is None else (score_blobs(blobs), halve * float(np.sqrt(blobs.marker_area)))
+    return (
+        (0.0, 0.0)
+        if blobs is None
+        else (score_blobs(blobs), halve * float(np.sqrt(blobs.marker_area)))
+    )

@@ -9,7 +9,12 @@ from uniforce_vtla.markers.marker_hold import MarkerHold
 from uniforce_vtla.markers.marker_reference import WARN_SHARE, MarkerMatch, MarkerReference
 from uniforce_vtla.markers.point_render import check_points, is_pressed, place_points
 from uniforce_vtla.markers.reference import ReferenceMemory, refuse, refuse_pressed_reference
-from uniforce_vtla.markers.registration import find_view, points_to_nominal_scale, seen_from, to_nominal_scale
+from uniforce_vtla.markers.registration import (
+    find_view,
+    points_to_nominal_scale,
+    seen_from,
+    to_nominal_scale,
+)
 from uniforce_vtla.markers.taxel_render import (
     TaxelDiscs,
     TaxelScales,
@@ -20,7 +25,8 @@ from uniforce_vtla.markers.taxel_render import (
 )
 from uniforce_vtla.sensors import get_sensor
 
-LIKELY_COUNT = 4  # times the spec's markers or a quarter: gels of one kind carry 25 to 266, domes 127 or 331
+# times the spec's markers or a quarter: gels of one kind carry 25 to 266, domes 127 or 331
+LIKELY_COUNT = 4
 
 
 class Canonicalizer:
@@ -60,7 +66,9 @@ class Canonicalizer:
         self._reference_rows: np.ndarray | None = None  # counts or displacements
         self._reference: MarkerReference | None = None
         self._view: np.ndarray | None = None  # (3, 3) onto the drawing, of the reference
-        self._references: ReferenceMemory[tuple[MarkerReference, np.ndarray | None]] = ReferenceMemory(1)
+        self._references: ReferenceMemory[tuple[MarkerReference, np.ndarray | None]] = (
+            ReferenceMemory(1)
+        )
 
     def set_reference(self, raw: np.ndarray) -> None:
         """Take ``raw`` as the free-air state: counts to subtract, or the frame to learn from how markers look.
@@ -74,7 +82,9 @@ class Canonicalizer:
             (self._reference, self._view), self.match = self._remember(raw), None
             self._hold = MarkerHold(self._reference.spacing_px) if self._stream else None
 
-    def pair(self, reference_raw: np.ndarray, current_raw: np.ndarray, finger: Finger) -> MarkerPair:
+    def pair(
+        self, reference_raw: np.ndarray, current_raw: np.ndarray, finger: Finger
+    ) -> MarkerPair:
         """Return the marker pair of two raw signals of one sensor; leaves ``set_reference`` as it was.
 
         Args:
@@ -109,7 +119,9 @@ class Canonicalizer:
         Raises ContractError: as ``marker_image``; SensorError: no markers, dark or dead.
         """
         if not self._is_drawn:
-            return points_to_nominal_scale(self._segment(raw).centres_px, self.spec, MARKER_IMAGE_SHAPE)
+            return points_to_nominal_scale(
+                self._segment(raw).centres_px, self.spec, MARKER_IMAGE_SHAPE
+            )
         return self._discs(raw, self._reference_rows).centres_px
 
     @property

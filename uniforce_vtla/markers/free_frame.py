@@ -18,10 +18,12 @@ from scipy.spatial import cKDTree
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.marker_blobs import spacing
 
-SAME_px = 0.8  # rms over markers below which two frames count as equal; segmentation and lens leave .2 to .6
+# rms over markers below which two frames count as equal; segmentation and lens leave .2 to .6
+SAME_px = 0.8
 REACH = 0.45  # spacings: a marker's motion within which it is found again
 SHARED = 0.85  # least share of common markers; the image border cuts some off
-PRINT_SHARE = 0.5  # least share of markers in place in one frame for the film to show the same printed pad
+# least share of markers in place in one frame for the film to show the same printed pad
+PRINT_SHARE = 0.5
 FEWEST_OBJECTS = 3  # that must share a pattern; repeated grasps of one object look equal too
 ROUNDS = 10  # of matching and fitting
 
@@ -59,7 +61,9 @@ class _Tracked:
         counts = [len(centres_px) for centres_px in film.centres_px]
         self.base = film.centres_px[int(np.argmax(counts))]  # (M, 2): the frame that shows most
         self.spacing_px = spacing(self.base)
-        self.places = np.array([_places(self.base, other, self.spacing_px) for other in film.centres_px])
+        self.places = np.array(
+            [_places(self.base, other, self.spacing_px) for other in film.centres_px]
+        )
 
 
 def pads(films: Sequence[Film]) -> tuple[list[Pad], list[FreeFrame | None]]:
@@ -70,7 +74,9 @@ def pads(films: Sequence[Film]) -> tuple[list[Pad], list[FreeFrame | None]]:
     Raises ContractError: no film, or a film without frames.
     """
     if not films or not all(len(film.centres_px) for film in films):
-        raise ContractError(expected("films", "one or more, of one frame or more", len(films), "Record a session."))
+        raise ContractError(
+            expected("films", "one or more, of one frame or more", len(films), "Record a session.")
+        )
     tracked = [_Tracked(film) for film in films]
     shared = _shared_markers(tracked)
     apart_px = _compare(tracked, shared)
@@ -81,7 +87,9 @@ def pads(films: Sequence[Film]) -> tuple[list[Pad], list[FreeFrame | None]]:
         film, frame = common
         alike = (other for other in sorted(left) if (film, other) in apart_px)
         members = tuple(
-            other for other in alike if _shows_print(tracked[film].places[frame], tracked[other], shared[film, other])
+            other
+            for other in alike
+            if _shows_print(tracked[film].places[frame], tracked[other], shared[film, other])
         )
         for other in members:
             off_px = apart_px[film, other][frame]
@@ -93,7 +101,9 @@ def pads(films: Sequence[Film]) -> tuple[list[Pad], list[FreeFrame | None]]:
     return found, free
 
 
-def borrowed(films: Sequence[Film], pads: Sequence[Pad], free: Sequence[FreeFrame | None]) -> list[FreeFrame | None]:
+def borrowed(
+    films: Sequence[Film], pads: Sequence[Pad], free: Sequence[FreeFrame | None]
+) -> list[FreeFrame | None]:
     """Return ``free`` with gaps filled by a free frame of the same pad; None if that pad has none.
 
     A film of the same object comes first: pads sit elsewhere once they were mounted anew. On real films such a frame
@@ -105,7 +115,9 @@ def borrowed(films: Sequence[Film], pads: Sequence[Pad], free: Sequence[FreeFram
         for film in pad.films:
             if free[film] is None and own:
                 held = films[film].held
-                whole[film] = min(own, key=lambda frame: (films[frame.film].held != held, frame.off_px))
+                whole[film] = min(
+                    own, key=lambda frame: (films[frame.film].held != held, frame.off_px)
+                )
     return whole
 
 
@@ -118,7 +130,9 @@ def _places(base: np.ndarray, centres_px: np.ndarray, spacing_px: float) -> np.n
     return np.where(is_found, places, np.nan)
 
 
-def _shared_markers(tracked: Sequence[_Tracked]) -> dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]:
+def _shared_markers(
+    tracked: Sequence[_Tracked],
+) -> dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]:
     """Return (film, film) → matching marker indices, for films of one marker layout, in both orders."""
     found = {}
     for one, first in enumerate(tracked):
@@ -174,7 +188,9 @@ def _shows_print(frame: np.ndarray, film: _Tracked, pairs: tuple[np.ndarray, np.
         both = np.isfinite(pattern) & np.isfinite(places)
         if both.sum() < PRINT_SHARE * len(pattern):
             continue
-        here, there = (np.column_stack([one[both].real, one[both].imag]) for one in (pattern, places))
+        here, there = (
+            np.column_stack([one[both].real, one[both].imag]) for one in (pattern, places)
+        )
         _, inliers = cv2.estimateAffinePartial2D(here, there, ransacReprojThreshold=SAME_px)
         if inliers is not None and inliers.sum() >= PRINT_SHARE * len(pattern):
             return True

@@ -32,7 +32,10 @@ def why_not(spec: SensorSpec, centres_px: np.ndarray, name: str) -> str | None:
     layout_px = spec.layout_mm * np.asarray(spec.px_per_mm)
     wanted, came = outline(layout_px), outline(centres_px)
     count, found = len(layout_px), len(centres_px)
-    if abs(wanted - came) <= OUTLINE_TOLERANCE and count / COUNT_RATIO <= found <= count * COUNT_RATIO:
+    if (
+        abs(wanted - came) <= OUTLINE_TOLERANCE
+        and count / COUNT_RATIO <= found <= count * COUNT_RATIO
+    ):
         return None
     looks = f"about {count} markers of outline {wanted:.2f} (1.34 a disc, 1.6 a rectangle)"
     do = "Another sensor answers: check cable and config. A unit that does look so: check_identity=false."

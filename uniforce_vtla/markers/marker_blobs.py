@@ -10,7 +10,8 @@ from scipy.spatial import cKDTree
 
 # thresholds of the marker finder: lengths in px of the canonical image, the rest relative
 SMOOTH_FRACTION = 0.08  # of the background width: 3, 3 and 7 px, below the markers each is for
-PEAK_FRACTION = 0.5  # two blobs are apart where the response between them falls below this peak share
+# two blobs are apart where the response between them falls below this peak share
+PEAK_FRACTION = 0.5
 EDGE_FRACTION = 0.08  # and its skirt is followed down to this share, which blurred markers need
 FLOOR_FRACTION = 0.25  # of the typical peak: weaker blobs aren't markers
 CEILING_FRACTION = 0.5  # of the typical peak: keeps a reflection from hiding the markers beside it
@@ -46,7 +47,8 @@ class Blobs:
     centres: np.ndarray  # (N, 2) float64, x, y
     typical: float  # amplitude of a typical marker, grey levels
     leftover: float  # mean response outside all blobs, grey levels
-    foot: np.ndarray  # (h, w) uint8, 255 where the response exceeds the edge fraction of the peak nearby
+    # (h, w) uint8, 255 where the response exceeds the edge fraction of the peak nearby
+    foot: np.ndarray
     keep: np.ndarray  # (N,) bool: blobs that agree with the rest in size, shape and spacing
 
     @property
@@ -77,10 +79,13 @@ def channel_image(frame: np.ndarray, channel: str) -> np.ndarray:
         return cv2.max(cv2.max(red, green), blue)
     if channel == "least":  # a coloured reflection lights one channel more than the others
         return cv2.min(cv2.min(red, green), blue)
-    return cv2.addWeighted(cv2.addWeighted(red, 0.5, green, 0.5, 0), 0.5, blue, -0.5, 128)  # yellow − blue
+    # yellow − blue
+    return cv2.addWeighted(cv2.addWeighted(red, 0.5, green, 0.5, 0), 0.5, blue, -0.5, 128)
 
 
-def find_blobs(view: np.ndarray, plan: MarkerPlan, halve: int = 1, marker_area: float | None = None) -> Blobs | None:
+def find_blobs(
+    view: np.ndarray, plan: MarkerPlan, halve: int = 1, marker_area: float | None = None
+) -> Blobs | None:
     """Return the blobs of ``view`` under ``plan``; None where nothing stands out or no two agree.
 
     ``halve`` is 2 when the view is at half the canonical resolution. ``marker_area`` is a marker's px² where a
@@ -104,14 +109,20 @@ def find_blobs(view: np.ndarray, plan: MarkerPlan, halve: int = 1, marker_area: 
     mask = cv2.compare(response, cv2.LUT(nearby, threshold), cv2.CMP_GT)
     edge = np.clip(np.arange(256) * EDGE_FRACTION, EDGE_FRACTION * floor, ceiling).astype(np.uint8)
     foot = cv2.compare(response, cv2.LUT(nearby, edge), cv2.CMP_GT)
-    _, labels, boxes, centres = cv2.connectedComponentsWithStats(mask, connectivity=8, ltype=cv2.CV_16U)
+    _, labels, boxes, centres = cv2.connectedComponentsWithStats(
+        mask, connectivity=8, ltype=cv2.CV_16U
+    )
     leftover = cv2.mean(response, cv2.bitwise_not(mask))[0]
     keep = _alike(boxes[1:], mask.shape, marker_area)
     keep = _has_neighbours(centres[1:], keep)
-    return Blobs(labels, boxes[1:], centres[1:], typical, leftover, foot, keep) if keep.any() else None
+    return (
+        Blobs(labels, boxes[1:], centres[1:], typical, leftover, foot, keep) if keep.any() else None
+    )
 
 
-def _alike(boxes: np.ndarray, shape: tuple[int, ...], marker_area: float | None = None) -> np.ndarray:
+def _alike(
+    boxes: np.ndarray, shape: tuple[int, ...], marker_area: float | None = None
+) -> np.ndarray:
     """Return (N,) bool: blobs in an image of (h, w) that agree in size and shape with the rest, or with a marker."""
     left, top, width, height, area = boxes.T
     solid = area >= 4
@@ -131,7 +142,9 @@ def _alike(boxes: np.ndarray, shape: tuple[int, ...], marker_area: float | None 
     shapely = elongation <= ELONGATION_MAX * np.median(elongation[voters])
     cut = (borders == 1) & (sides.max(axis=1) <= CUT_SIDE_MAX * np.sqrt(median))
     extent = area / sides.prod(axis=1)
-    return sized & (shapely | cut) & (borders < 2) & (extent >= MIN_EXTENT * np.median(extent[voters]))
+    return (
+        sized & (shapely | cut) & (borders < 2) & (extent >= MIN_EXTENT * np.median(extent[voters]))
+    )
 
 
 def marker_mask(blobs: Blobs) -> np.ndarray:
@@ -140,7 +153,9 @@ def marker_mask(blobs: Blobs) -> np.ndarray:
     Growth stays inside the foot and within ``GROW_PX``, less where markers stand close. So blurred markers gain their
     skirts and sharp ones keep their size.
     """
-    mask = np.take(np.concatenate([[0], np.where(blobs.keep, 255, 0)]).astype(np.uint8), blobs.labels)
+    mask = np.take(
+        np.concatenate([[0], np.where(blobs.keep, 255, 0)]).astype(np.uint8), blobs.labels
+    )
     grow = min(GROW_PX, int(spacing(blobs.markers) / GROW_SPACING_PX))
     if grow == 0:
         return mask
@@ -178,7 +193,9 @@ def _typical_peak(peaks: np.ndarray) -> float:
     count, mass = np.cumsum(histogram), np.cumsum(histogram * level)
     below, above = np.maximum(count, 1), np.maximum(count[-1] - count, 1)
     between = count * (count[-1] - count) * ((mass[-1] - mass) / above - mass / below) ** 2
-    strong = histogram * (np.arange(256) > int(np.argmax(between))) if between.max() > 0 else histogram
+    strong = (
+        histogram * (np.arange(256) > int(np.argmax(between))) if between.max() > 0 else histogram
+    )
     return float(np.searchsorted(np.cumsum(strong), strong.sum() / 2))
 
 

@@ -4,8 +4,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 HOLD_FRAMES = 2  # of markers missed at random in a fifth of frames one in 125 is missed for longer
-MOST = 0.45  # of the markers: where more are missed the pattern has jumped or gone, and none is held
-MISSED = 0.5  # spacings: no marker moves farther between two frames, and none of its neighbours comes nearer
+# of the markers: where more are missed the pattern has jumped or gone, and none is held
+MOST = 0.45
+# spacings: no marker moves farther between two frames, and none of its neighbours comes nearer
+MISSED = 0.5
 
 
 class MarkerHold:
@@ -30,7 +32,9 @@ class MarkerHold:
     def fill(self, image: np.ndarray, centres_px: np.ndarray) -> int:
         """Draw the missed markers into an (H, W) uint8 image of (M, 2) markers; return how many."""
         held = [k for k in self.missed(centres_px) if self._draw(image, self._centres_px[k])]
-        self._missed_for = np.concatenate([np.zeros(len(centres_px), int), self._missed_for[held] + 1])
+        self._missed_for = np.concatenate(
+            [np.zeros(len(centres_px), int), self._missed_for[held] + 1]
+        )
         self._centres_px = np.concatenate([centres_px, self._centres_px[held]])
         self._image = image.copy()
         return len(held)

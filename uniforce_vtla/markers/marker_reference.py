@@ -19,9 +19,11 @@ from uniforce_vtla.markers.marker_hold import MarkerHold
 
 WARN_SHARE = 0.05  # of the reference's markers lost: said once
 RETRY_SHARE = 0.20  # lost: other channels are tried
-REFUSE_SHARE = 0.25  # lost: refused; honest contacts at full load lose up to 12.5 % (GelSight) and 18.9 % (TacTip)
+# lost: refused; honest contacts at full load lose up to 12.5 % (GelSight) and 18.9 % (TacTip)
+REFUSE_SHARE = 0.25
 RETRIES = ("least", "gray", "blue", "value")  # those channels, in this order
-REACH = 2.0  # spacings: a marker's greatest motion; simulated pins move 1.7 under 16 N and 8 N of shear
+# spacings: a marker's greatest motion; simulated pins move 1.7 under 16 N and 8 N of shear
+REACH = 2.0
 STILL = 0.3  # spacings: where 98 % moved less, a marker's nearest reference is its own
 SAME_PLACE = 0.2  # spacings: a reflection of the reference is found again this near
 BETWEEN = 0.75  # spacings: what lies nearer than this to two markers is none of their pattern
@@ -49,7 +51,9 @@ class MarkerReference:
     this sensor's.
     """
 
-    def __init__(self, frame: np.ndarray, dome: bool, counts: tuple[int, int], warn_share: float = WARN_SHARE) -> None:
+    def __init__(
+        self, frame: np.ndarray, dome: bool, counts: tuple[int, int], warn_share: float = WARN_SHARE
+    ) -> None:
         found = segment(fit_canonical(frame), dome)
         between = between_markers(found.blobs.markers, np.ones(found.blobs.keep.sum(), bool))
         self._reflections = found.blobs.markers[between]
@@ -66,7 +70,9 @@ class MarkerReference:
         self.centres_px = self._found.centres_px  # (M, 2), of ``image``
         self.image = self._found.image()  # (480, 640) uint8 in {0, 255}
 
-    def read(self, frame: np.ndarray, hold: MarkerHold | None = None) -> tuple[np.ndarray, MarkerMatch]:
+    def read(
+        self, frame: np.ndarray, hold: MarkerHold | None = None
+    ) -> tuple[np.ndarray, MarkerMatch]:
         """Return the (480, 640) uint8 image in {0, 255} of a frame's markers, and how they match.
 
         Other channels are tried where 20 % of the markers are lost. Markers that ``hold`` then fills in are not lost.
@@ -91,16 +97,24 @@ class MarkerReference:
         if match.lost >= self._warn_share * self._tree.n and not self._warned:
             self._warned = True
             do = "Force is misread where markers are missing: check light and focus."
-            warnings.warn(expected("camera frame", wanted, f"{match.matched} of them", do), stacklevel=3)
+            warnings.warn(
+                expected("camera frame", wanted, f"{match.matched} of them", do), stacklevel=3
+            )
         return image, match
 
-    def _best(self, working: np.ndarray, hold: MarkerHold | None) -> tuple[Segmentation, MarkerMatch]:
+    def _best(
+        self, working: np.ndarray, hold: MarkerHold | None
+    ) -> tuple[Segmentation, MarkerMatch]:
         """Return the markers of the first way to look that suffice with those held, else of the one that shows most."""
         seen, failures = [], []
         own = self.plan.channel
         size = self._found.blobs.marker_area
         # specks may outvote the markers, so the reference says next how large one is; then come other channels
-        ways = [(own, None), (own, size), *((channel, None) for channel in RETRIES if channel != own)]
+        ways = [
+            (own, None),
+            (own, size),
+            *((channel, None) for channel in RETRIES if channel != own),
+        ]
         for channel, marker_area in ways:
             try:
                 plan = replace(self.plan, channel=channel)
@@ -124,7 +138,9 @@ class MarkerReference:
         extra = self._extras(found.blobs.markers)
         dropped = int(extra.sum())
         matched = min(self._tree.n, len(extra) - dropped)
-        return replace(found, blobs=found.blobs.without(extra)), MarkerMatch(matched, self._tree.n - matched, dropped)
+        return replace(found, blobs=found.blobs.without(extra)), MarkerMatch(
+            matched, self._tree.n - matched, dropped
+        )
 
     def _extras(self, points: np.ndarray) -> np.ndarray:
         """Return (M,) bool: which of (M, 2) points match no marker of the reference."""
@@ -133,7 +149,8 @@ class MarkerReference:
         extra = distance > REACH
         order = np.argsort(-distance)
         closest = np.full(self._tree.n, -1)
-        closest[nearest[order]] = order  # of several that share a nearest one, the closest is written last
+        # of several that share a nearest one, the closest is written last
+        closest[nearest[order]] = order
         shared = ~extra
         shared[closest[closest >= 0]] = False
         if shared.any() and np.percentile(distance[~extra & ~shared], 98) < STILL:

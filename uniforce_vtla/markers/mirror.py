@@ -29,7 +29,9 @@ def to_canonical[Array: (np.ndarray, "torch.Tensor")](image: Array, finger: Fing
     Raises ContractError: unknown finger, or fewer than two axes.
     """
     if image.ndim < 2:
-        raise ContractError(expected("image", "(..., H, W)", tuple(image.shape), "Pass whole images."))
+        raise ContractError(
+            expected("image", "(..., H, W)", tuple(image.shape), "Pass whole images.")
+        )
     if check_finger(finger) == "left":
         return image
     if isinstance(image, np.ndarray):
@@ -42,18 +44,27 @@ def to_finger_frame[Array: (np.ndarray, "torch.Tensor")](force_N: Array, finger:
 
     Raises ContractError: unknown finger, a last axis other than 3, or anything but finite numbers.
     """
-    shape, kind = getattr(force_N, "shape", ()), str(getattr(force_N, "dtype", type(force_N).__name__))
+    shape, kind = (
+        getattr(force_N, "shape", ()),
+        str(getattr(force_N, "dtype", type(force_N).__name__)),
+    )
     numbers = ("float", "int") if isinstance(force_N, np.ndarray) else ("torch.float",)
     if not shape or shape[-1] != 3 or not kind.startswith(numbers):
         came = f"{kind} {tuple(shape)}"
-        raise ContractError(expected("force", "numbers (..., 3) N", came, "Pass an array of fx, fy, fz."))
+        raise ContractError(
+            expected("force", "numbers (..., 3) N", came, "Pass an array of fx, fy, fz.")
+        )
     finite = np.isfinite(force_N) if isinstance(force_N, np.ndarray) else force_N.isfinite()
     if not bool(finite.all()):
-        raise ContractError(expected("force", "finite numbers", "NaN or inf", "Check what gave it."))
+        raise ContractError(
+            expected("force", "finite numbers", "NaN or inf", "Check what gave it.")
+        )
     if check_finger(finger) == "left":
         return force_N
     if isinstance(force_N, np.ndarray):
-        return (force_N * np.asarray(MIRROR_FORCE)).astype(np.result_type(force_N.dtype, np.float32))
+        return (force_N * np.asarray(MIRROR_FORCE)).astype(
+            np.result_type(force_N.dtype, np.float32)
+        )
     return force_N * force_N.new_tensor(MIRROR_FORCE)
 
 
@@ -63,4 +74,6 @@ def mirrored(contact: ContactState) -> ContactState:
     The gap flips left-right; fx and torsion change sign (a moment about the normal is a pseudo-scalar).
     """
     force_N = (contact.force_N * np.asarray(MIRROR_FORCE, np.float32)).astype(np.float32)
-    return ContactState(np.ascontiguousarray(contact.gap_mm[:, :, ::-1]), force_N, -contact.torsion_Nmm)
+    return ContactState(
+        np.ascontiguousarray(contact.gap_mm[:, :, ::-1]), force_N, -contact.torsion_Nmm
+    )

@@ -15,7 +15,8 @@ from uniforce_vtla.sensors import SensorSpec, get_sensor
 
 MOST_MM = 20.0  # either way: no pad is so soft
 CAMERA_MM = 30.0  # from the points to the camera that the drawing pretends; a GelSight's
-PRESSED_MM = -0.05  # points that rise by so much, and further than any sinks: their reference was pressed
+# points that rise by so much, and further than any sinks: their reference was pressed
+PRESSED_MM = -0.05
 
 
 def check_points(points_mm: np.ndarray, name: str, wanted: tuple[int, ...]) -> np.ndarray:
@@ -23,13 +24,18 @@ def check_points(points_mm: np.ndarray, name: str, wanted: tuple[int, ...]) -> n
 
     Raises ContractError: not a float array of the ``wanted`` shape, not finite, or further than any pad yields.
     """
-    shape, dtype = getattr(points_mm, "shape", None), getattr(points_mm, "dtype", type(points_mm).__name__)
+    shape, dtype = (
+        getattr(points_mm, "shape", None),
+        getattr(points_mm, "dtype", type(points_mm).__name__),
+    )
     if not isinstance(points_mm, np.ndarray) or shape != wanted or points_mm.dtype.kind != "f":
         do = "Pass displacements in mm, one row (x, y, z) per point."
         raise ContractError(expected(name, f"floats {wanted}", f"{dtype} {shape}", do))
     if not (np.abs(points_mm) <= MOST_MM).all():  # NaN is not
         came = f"{np.abs(points_mm).max():g} mm"
-        raise ContractError(expected(name, f"within ±{MOST_MM:g} mm", came, "Pass displacements, not positions."))
+        raise ContractError(
+            expected(name, f"within ±{MOST_MM:g} mm", came, "Pass displacements, not positions.")
+        )
     return points_mm.astype(np.float64)
 
 
@@ -45,7 +51,8 @@ def place_points(moved_mm: np.ndarray, spec: SensorSpec) -> TaxelDiscs:
     moved = mean @ moved_mm
     nearer = moved[:, 2] / CAMERA_MM  # what is pressed towards the camera looks larger
     seen_mm = (spec.layout_mm + moved[:, :2]) * (1 + nearer[:, None])
-    strain = stretch[0] @ moved_mm[:, 0] + stretch[1] @ moved_mm[:, 1]  # of the area that a marker covers
+    # of the area that a marker covers
+    strain = stretch[0] @ moved_mm[:, 0] + stretch[1] @ moved_mm[:, 1]
     growth = np.sqrt(np.clip(1 + strain, 0.25, 4.0)) * (1 + nearer)
     radii = spec.marker_size_mm * spec.px_per_mm[0] / 2 * growth
     centres_px = CENTRE_PX + seen_mm * spec.px_per_mm
@@ -60,6 +67,7 @@ def _of_markers(sensor: str) -> tuple[np.ndarray, np.ndarray]:
     owner = cKDTree(spec.layout_mm).query(spec.points.place_mm)[1]
     mean = (owner == np.arange(len(spec.layout_mm))[:, None]).astype(np.float64)
     mean /= mean.sum(axis=1, keepdims=True)
-    aside = (spec.points.place_mm - (mean @ spec.points.place_mm)[owner]).T[:, None] * (mean > 0)  # (2, M, N)
+    # (2, M, N)
+    aside = (spec.points.place_mm - (mean @ spec.points.place_mm)[owner]).T[:, None] * (mean > 0)
     spread = (aside**2).sum(axis=-1, keepdims=True)
     return mean, np.divide(aside, spread, where=spread > 0, out=np.zeros_like(aside))

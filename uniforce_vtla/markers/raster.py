@@ -7,8 +7,10 @@ import numpy as np
 
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
 
-CENTRE_PX = np.array([(MARKER_IMAGE_SHAPE[1] - 1) / 2, (MARKER_IMAGE_SHAPE[0] - 1) / 2])  # (319.5, 239.5)
-_STEP = 16.0  # positions are rounded to 1/16 px, which floats hold exactly: mirrored input, mirrored pixels
+# (319.5, 239.5)
+CENTRE_PX = np.array([(MARKER_IMAGE_SHAPE[1] - 1) / 2, (MARKER_IMAGE_SHAPE[0] - 1) / 2])
+# positions are rounded to 1/16 px, which floats hold exactly: mirrored input, mirrored pixels
+_STEP = 16.0
 
 
 def fill_discs(centre_px: np.ndarray, diameter_px: np.ndarray) -> np.ndarray:
@@ -21,7 +23,9 @@ def fill_discs(centre_px: np.ndarray, diameter_px: np.ndarray) -> np.ndarray:
     return _fill(y, offset[..., 0, None] - reach, offset[..., 0, None] + reach, reach >= 0)
 
 
-def fill_squares(centre_px: np.ndarray, side_px: np.ndarray, rotation_rad: float = 0.0) -> np.ndarray:
+def fill_squares(
+    centre_px: np.ndarray, side_px: np.ndarray, rotation_rad: float = 0.0
+) -> np.ndarray:
     """Return (B, 480, 640) uint8 with squares of (B, M) sides, all turned by ``rotation_rad`` (x towards y)."""
     offset, half = _quantise(centre_px, side_px)
     cos, sin = np.cos(rotation_rad), np.sin(rotation_rad)
@@ -42,7 +46,8 @@ def fill_squares(centre_px: np.ndarray, side_px: np.ndarray, rotation_rad: float
 def _quantise(centre_px: np.ndarray, size_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return offsets from the image centre (B, M, 2) and half sizes (B, M), both on exact binary fractions."""
     offset = np.round((centre_px - CENTRE_PX) * _STEP) / _STEP
-    half = (np.floor(size_px * 0.5 * _STEP) + 0.5) / _STEP  # + ½ step: never ties with a pixel centre
+    # + ½ step: never ties with a pixel centre
+    half = (np.floor(size_px * 0.5 * _STEP) + 0.5) / _STEP
     lost = np.isnan(offset[..., 0])
     return np.where(lost[..., None], 0, offset), np.where(lost, -1, half)
 

@@ -29,10 +29,13 @@ MAX_TAXEL_STD = 15.0  # counts, from the median deviation; real sensors at rest:
 MAX_REST_OFFSET = 150.0  # counts from the stored resting level; a light touch gives 300
 MAX_MARKER_MOTION_PX = 2.0  # 90th percentile over markers; segmentation jitter stays below 0.5
 PRESSED_COUNTS = 300.0  # a taxel this far *below* its reference was pressed then
-PRESSED_TAXELS = 4  # so many of 16: one alone may be cross-talk (0.4 % of real taxels read below −30)
+# so many of 16: one alone may be cross-talk (0.4 % of real taxels read below −30)
+PRESSED_TAXELS = 4
 
 
-def capture_taxel_reference(scans: Sequence[np.ndarray], resting_level: np.ndarray | None = None) -> np.ndarray:
+def capture_taxel_reference(
+    scans: Sequence[np.ndarray], resting_level: np.ndarray | None = None
+) -> np.ndarray:
     """Return the (16, 3) int64 median of several free-air scans of a uSkin's (16, 3) counts.
 
     Args:
@@ -43,7 +46,8 @@ def capture_taxel_reference(scans: Sequence[np.ndarray], resting_level: np.ndarr
     far from the resting level.
     """
     _check_enough(len(scans))
-    counts = np.stack([check_counts(np.asarray(scan), "uSkin reference") for scan in scans])  # (N, 16, 3)
+    # (N, 16, 3)
+    counts = np.stack([check_counts(np.asarray(scan), "uSkin reference") for scan in scans])
     for scan in counts:
         check_alive(scan, "uSkin reference")
     spread = np.median(np.abs(counts - np.median(counts, axis=0)), axis=0)
@@ -55,11 +59,16 @@ def capture_taxel_reference(scans: Sequence[np.ndarray], resting_level: np.ndarr
         resting = check_counts(np.asarray(resting_level), "resting level")
         offset = int(np.abs(reference - resting).max())
         if offset > MAX_REST_OFFSET:
-            refuse(f"taxels within {MAX_REST_OFFSET:g} counts of the resting level", f"{offset} counts off")
+            refuse(
+                f"taxels within {MAX_REST_OFFSET:g} counts of the resting level",
+                f"{offset} counts off",
+            )
     return reference
 
 
-def capture_camera_reference(frames: Sequence[np.ndarray], centres_px: Sequence[np.ndarray]) -> np.ndarray:
+def capture_camera_reference(
+    frames: Sequence[np.ndarray], centres_px: Sequence[np.ndarray]
+) -> np.ndarray:
     """Return the pixel-wise median of several (H, W, 3) uint8 frames whose markers hold still.
 
     Args:
@@ -70,11 +79,15 @@ def capture_camera_reference(frames: Sequence[np.ndarray], centres_px: Sequence[
     """
     _check_enough(min(len(frames), len(centres_px)))
     if len({frame.shape for frame in frames}) > 1:
-        raise ContractError(expected("reference frames", "one size", "several", "Use one camera setting."))
+        raise ContractError(
+            expected("reference frames", "one size", "several", "Use one camera setting.")
+        )
     reach_px = MISSED * spacing(centres_px[0])  # beyond it a marker was missed, which is no motion
     nearest_px = [cKDTree(centres).query(centres_px[0])[0] for centres in centres_px[1:]]
     again_px = [distance[distance < reach_px] for distance in nearest_px]
-    motion = max(float(np.percentile(distance, 90)) if len(distance) else reach_px for distance in again_px)
+    motion = max(
+        float(np.percentile(distance, 90)) if len(distance) else reach_px for distance in again_px
+    )
     if motion > MAX_MARKER_MOTION_PX:
         refuse(f"markers still within {MAX_MARKER_MOTION_PX:g} px", f"a motion of {motion:.1f} px")
     return np.median(np.stack(frames), axis=0).astype(np.uint8)
@@ -90,7 +103,9 @@ def refuse_pressed_reference(delta_counts: np.ndarray) -> None:
 def _check_enough(count: int) -> None:
     if count < MIN_FRAMES:
         wanted = f"at least {MIN_FRAMES} frames"
-        raise ContractError(expected("reference", wanted, count, "Record a little longer in free air."))
+        raise ContractError(
+            expected("reference", wanted, count, "Record a little longer in free air.")
+        )
 
 
 def refuse(wanted: str, came: str) -> None:
@@ -109,7 +124,9 @@ class ReferenceMemory[Value]:
     def __init__(self, most: int) -> None:
         self._known: deque[tuple[Hashable, np.ndarray | torch.Tensor, Value]] = deque(maxlen=most)
 
-    def get(self, key: Hashable, reference: np.ndarray | torch.Tensor, compute: Callable[[], Value]) -> Value:
+    def get(
+        self, key: Hashable, reference: np.ndarray | torch.Tensor, compute: Callable[[], Value]
+    ) -> Value:
         """Return what ``compute`` makes of a reference, from memory where key and content are the same."""
         for known_key, known, value in self._known:
             if known_key == key and same_reference(known, reference):
@@ -126,7 +143,9 @@ class ReferenceMemory[Value]:
 
 def same_reference(first: np.ndarray | torch.Tensor, second: np.ndarray | torch.Tensor) -> bool:
     """Return whether two references (numpy or torch) have the same type, shape and content; NaN equals nothing."""
-    alike = type(first) is type(second) and first.dtype == second.dtype and first.shape == second.shape
+    alike = (
+        type(first) is type(second) and first.dtype == second.dtype and first.shape == second.shape
+    )
     if not alike or first.device != second.device:
         return False
     return bool((first == second).all())

@@ -21,7 +21,8 @@ from uniforce_vtla.markers.marker_blobs import spacing
 from uniforce_vtla.markers.raster import CENTRE_PX
 from uniforce_vtla.sensors import SensorSpec, get_sensor
 
-FLAT, DOME = get_sensor("gelsight").px_per_mm, get_sensor("tactip").px_per_mm  # the others are brought to
+# the others are brought to
+FLAT, DOME = get_sensor("gelsight").px_per_mm, get_sensor("tactip").px_per_mm
 SAME = 1e-3  # zooms closer to 1 than this leave the image untouched
 
 
@@ -48,7 +49,9 @@ def to_nominal_scale(images: np.ndarray, spec: SensorSpec) -> np.ndarray:
     zoom, size = np.array(nominal_zoom(spec)), images.shape[:-3:-1]
     matrix = np.column_stack([np.diag(zoom), (1 - zoom) * (np.array(size) - 1) / 2])
     flat = images.reshape(-1, *images.shape[-2:])
-    smooth = np.stack([cv2.warpAffine(image, matrix, size, flags=cv2.INTER_LINEAR) for image in flat])
+    smooth = np.stack(
+        [cv2.warpAffine(image, matrix, size, flags=cv2.INTER_LINEAR) for image in flat]
+    )
     return sharp(smooth).reshape(images.shape)
 
 
@@ -57,7 +60,9 @@ def sharp(smooth: np.ndarray) -> np.ndarray:
     return (smooth >= 128) * np.uint8(255)
 
 
-def points_to_nominal_scale(points_px: np.ndarray, spec: SensorSpec, size_px: tuple[int, int]) -> np.ndarray:
+def points_to_nominal_scale(
+    points_px: np.ndarray, spec: SensorSpec, size_px: tuple[int, int]
+) -> np.ndarray:
     """Return (M, 2) image points, x right and y down, where ``to_nominal_scale`` puts them; size is (H, W)."""
     centre = (np.array(size_px[::-1]) - 1) / 2
     return ((points_px - centre) * np.array(nominal_zoom(spec)) + centre).astype(points_px.dtype)
@@ -78,7 +83,9 @@ def drawn_px(spec: SensorSpec) -> np.ndarray:
     """Return (M, 2) px, x right and y down: where the drawing shows the markers at nominal scale, in free air."""
     rim_mm = max(spec.pad_size_mm) / 2
     squeeze = 1 - spec.fisheye * (spec.layout_mm**2).sum(axis=1, keepdims=True) / rim_mm**2
-    return CENTRE_PX + spec.layout_mm * squeeze * np.array(spec.px_per_mm) * np.array(nominal_zoom(spec))
+    return CENTRE_PX + spec.layout_mm * squeeze * np.array(spec.px_per_mm) * np.array(
+        nominal_zoom(spec)
+    )
 
 
 def find_view(centres_px: np.ndarray, spec: SensorSpec) -> np.ndarray | None:
@@ -97,9 +104,14 @@ def find_view(centres_px: np.ndarray, spec: SensorSpec) -> np.ndarray | None:
     kept = distance < reach
     turned = abs(np.arctan2(found[1, 0], found[0, 0])) > MOST_TURN_rad
     if turned or kept.sum() < MATCHED_SHARE * len(centres_px):
-        logger.info("%s: the reference doesn't show the drawing's pattern; the camera's view stays as it is", spec.name)
+        logger.info(
+            "%s: the reference doesn't show the drawing's pattern; the camera's view stays as it is",
+            spec.name,
+        )
         return None
-    view, _ = cv2.findHomography(centres_px[kept].astype(np.float64), drawn[near[kept]].astype(np.float64))
+    view, _ = cv2.findHomography(
+        centres_px[kept].astype(np.float64), drawn[near[kept]].astype(np.float64)
+    )
     return view
 
 
@@ -120,7 +132,9 @@ def _refine(points: np.ndarray, drawn: np.ndarray, tree: cKDTree, matrix: np.nda
     for _ in range(ROUNDS):
         near, distance = _match(points, tree, matrix)
         kept = distance <= max(float(np.median(distance)) * 2, 1.0)
-        again, _ = cv2.estimateAffinePartial2D(points[kept].astype(np.float64), drawn[near[kept]].astype(np.float64))
+        again, _ = cv2.estimateAffinePartial2D(
+            points[kept].astype(np.float64), drawn[near[kept]].astype(np.float64)
+        )
         if again is None or np.allclose(again, matrix, atol=1e-6):
             break
         matrix = again

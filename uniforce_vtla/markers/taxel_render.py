@@ -19,9 +19,11 @@ from uniforce_vtla.sensors import SensorSpec
 
 SUBPIXEL_BITS = 4  # cv2 takes fixed-point centres; 1/16 px is far below a pixel
 
-MOST_COUNTS = 1 << 17  # either way: a uSkin's registers hold 16 bits, and taring makes some negative
+# either way: a uSkin's registers hold 16 bits, and taring makes some negative
+MOST_COUNTS = 1 << 17
 CELL_PX = np.array([128.0, 96.0])  # of a uSkin: columns and rows between neighbours
-EDGE_PX = 0.45  # cv2 fills the pixels its outline touches: this much less gives the disc's true area
+# cv2 fills the pixels its outline touches: this much less gives the disc's true area
+EDGE_PX = 0.45
 
 
 @dataclass(frozen=True)
@@ -34,14 +36,17 @@ class TaxelScales:
     area_per_count_pt2: float = 1.0  # k: growth of the area per normal count
     area_max_pt2: float = 6000.0  # 107.6 px across; beyond it the disc saturates
     shift_max_pitch: float = 0.8  # shear beyond this is clipped, so that taxels don't change places
-    edge_pitch: float = 0.6  # a disc's centre stays this far from the outermost taxels, still on the canvas
+    # a disc's centre stays this far from the outermost taxels, still on the canvas
+    edge_pitch: float = 0.6
     px_per_pt: float = 100.0 / 72.0  # the rig draws at 100 dots per inch
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
             if name != "version" and not (type(value) in (int, float) and 0 < value < math.inf):
                 do = "Leave it as it is."
-                raise ContractError(expected(f"taxel scale {name}", "a number above 0", repr(value)[:80], do))
+                raise ContractError(
+                    expected(f"taxel scale {name}", "a number above 0", repr(value)[:80], do)
+                )
 
     def as_dict(self) -> dict[str, object]:
         """Return every scale by name, for storing and hashing."""
@@ -56,38 +61,52 @@ class TaxelDiscs:
     radii_px: np.ndarray  # (M,) float32
 
 
-def check_counts(counts: np.ndarray, name: str = "uSkin counts", wanted: tuple[int, ...] = TAXEL_SHAPE) -> np.ndarray:
+def check_counts(
+    counts: np.ndarray, name: str = "uSkin counts", wanted: tuple[int, ...] = TAXEL_SHAPE
+) -> np.ndarray:
     """Return (M, 3) integer counts as int64.
 
     Raises ContractError: not an integer array of the ``wanted`` shape, or more than any sensor counts.
     """
     shape, dtype = getattr(counts, "shape", None), getattr(counts, "dtype", type(counts).__name__)
     if not isinstance(counts, np.ndarray) or shape != wanted or counts.dtype.kind not in "iu":
-        do = "Pass raw integer counts, one row (x, y, z) per taxel; NaN and fractions aren't counts."
+        do = (
+            "Pass raw integer counts, one row (x, y, z) per taxel; NaN and fractions aren't counts."
+        )
         raise ContractError(expected(name, f"integers {wanted}", f"{dtype} {shape}", do))
     if max(int(counts.max()), -int(counts.min())) > MOST_COUNTS:
         came = f"{counts.min()} to {counts.max()}"
-        raise ContractError(expected(name, f"within ±{MOST_COUNTS}", came, "Pass raw counts as they came."))
+        raise ContractError(
+            expected(name, f"within ±{MOST_COUNTS}", came, "Pass raw counts as they came.")
+        )
     return counts.astype(np.int64)  # uint16 would wrap round in the subtraction
 
 
 def check_alive(counts: np.ndarray, name: str = "uSkin counts") -> np.ndarray:
     """Return ``counts``; raise SensorError if all are zero: live taxels never read exactly zero on all axes."""
     if not counts.any():
-        raise SensorError(expected(name, "a live scan", f"{counts.size} zeros", "Check power and cable of the sensor."))
+        raise SensorError(
+            expected(
+                name, "a live scan", f"{counts.size} zeros", "Check power and cable of the sensor."
+            )
+        )
     return counts
 
 
 def place_discs(delta_counts: np.ndarray, spec: SensorSpec, scales: TaxelScales) -> TaxelDiscs:
     """Return the discs that (M, 3) counts of a taxel sensor above the reference are drawn as."""
     assert spec.taxels is not None
-    delta = _spread(delta_counts * np.array(spec.taxels.worth), spec.layout_mm, spec.taxels.spread_mm)
+    delta = _spread(
+        delta_counts * np.array(spec.taxels.worth), spec.layout_mm, spec.taxels.spread_mm
+    )
     rest_px = CENTRE_PX + spec.layout_mm * np.array(spec.px_per_mm)
     cell_px = np.array(spec.taxels.pitch_mm) * spec.px_per_mm
     shift = delta[:, :2] * (1, -1) * (CELL_PX / scales.counts_per_pitch)  # y down
     limit, edge = scales.shift_max_pitch * cell_px, scales.edge_pitch * cell_px
     centres_px = np.clip(
-        rest_px + np.clip(shift, -limit, limit), rest_px.min(axis=0) - edge, rest_px.max(axis=0) + edge
+        rest_px + np.clip(shift, -limit, limit),
+        rest_px.min(axis=0) - edge,
+        rest_px.max(axis=0) + edge,
     )
     area = scales.area_rest_pt2 + scales.area_per_count_pt2 * delta[:, 2]
     radii = np.sqrt(np.clip(area, scales.area_rest_pt2, scales.area_max_pt2)) * scales.px_per_pt / 2

@@ -40,7 +40,8 @@ class TaxelMaterial:
     stiffness: float = 1.0
     # field of a magnet at rest, so that strong grasps give the 5 to 10 thousand counts of real ones
     rest_counts: float = 26_000.0
-    baseline_shear: tuple[int, int] = (15_500, 16_800)  # raw x, y of real taxels at rest differ this much
+    # raw x, y of real taxels at rest differ this much
+    baseline_shear: tuple[int, int] = (15_500, 16_800)
     baseline_normal: tuple[int, int] = (36_000, 39_000)  # raw z of real taxels at rest
 
 

@@ -19,5 +19,9 @@ def list_sensors() -> tuple[str, ...]:
 def get_sensor(name: str) -> SensorSpec:
     """Return the facts of the sensor called ``name``; raise SensorError listing the known ones."""
     if not isinstance(name, str) or name not in _SENSORS:
-        raise SensorError(expected("sensor", " | ".join(_SENSORS), repr(name), "Check the spelling or register it."))
+        raise SensorError(
+            expected(
+                "sensor", " | ".join(_SENSORS), repr(name), "Check the spelling or register it."
+            )
+        )
     return _SENSORS[name]

@@ -12,8 +12,10 @@ from uniforce_vtla.sensors.material import Material
 class TaxelSignal:
     """Meaning of a taxel's counts, relative to a uSkin's; x right, y up, z into the pad."""
 
-    pitch_mm: tuple[float, float]  # (x, y) usual distance of neighbours: a taxel is drawn in a cell of this size
-    worth: tuple[float, float, float] = (1.0, 1.0, 1.0)  # uSkin counts that one count of x, y, z is drawn as
+    # (x, y) usual distance of neighbours: a taxel is drawn in a cell of this size
+    pitch_mm: tuple[float, float]
+    # uSkin counts that one count of x, y, z is drawn as
+    worth: tuple[float, float, float] = (1.0, 1.0, 1.0)
     # of taxels that say forces: skin takes its surroundings along, so a disc shows the mean of what is this near
     spread_mm: float = 0.0
     tared: bool = False  # the sensor subtracts its own free air, so that all zeros are a live scan
@@ -37,7 +39,8 @@ class SensorSpec:
     name: str  # registry name
     taxels: TaxelSignal | None = None  # markers are rendered from counts; None: a camera sees them
     points: PointSignal | None = None  # markers are rendered from displacements
-    raw_shape: tuple[int, ...] = (480, 640, 3)  # of the usual camera frame, or (taxels or points, 3)
+    # of the usual camera frame, or (taxels or points, 3)
+    raw_shape: tuple[int, ...] = (480, 640, 3)
     # (M, 2) rest position of each marker on the pad, x right, y down, 0 at the pad's centre; taxels in order of counts
     layout_mm: np.ndarray
     px_per_mm: tuple[float, float]  # (x, y) scale from the pad to the 640×480 canonical image

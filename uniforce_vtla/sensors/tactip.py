@@ -15,7 +15,8 @@ TACTIP = SensorSpec(
     dome_radius_mm=41.5,
     rated_depth_mm=5.0,
     material=PadMaterial(
-        layers=(Layer(1.0, 0.4), Layer(14.0, 0.08, 0.3)),  # rubber skin over a soft filling that can flow aside
+        # rubber skin over a soft filling that can flow aside
+        layers=(Layer(1.0, 0.4), Layer(14.0, 0.08, 0.3)),
         readout_mm=1.0,
         cell_mm=2.5,
         camera_mm=45.0,

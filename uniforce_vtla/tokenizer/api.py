@@ -16,7 +16,13 @@ from uniforce_vtla.tokenizer.entry import prepare
 from uniforce_vtla.tokenizer.latent import Latent, own_latent
 from uniforce_vtla.tokenizer.model import ForceAutoencoder, ReferenceCache, build_model
 from uniforce_vtla.tokenizer.settings import TokenizerConfig
-from uniforce_vtla.tokenizer.weights import checkpoint_folder, content_hash, load_model, read_config, save_checkpoint
+from uniforce_vtla.tokenizer.weights import (
+    checkpoint_folder,
+    content_hash,
+    load_model,
+    read_config,
+    save_checkpoint,
+)
 
 # of the canonicalizer's facts in a checkpoint; its spelling is part of every hash
 STORED_KEY = "canonicaliser"
@@ -38,7 +44,9 @@ class Tokenizer:
         hash: sha256 over weights, config and canonicalizer facts; checkpoints that use z must store it.
     """
 
-    def __init__(self, model: ForceAutoencoder, canonicalizer: dict[str, Any] | None = None) -> None:
+    def __init__(
+        self, model: ForceAutoencoder, canonicalizer: dict[str, Any] | None = None
+    ) -> None:
         self.model = model.eval().requires_grad_(False)
         self.config: TokenizerConfig = model.config
         self.canonicalizer = canonicalizer_facts() if canonicalizer is None else canonicalizer
@@ -48,7 +56,9 @@ class Tokenizer:
     @classmethod
     def random(cls, config: TokenizerConfig | None = None, seed: int = 0) -> Tokenizer:
         """Return an untrained tokenizer: a baseline, and a stand-in for tests."""
-        return cls(build_model(config or TokenizerConfig(), check_count("seed", seed, 2**63 - 1, least=0)))
+        return cls(
+            build_model(config or TokenizerConfig(), check_count("seed", seed, 2**63 - 1, least=0))
+        )
 
     @classmethod
     def from_pretrained(cls, path: str | Path | None = None) -> Tokenizer:
@@ -77,7 +87,10 @@ class Tokenizer:
 
     @torch.no_grad()
     def encode(
-        self, reference: MarkerPair | np.ndarray, current: np.ndarray | None = None, finger: Finger = "left"
+        self,
+        reference: MarkerPair | np.ndarray,
+        current: np.ndarray | None = None,
+        finger: Finger = "left",
     ) -> Latent:
         """Return latents (B, P, latent) float32: the posterior's mean, a tensor that carries this tokenizer's hash.
 
@@ -89,7 +102,10 @@ class Tokenizer:
         Raises ContractError: images of the wrong form or of two sizes, an unknown finger, a reference without markers.
         """
         if isinstance(reference, MarkerPair) == (current is not None):
-            wanted, came = "a MarkerPair alone, or reference and current", f"current {type(current).__name__}"
+            wanted, came = (
+                "a MarkerPair alone, or reference and current",
+                f"current {type(current).__name__}",
+            )
             raise ContractError(expected("encode", wanted, came, "Pass the pair, or both images."))
         if isinstance(reference, MarkerPair):
             images, contact, finger = reference.reference, reference.current[None], reference.finger
@@ -102,7 +118,9 @@ class Tokenizer:
         return Latent.of(z, self.hash)
 
     @torch.no_grad()
-    def decode(self, reference: np.ndarray, z: torch.Tensor, finger: Finger = "left") -> torch.Tensor:
+    def decode(
+        self, reference: np.ndarray, z: torch.Tensor, finger: Finger = "left"
+    ) -> torch.Tensor:
         """Return the (B, side, side) canonical image that latents z would show on that reference's sensor.
 
         Raises ContractError: a reference of the wrong form or count, or latents of another shape or without an origin;
@@ -141,7 +159,9 @@ class Tokenizer:
         flat = images.reshape(len(before), -1)
         if bool((flat.min(axis=1) == flat.max(axis=1)).any()):
             do = "Capture it again in free air."
-            raise ContractError(expected("reference", "an image with markers", "all black or one grey", do))
+            raise ContractError(
+                expected("reference", "an image with markers", "all black or one grey", do)
+            )
         return before
 
 

@@ -40,12 +40,16 @@ class CausalPairAttention(nn.Module):
         self.qkv = nn.Linear(width, 3 * width)
         self.out = nn.Linear(width, width)
 
-    def reference(self, tokens: torch.Tensor) -> tuple[torch.Tensor, tuple[torch.Tensor, torch.Tensor]]:
+    def reference(
+        self, tokens: torch.Tensor
+    ) -> tuple[torch.Tensor, tuple[torch.Tensor, torch.Tensor]]:
         """Return reference tokens (B, P, D) and their (key, value), which the current frame will want."""
         _, key, value = self._split(tokens)
         return tokens + self.out(value.flatten(2)), (key, value)
 
-    def current(self, tokens: torch.Tensor, past: tuple[torch.Tensor, torch.Tensor]) -> torch.Tensor:
+    def current(
+        self, tokens: torch.Tensor, past: tuple[torch.Tensor, torch.Tensor]
+    ) -> torch.Tensor:
         """Return current tokens (B, P, D), given the reference's (key, value)."""
         query, key, value = self._split(tokens)  # each (B, P, heads, D/heads)
         past_key, past_value = past
@@ -56,7 +60,9 @@ class CausalPairAttention(nn.Module):
 
     def _split(self, tokens: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         B, P, D = tokens.shape
-        query, key, value = self.qkv(self.norm(tokens)).view(B, P, 3, self.heads, D // self.heads).unbind(2)
+        query, key, value = (
+            self.qkv(self.norm(tokens)).view(B, P, 3, self.heads, D // self.heads).unbind(2)
+        )
         return query, key, value
 
 
@@ -66,7 +72,10 @@ class FeedForward(nn.Module):
     def __init__(self, width: int, ratio: int) -> None:
         super().__init__()
         self.layers = nn.Sequential(
-            nn.LayerNorm(width), nn.Linear(width, ratio * width), nn.GELU(), nn.Linear(ratio * width, width)
+            nn.LayerNorm(width),
+            nn.Linear(width, ratio * width),
+            nn.GELU(),
+            nn.Linear(ratio * width, width),
         )
 
     def forward(self, tokens: torch.Tensor) -> torch.Tensor:

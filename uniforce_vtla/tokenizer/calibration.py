@@ -27,7 +27,14 @@ import torch
 
 from uniforce_vtla.contracts import check_count
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
-from uniforce_vtla.tokenizer.calibration_choice import GAINS, Choice, choose, fit_form, newtons, read_choice
+from uniforce_vtla.tokenizer.calibration_choice import (
+    GAINS,
+    Choice,
+    choose,
+    fit_form,
+    newtons,
+    read_choice,
+)
 from uniforce_vtla.tokenizer.force_head import ForceHead
 from uniforce_vtla.tokenizer.latent import Latent, own_latent
 from uniforce_vtla.tokenizer.latent_map import LatentMap, grasp_numbers
@@ -45,7 +52,8 @@ REST_SHARE = 0.3  # of the mean load: what a gain may leave; simulated TacTips l
 TRUSTED_R2 = 0.9
 HELD_N = 1.0  # of grip that the anchor reads, from which on both fingers hold the tool
 FEWEST_HELD = 30  # moments
-LEAST_SPREAD_N = 0.25  # of the anchor's shear; a tool that is only carried shows hardly more than noise
+# of the anchor's shear; a tool that is only carried shows hardly more than noise
+LEAST_SPREAD_N = 0.25
 LEAST_R = 0.7  # between the fingers' shear
 logger = logging.getLogger(__name__)
 
@@ -70,14 +78,17 @@ class Calibration:
     new: str
     anchor: str
     ridge: float  # chosen by cross-validation
-    turn_deg: float  # that brings the new sensor's shear, as read before, to the anchor's; x towards y
+    # that brings the new sensor's shear, as read before, to the anchor's; x towards y
+    turn_deg: float
     agreement: dict[str, Agreement]  # by class of objects
     gain: float = 1.0  # of the newtons that the head reads after the map
     through_tool: bool = False  # whether the gain is of shear alone, found through a held tool
     choice: Choice | None = None  # of grasps; None: of loads or wipes, or older than the choice
 
     @classmethod
-    def of_loads(cls, z: torch.Tensor, load_N: np.ndarray, head: ForceHead, new: str) -> Calibration:
+    def of_loads(
+        cls, z: torch.Tensor, load_N: np.ndarray, head: ForceHead, new: str
+    ) -> Calibration:
         """Return the gain that brings what ``head`` reads of presses (n, P, latent) to their known loads (n,) in N.
 
         The map is the identity. One gain serves all axes: a stiffer or duller pad answers less to any force.
@@ -86,14 +97,22 @@ class Calibration:
         """
         known = np.asarray(load_N, float)
         read = head(z)[:, 2].double().numpy()  # type: ignore[arg-type]  # checks the origin
-        if len(known) != len(read) or len(set(known)) < FEWEST_LOADS or not (np.isfinite(known) & (known > 0)).all():
+        if (
+            len(known) != len(read)
+            or len(set(known)) < FEWEST_LOADS
+            or not (np.isfinite(known) & (known > 0)).all()
+        ):
             came, do = f"{known.tolist()} for {len(read)} frames", "Press with 3, 6 and 9 N."
-            raise ContractError(expected("loads", f"{FEWEST_LOADS} or more different ones, one a frame", came, do))
+            raise ContractError(
+                expected("loads", f"{FEWEST_LOADS} or more different ones, one a frame", came, do)
+            )
         do = "Are loads in newtons, and is the reference of free air? A covered flat gel is weighed with through=tool."
         return cls._weighed(z, head, new, _gain(known, read, do))
 
     @classmethod
-    def through_a_tool(cls, z: torch.Tensor, load_N: np.ndarray, head: ForceHead, new: str) -> Calibration:
+    def through_a_tool(
+        cls, z: torch.Tensor, load_N: np.ndarray, head: ForceHead, new: str
+    ) -> Calibration:
         """Return the gain of shear of a finger that holds a tool, pressed down on a scale with known loads.
 
         Half of a load comes up through each finger. The grip isn't weighed: a policy holds it (touch/grip.py).
@@ -110,15 +129,20 @@ class Calibration:
         shear = head(z)[:, 1].double().numpy()  # type: ignore[arg-type]  # canonical y points down
         is_free = known == 0
         loads = set(known[~is_free])
-        fits = len(known) == len(shear) and bool(np.isfinite(known).all()) and bool((known >= 0).all())
+        fits = (
+            len(known) == len(shear) and bool(np.isfinite(known).all()) and bool((known >= 0).all())
+        )
         if not fits or not is_free.any() or len(loads) < FEWEST_LOADS:
-            came, do = f"{known.tolist()} for {len(shear)} frames", "Let it hang free, then press with 3, 6 and 9 N."
-            raise ContractError(expected("loads", f"0 and {FEWEST_LOADS} or more different ones", came, do))
+            came, do = (
+                f"{known.tolist()} for {len(shear)} frames",
+                "Let it hang free, then press with 3, 6 and 9 N.",
+            )
+            raise ContractError(
+                expected("loads", f"0 and {FEWEST_LOADS} or more different ones", came, do)
+            )
         carried_N = known[~is_free] / 2
         read_N = shear[is_free].mean() - shear[~is_free]  # a press pushes the tool up
-        do = (
-            "Does the tool stand upright on the scale, is the reference of free air, and is the sensor mounted upright?"
-        )
+        do = "Is the reference of free air, and do tool and sensor stand upright?"
         return cls._weighed(z, head, new, _gain(carried_N, read_N, do), through_tool=True)
 
     @classmethod
@@ -141,7 +165,9 @@ class Calibration:
         """
         if z_new.shape != z_anchor.shape:
             came = f"{tuple(z_new.shape)} and {tuple(z_anchor.shape)}"
-            raise ContractError(expected("paired latents", "(n, P, latent) twice", came, "Pair them by frame."))
+            raise ContractError(
+                expected("paired latents", "(n, P, latent) twice", came, "Pair them by frame.")
+            )
         read, known = head(z_new).double().numpy(), head(z_anchor).double().numpy()  # type: ignore[arg-type]
         is_held = known[:, 2] > HELD_N
         gain = shear_gain(read[is_held, 1], known[is_held, 1])
@@ -149,11 +175,28 @@ class Calibration:
 
     @classmethod
     def _weighed(
-        cls, z: torch.Tensor, head: ForceHead, new: str, gain: float, through_tool: bool = False, anchor: str = ""
+        cls,
+        z: torch.Tensor,
+        head: ForceHead,
+        new: str,
+        gain: float,
+        through_tool: bool = False,
+        anchor: str = "",
     ) -> Calibration:
         """Return a gain alone: its map is the identity."""
         same = LatentMap(*z.shape[1:]).eval()
-        return cls(same, head.tokenizer_hash, head.hash, new, anchor or new, 0.0, 0.0, {}, gain, through_tool)
+        return cls(
+            same,
+            head.tokenizer_hash,
+            head.hash,
+            new,
+            anchor or new,
+            0.0,
+            0.0,
+            {},
+            gain,
+            through_tool,
+        )
 
     def scaled(self, force_N: torch.Tensor) -> torch.Tensor:
         """Return newtons (…, 3), read after the map, by the gain: of all axes, or of shear where a tool was weighed."""
@@ -168,7 +211,9 @@ class Calibration:
         wanted, came = len(self.map.centre), own[0].numel() if len(own) else 0
         if own.ndim != 3 or came != wanted:
             do = "Pool them as the calibration's were: pool_latent(z)."
-            raise ContractError(expected("latents to calibrate", f"(B, P, L) of {wanted}", tuple(z.shape), do))
+            raise ContractError(
+                expected("latents to calibrate", f"(B, P, L) of {wanted}", tuple(z.shape), do)
+            )
         return Latent.of(self.map(own), self.tokenizer_hash)
 
     @property
@@ -194,12 +239,18 @@ class Calibration:
 
     def worst(self, classes: Sequence[str] = OBJECT_CLASSES) -> tuple[str, float]:
         """Return the class and R² of Fz that agrees least among ``classes``."""
-        return min(((name, self.agreement[name].r2[2]) for name in classes), key=lambda found: found[1])
+        return min(
+            ((name, self.agreement[name].r2[2]) for name in classes), key=lambda found: found[1]
+        )
 
     def facts(self) -> dict[str, object]:
         """Return which sensors it matches, and how well."""
         judged = {name: asdict(found) for name, found in self.agreement.items()}
-        numbers: dict[str, object] = {"ridge": self.ridge, "turn_deg": self.turn_deg, "gain": self.gain}
+        numbers: dict[str, object] = {
+            "ridge": self.ridge,
+            "turn_deg": self.turn_deg,
+            "gain": self.gain,
+        }
         numbers |= {"through_tool": True} if self.through_tool else {}
         numbers |= {"choice": asdict(self.choice)} if self.choice else {}
         return {"new": self.new, "anchor": self.anchor, **numbers, "agreement": judged}
@@ -222,10 +273,16 @@ class Calibration:
             do = "Calibrate again with this tokenizer."
             raise CheckpointError(expected(f"tokenizer of {folder}", tokenizer_hash, came, do))
         try:
-            patches, latent = (check_count(name, facts[name], MAX_NUMBERS) for name in ("patches", "latent"))
+            patches, latent = (
+                check_count(name, facts[name], MAX_NUMBERS) for name in ("patches", "latent")
+            )
             check_count("numbers", patches * latent, MAX_NUMBERS)
             texts = str(facts["head_hash"]), str(facts["new"]), str(facts["anchor"])
-            ridge, turn, gain = float(facts["ridge"]), float(facts["turn_deg"]), float(facts.get("gain", 1.0))
+            ridge, turn, gain = (
+                float(facts["ridge"]),
+                float(facts["turn_deg"]),
+                float(facts.get("gain", 1.0)),
+            )
             if not GAINS[0] <= gain <= GAINS[1]:
                 raise ValueError(f"gain {gain}")
             through_tool = facts.get("through_tool", False) is True
@@ -235,7 +292,9 @@ class Calibration:
             wanted, do = "the facts of a calibration", "Calibrate again."
             raise CheckpointError(expected(f"config of {folder}", wanted, error, do)) from error
         found = load_model(folder, lambda: LatentMap(patches, latent))
-        return cls(found.eval(), tokenizer_hash, *texts, ridge, turn, agreement, gain, through_tool, choice)
+        return cls(
+            found.eval(), tokenizer_hash, *texts, ridge, turn, agreement, gain, through_tool, choice
+        )
 
 
 def calibrate(
@@ -281,7 +340,9 @@ def calibrate(
     for kind in OBJECT_CLASSES:
         of_kind = names[judge] == kind
         t, a, b = (values[of_kind] for values in (truth, after, before))
-        judged[kind] = Agreement(len(np.unique(of_grasp[judge][of_kind])), _r2(t, a), _abs_r(t, a), _r2(t, b))
+        judged[kind] = Agreement(
+            len(np.unique(of_grasp[judge][of_kind])), _r2(t, a), _abs_r(t, a), _r2(t, b)
+        )
     turn_deg = float(np.degrees(in_plane_turn_rad(before[:, :2], truth[:, :2])))
     fitted = found.map, origin, head.hash, new, anchor, found.ridge
     return Calibration(*fitted, turn_deg, judged, found.gain, choice=choice)
@@ -296,7 +357,10 @@ def _refuse_other_mount(read: np.ndarray, known: np.ndarray, new: str, anchor: s
     x, y = relation.r
     if relation.mount == "undecided":
         logger.warning(
-            "%s: shear agrees too little to tell how it is mounted (r %.2f along x, %.2f along y)", new, x, y
+            "%s: shear agrees too little to tell how it is mounted (r %.2f along x, %.2f along y)",
+            new,
+            x,
+            y,
         )
     elif relation.mount != "upright":
         rotation_deg, flip = SETTINGS[relation.mount]
@@ -315,7 +379,9 @@ def in_plane_turn_rad(read: np.ndarray, known: np.ndarray) -> float:
     return float(np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum()))
 
 
-def _split(classes: np.ndarray, grasps: np.ndarray, config: CalibrationConfig) -> tuple[np.ndarray, np.ndarray]:
+def _split(
+    classes: np.ndarray, grasps: np.ndarray, config: CalibrationConfig
+) -> tuple[np.ndarray, np.ndarray]:
     """Return rows that judge, the same share of each class's grasps, and rows that are fitted to, in random order."""
     order = np.random.default_rng(config.seed).permutation(len(classes))
     judges: list[int] = []
@@ -341,12 +407,18 @@ def shear_gain(read_N: np.ndarray, known_N: np.ndarray) -> float:
     if known_sd_N < LEAST_SPREAD_N:
         wanted, came = f"{LEAST_SPREAD_N} N of spread or more", f"{known_sd_N:.2f} N"
         raise ContractError(expected("shear of the anchor", wanted, came, do))
-    r = float(((known_N - known_N.mean()) * (read_N - read_N.mean())).mean() / (known_sd_N * read_sd_N))
+    r = float(
+        ((known_N - known_N.mean()) * (read_N - read_N.mean())).mean() / (known_sd_N * read_sd_N)
+    )
     gain = float(known_sd_N / read_sd_N)
     if r < LEAST_R or not GAINS[0] <= gain <= GAINS[1]:
-        wanted = f"one that follows the anchor's, r ≥ {LEAST_R}, by a gain of {GAINS[0]} to {GAINS[1]}"
+        wanted = (
+            f"one that follows the anchor's, r ≥ {LEAST_R}, by a gain of {GAINS[0]} to {GAINS[1]}"
+        )
         came = f"r {r:.2f}, gain {gain:.2f}"
-        raise ContractError(expected("shear of the new sensor", wanted, came, "Are both sensors mounted upright?"))
+        raise ContractError(
+            expected("shear of the new sensor", wanted, came, "Are both sensors mounted upright?")
+        )
     return gain
 
 
@@ -380,23 +452,45 @@ def _agreement(stored: dict[str, object]) -> Agreement:
 
 
 def _check(
-    z_new: torch.Tensor, z_anchor: torch.Tensor, classes: np.ndarray, grasps: np.ndarray, config: CalibrationConfig
+    z_new: torch.Tensor,
+    z_anchor: torch.Tensor,
+    classes: np.ndarray,
+    grasps: np.ndarray,
+    config: CalibrationConfig,
 ) -> None:
-    if z_new.shape != z_anchor.shape or z_new.ndim != 3 or not len(classes) == len(grasps) == len(z_new):
+    if (
+        z_new.shape != z_anchor.shape
+        or z_new.ndim != 3
+        or not len(classes) == len(grasps) == len(z_new)
+    ):
         came = f"{tuple(z_new.shape)}, {tuple(z_anchor.shape)}, {len(classes)} classes and {len(grasps)} grasps"
         wanted = "(n, P, latent) twice, n classes, n grasps"
         raise ContractError(expected("paired latents", wanted, came, "Pair them by frame."))
     if unknown := set(classes.tolist()) - set(OBJECT_CLASSES):
-        raise ContractError(expected("class of an object", " | ".join(OBJECT_CLASSES), sorted(unknown), "Name it so."))
+        raise ContractError(
+            expected(
+                "class of an object", " | ".join(OBJECT_CLASSES), sorted(unknown), "Name it so."
+            )
+        )
     for name in OBJECT_CLASSES:
         if (count := int((classes == name).sum())) < config.min_pairs // 2:
             do = f"Grasp one class for a minute, then the other: {name} objects are missing."
-            raise ContractError(expected(f"grasps of {name} objects", f"at least {config.min_pairs // 2}", count, do))
+            raise ContractError(
+                expected(
+                    f"grasps of {name} objects", f"at least {config.min_pairs // 2}", count, do
+                )
+            )
         if (apart := len(np.unique(grasps[classes == name]))) < FEWEST_GRASPS:
             do = "Open the fingers between grasps, and grasp more often."
-            raise ContractError(expected(f"separate grasps of {name} objects", f"at least {FEWEST_GRASPS}", apart, do))
+            raise ContractError(
+                expected(
+                    f"separate grasps of {name} objects", f"at least {FEWEST_GRASPS}", apart, do
+                )
+            )
     if not bool(z_new.isfinite().all() and z_anchor.isfinite().all()):
-        raise ContractError(expected("latents", "finite numbers", "NaN or inf", "Check the recordings."))
+        raise ContractError(
+            expected("latents", "finite numbers", "NaN or inf", "Check the recordings.")
+        )
     if float(z_anchor.mean(dim=1).std(dim=0).max()) < 1e-6:
         do = "Hold the object from outside and squeeze, push and twist it."
         raise ContractError(expected("grasps", "changing forces", "the same latent throughout", do))

@@ -58,7 +58,9 @@ def newtons(head: ForceHead, z: torch.Tensor) -> np.ndarray:
     return head(Latent.of(z, head.tokenizer_hash)).numpy()
 
 
-def fit_form(form: str, z_new: torch.Tensor, z_anchor: torch.Tensor, head: ForceHead, grasps: np.ndarray) -> Fitted:
+def fit_form(
+    form: str, z_new: torch.Tensor, z_anchor: torch.Tensor, head: ForceHead, grasps: np.ndarray
+) -> Fitted:
     """Fit one of ``FORMS`` to paired latents (n, P, L) of the numbered grasps (n,)."""
     same = LatentMap(*z_new.shape[1:]).eval()
     if form == "map":
@@ -86,7 +88,9 @@ def left_out_error(
     return error_of_grasps(read, known, grasps, axes)
 
 
-def error_of_grasps(read_N: np.ndarray, known_N: np.ndarray, grasps: np.ndarray, axes: Sequence[int]) -> np.ndarray:
+def error_of_grasps(
+    read_N: np.ndarray, known_N: np.ndarray, grasps: np.ndarray, axes: Sequence[int]
+) -> np.ndarray:
     """Return (grasps,) the error of each numbered grasp, as ``Choice`` has it, of readings (n, 3) in N."""
     spread = np.maximum(known_N.var(axis=0), 1e-12)
     of_row = ((read_N - known_N) ** 2 / spread)[:, list(axes)].mean(axis=1)  # (n,)
@@ -118,12 +122,17 @@ def choose(
     """
     of_grasp = grasp_numbers(grasps, len(z_new))
     if (count := len(np.unique(of_grasp))) < 2:
-        raise ContractError(expected("grasps to choose a calibration by", "2 or more", count, "Grasp more often."))
+        raise ContractError(
+            expected("grasps to choose a calibration by", "2 or more", count, "Grasp more often.")
+        )
 
     def fit(form: str, rows: np.ndarray) -> Fitted:
         return fit_form(form, z_new[rows], z_anchor[rows], head, of_grasp[rows])
 
-    error = {form: left_out_error(partial(fit, form), z_new, z_anchor, head, of_grasp, axes) for form in FORMS}
+    error = {
+        form: left_out_error(partial(fit, form), z_new, z_anchor, head, of_grasp, axes)
+        for form in FORMS
+    }
     better = ["none"]
     for form in FORMS[1:]:
         gained = error["none"] - error[form]  # (grasps,)

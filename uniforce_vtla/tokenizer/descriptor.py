@@ -13,7 +13,8 @@ from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.marker_blobs import spacing
 
 DESCRIPTOR_NAMES = ("dx", "dy", "divergence", "curl", "area_change", "count")
-NATURAL_UNITS = (1.0, 1.0, 0.01, 0.01, 0.05, 0.05)  # of the above: what is worth telling apart, px or ratios
+# of the above: what is worth telling apart, px or ratios
+NATURAL_UNITS = (1.0, 1.0, 0.01, 0.01, 0.05, 0.05)
 UNTOUCHED = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0)  # nothing has moved, every marker is there
 MIN_BLOB_PX = 4  # smaller specks are no markers
 MIN_MATCHES = 3  # an affine fit needs as many
@@ -37,9 +38,13 @@ def describe(reference: np.ndarray, current: np.ndarray) -> np.ndarray:
     before = find_blobs(check_marker_image(reference, "reference"))
     if len(before.area_px) < MIN_MATCHES:
         do = "Capture it again."
-        raise ContractError(expected("reference", f"at least {MIN_MATCHES} markers", len(before.area_px), do))
+        raise ContractError(
+            expected("reference", f"at least {MIN_MATCHES} markers", len(before.area_px), do)
+        )
     reach = spacing(before.centre_px)
-    return np.stack([_describe_one(before, find_blobs(check_marker_image(image)), reach) for image in current])
+    return np.stack(
+        [_describe_one(before, find_blobs(check_marker_image(image)), reach) for image in current]
+    )
 
 
 def find_blobs(image: np.ndarray) -> Blobs:
@@ -68,8 +73,10 @@ def _describe_one(before: Blobs, after: Blobs, reach_px: float) -> np.ndarray:
         return np.array([0, 0, 0, 0, 0, found], np.float32)
     position = before.centre_px[i] - before.centre_px[i].mean(axis=0)
     motion = after.centre_px[j] - before.centre_px[i]  # (M, 2) px
-    slope, *_ = np.linalg.lstsq(position, motion - motion.mean(axis=0), rcond=None)  # (2, 2): d motion / d xy
-    growth = np.log(after.area_px[j] / before.area_px[i]).mean()  # a log: uSkin's dots grow many times over
+    # (2, 2): d motion / d xy
+    slope, *_ = np.linalg.lstsq(position, motion - motion.mean(axis=0), rcond=None)
+    # a log: uSkin's dots grow many times over
+    growth = np.log(after.area_px[j] / before.area_px[i]).mean()
     dx, dy = motion.mean(axis=0)
     divergence, curl = slope[0, 0] + slope[1, 1], slope[0, 1] - slope[1, 0]
     return np.array([dx, dy, divergence, curl, growth, found], np.float32)

@@ -15,7 +15,12 @@ import torch
 
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.tokenizer.descriptor import DESCRIPTOR_NAMES, NATURAL_UNITS
-from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig, HeadTrainingConfig, train_head
+from uniforce_vtla.tokenizer.force_head import (
+    ForceRegressor,
+    HeadConfig,
+    HeadTrainingConfig,
+    train_head,
+)
 from uniforce_vtla.tokenizer.weights import load_model, read_config, save_checkpoint
 
 SHIPPED = Path(__file__).parent / "assets"
@@ -31,11 +36,19 @@ class DescriptorHead:
 
     @classmethod
     def fit(
-        cls, sensor: str, episodes: Sequence[tuple[np.ndarray, np.ndarray]], stretch: int, steps: int, seed: int = 0
+        cls,
+        sensor: str,
+        episodes: Sequence[tuple[np.ndarray, np.ndarray]],
+        stretch: int,
+        steps: int,
+        seed: int = 0,
     ) -> DescriptorHead:
         """Return a descriptor head fitted to overlapping stretches of (n, 6) descriptors and (n, 3) N per episode."""
-        z = torch.cat([_stretches(_natural(seen), stretch) for seen, _ in episodes])  # (m, stretch, 1, 6)
-        force = torch.cat([_stretches(torch.from_numpy(force_N), stretch) for _, force_N in episodes])
+        # (m, stretch, 1, 6)
+        z = torch.cat([_stretches(_natural(seen), stretch) for seen, _ in episodes])
+        force = torch.cat(
+            [_stretches(torch.from_numpy(force_N), stretch) for _, force_N in episodes]
+        )
         # it reads the sensor it learnt from, so fine print is welcome: little noise, small spreads kept
         head = HeadConfig(channels=len(DESCRIPTOR_NAMES), grid=1)
         config = HeadTrainingConfig(head=head, steps=steps, input_noise=0.1, smallest_spread=0.05)
@@ -56,7 +69,9 @@ class DescriptorHead:
         try:
             config = HeadConfig(**facts["head"])
         except (TypeError, ContractError) as error:
-            raise CheckpointError(expected(f"head in {place}", "a head's sizes", error, "Make it again.")) from error
+            raise CheckpointError(
+                expected(f"head in {place}", "a head's sizes", error, "Make it again.")
+            ) from error
         return cls(load_model(place, lambda: ForceRegressor(config)), sensor)
 
     def save(self, folder: str | Path) -> Path:
@@ -73,9 +88,15 @@ class DescriptorHead:
         """
         if descriptors.ndim != 2 or descriptors.shape[1] != len(DESCRIPTOR_NAMES):
             do = "Take them from plain_touch.descriptors."
-            raise ContractError(expected("descriptors", f"(n, {len(DESCRIPTOR_NAMES)})", descriptors.shape, do))
+            raise ContractError(
+                expected("descriptors", f"(n, {len(DESCRIPTOR_NAMES)})", descriptors.shape, do)
+            )
         if not np.isfinite(descriptors).all():
-            raise ContractError(expected("descriptors", "finite numbers", "NaN or inf", "Check the sensor's images."))
+            raise ContractError(
+                expected(
+                    "descriptors", "finite numbers", "NaN or inf", "Check the sensor's images."
+                )
+            )
         return self._model(_natural(descriptors)[None])[0].double().numpy()
 
 

@@ -11,10 +11,13 @@ from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.mirror import to_canonical
 
-MIN_SIDE_PX = 16  # no marker image is smaller; an (H, W, 3) image would pass for H images of three columns
+# no marker image is smaller; an (H, W, 3) image would pass for H images of three columns
+MIN_SIDE_PX = 16
 
 
-def prepare(images: np.ndarray, finger: Finger, side: int, name: str = "marker images") -> torch.Tensor:
+def prepare(
+    images: np.ndarray, finger: Finger, side: int, name: str = "marker images"
+) -> torch.Tensor:
     """Return (B, 1, side, side) float32 in [0, 1] from (B, H, W) or (H, W) images as the sensor saw them.
 
     Args:
@@ -26,7 +29,9 @@ def prepare(images: np.ndarray, finger: Finger, side: int, name: str = "marker i
     Raises ContractError: not an array of that form, empty or too small, NaN, or out of range.
     """
     if not isinstance(images, np.ndarray):
-        raise ContractError(expected(name, "a numpy array", type(images).__name__, "Use prepare_tensor."))
+        raise ContractError(
+            expected(name, "a numpy array", type(images).__name__, "Use prepare_tensor.")
+        )
     if images.ndim == 2:
         images = images[None]
     check_images(images, name)
@@ -36,7 +41,9 @@ def prepare(images: np.ndarray, finger: Finger, side: int, name: str = "marker i
     return prepare_tensor(tensor, right=finger == "right", side=side, name=name)
 
 
-def prepare_tensor(images: torch.Tensor, right: bool, side: int, name: str = "marker images") -> torch.Tensor:
+def prepare_tensor(
+    images: torch.Tensor, right: bool, side: int, name: str = "marker images"
+) -> torch.Tensor:
     """Return (B, 1, side, side) float32 in [0, 1] from a (B, H, W) tensor; ``right`` mirrors it.
 
     The aspect is kept: the longer edge becomes ``side``, the rest stays black. Area averaging turns binary
@@ -69,12 +76,16 @@ def check_images[Images: (np.ndarray, torch.Tensor)](images: Images, name: str) 
     kind = str(images.dtype).removeprefix("torch.")
     came = f"{kind} {tuple(images.shape)}"
     if images.ndim != 3 or not (kind == "uint8" or kind.startswith(("float", "bfloat"))):
-        raise ContractError(expected(name, "(B, H, W) uint8 or float", came, "Pass marker images, one channel."))
+        raise ContractError(
+            expected(name, "(B, H, W) uint8 or float", came, "Pass marker images, one channel.")
+        )
     if 0 in tuple(images.shape):
         raise ContractError(expected(name, "non-empty images", came, "Check the sensor's frame."))
     if min(images.shape[1:]) < MIN_SIDE_PX:
         do = "Pass one channel of each image, not RGB."
         raise ContractError(expected(name, f"(B, H, W), {MIN_SIDE_PX} px a side or more", came, do))
     if kind != "uint8" and not bool(((images >= 0) & (images <= 1)).all()):  # NaN fails this too
-        raise ContractError(expected(name, "floats in [0, 1]", "NaN or values outside", "Divide by 255?"))
+        raise ContractError(
+            expected(name, "floats in [0, 1]", "NaN or values outside", "Divide by 255?")
+        )
     return images

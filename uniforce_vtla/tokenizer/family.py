@@ -89,7 +89,9 @@ def draw_dome(rng: np.random.Generator, bounds: FamilyBounds | None = None) -> V
     dome = b.dome
     count = int(rng.integers(dome.rings[0], dome.rings[1] + 1))
     pitch = rng.uniform(*dome.reach_mm) / count
-    material = replace(dome_bodies(b)[rng.integers(b.bodies)], stiffness=rng.uniform(*dome.skin_MPa))
+    material = replace(
+        dome_bodies(b)[rng.integers(b.bodies)], stiffness=rng.uniform(*dome.skin_MPa)
+    )
     fisheye = rng.uniform(*dome.fisheye)
     scale = rng.uniform(*dome.px_per_mm)
     spec = SensorSpec(
@@ -133,7 +135,9 @@ def flat_bodies(bounds: FamilyBounds) -> tuple[tuple[float, PadMaterial], ...]:
     found = []
     for _ in range(bounds.bodies):
         side = round(rng.uniform(*flat.pad_mm))  # whole cells
-        layer = Layer(round(rng.uniform(*flat.thickness_mm), 2), 1.0, round(rng.uniform(*flat.poisson), 3))
+        layer = Layer(
+            round(rng.uniform(*flat.thickness_mm), 2), 1.0, round(rng.uniform(*flat.poisson), 3)
+        )
         found.append((float(side), PadMaterial((layer,), round(rng.uniform(*flat.readout_mm), 2))))
     return tuple(found)
 

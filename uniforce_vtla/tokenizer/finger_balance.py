@@ -7,8 +7,10 @@ can. It takes seconds: a flat gel shows the grip of a tool that covers it only o
 import math
 
 GRIPPED_N = 2.0  # less is no grip
-EVERY = 6  # control steps between two looks at both fingers: the other one's picture has to be encoded for it
-LOOKS = 50  # that are compared: ten seconds at 30 Hz. After five, a flat gel still reads a third of the grip
+# control steps between two looks at both fingers: the other one's picture has to be encoded for it
+EVERY = 6
+# that are compared: ten seconds at 30 Hz. After five, a flat gel still reads a third of the grip
+LOOKS = 50
 # of clean wipes with 50 demonstrations' sensors: the watched finger reads this many times the other's grip
 USUAL = 1.05
 # logarithm, around USUAL; clean wipes spread by .09 with a GelSight on the other finger, by .06 with a uSkin

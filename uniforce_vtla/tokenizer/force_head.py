@@ -18,10 +18,17 @@ from torch.nn import functional as F  # noqa: N812
 from uniforce_vtla.contracts import check_count
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.tokenizer.latent import own_latent, pool_latent
-from uniforce_vtla.tokenizer.weights import checkpoint_folder, content_hash, load_model, read_config, save_checkpoint
+from uniforce_vtla.tokenizer.weights import (
+    checkpoint_folder,
+    content_hash,
+    load_model,
+    read_config,
+    save_checkpoint,
+)
 
 SOURCE = "tactip"  # whose head is meant where none is named
-LIMITS = {"channels": 4096, "grid": 64, "hidden": 4096, "mlp": 16384}  # of HeadConfig, see model.LIMITS
+# of HeadConfig, see model.LIMITS
+LIMITS = {"channels": 4096, "grid": 64, "hidden": 4096, "mlp": 16384}
 
 
 @dataclass(frozen=True)
@@ -38,7 +45,9 @@ class HeadConfig:
         for name, most in LIMITS.items():
             check_count(f"force head's {name}", getattr(self, name), most)
         if not 0 <= self.dropout < 1:
-            raise ContractError(expected("force head's dropout", "from 0 to 1", self.dropout, "Change it."))
+            raise ContractError(
+                expected("force head's dropout", "from 0 to 1", self.dropout, "Change it.")
+            )
 
 
 class ConvGRUCell(nn.Module):
@@ -74,7 +83,9 @@ class ForceRegressor(nn.Module):
         self.cell = ConvGRUCell(config.channels, config.hidden)
         self.drop = nn.Dropout(config.dropout)
         self.linear = nn.Linear(config.channels * cells, 3)
-        self.mlp = nn.Sequential(nn.Linear(config.hidden * cells, config.mlp), nn.GELU(), nn.Linear(config.mlp, 3))
+        self.mlp = nn.Sequential(
+            nn.Linear(config.hidden * cells, config.mlp), nn.GELU(), nn.Linear(config.mlp, 3)
+        )
 
     def maps(self, z: torch.Tensor) -> torch.Tensor:
         """Return standardised (B, L, g, g) maps of latents (B, P, L)."""
@@ -82,7 +93,9 @@ class ForceRegressor(nn.Module):
         maps = pooled.transpose(1, 2).unflatten(2, (self.config.grid, self.config.grid))
         return (maps - self.input_mean) / self.input_std
 
-    def step(self, z: torch.Tensor, state: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor]:
+    def step(
+        self, z: torch.Tensor, state: torch.Tensor | None
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return force (B, 3) N and the next state for one frame of latents (B, P, L)."""
         maps = self.maps(z)
         if state is None:
@@ -118,7 +131,9 @@ class ForceHead:
         self.tokenizer_hash = tokenizer_hash
 
     @classmethod
-    def from_pretrained(cls, source: str | None = None, path: str | Path | None = None) -> ForceHead:
+    def from_pretrained(
+        cls, source: str | None = None, path: str | Path | None = None
+    ) -> ForceHead:
         """Load the shipped head trained on ``source``, any head's folder, or the head beside a tokenizer's folder.
 
         A head reads the latents of one tokenizer alone: pass ``"nano"`` for the smaller shipped one's. Without a
@@ -133,7 +148,9 @@ class ForceHead:
             beside = folder.parent / part
             if not beside.is_dir():
                 do = "Name a force head's folder, or a tokenizer's."
-                raise CheckpointError(expected(str(folder), f"a force head, or {part} beside it", "neither", do))
+                raise CheckpointError(
+                    expected(str(folder), f"a force head, or {part} beside it", "neither", do)
+                )
             folder, facts = beside, read_config(beside)
         try:
             config = HeadConfig(**facts["head"])
@@ -165,12 +182,16 @@ class ForceHead:
         """Return (B, T, 3) N for (B, T, P, L) latents, each frame with those before it."""
         own = self._own(z)
         if own.ndim != 4 or not own.shape[1]:
-            raise ContractError(expected("latents", "(B, T, P, L)", tuple(z.shape), "Stack frames in time."))
+            raise ContractError(
+                expected("latents", "(B, T, P, L)", tuple(z.shape), "Stack frames in time.")
+            )
         self._frames(own.flatten(0, 1))
         return self.model(own)
 
     @torch.no_grad()
-    def step(self, z: torch.Tensor, state: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor]:
+    def step(
+        self, z: torch.Tensor, state: torch.Tensor | None
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return force (B, 3) N and the next state for one frame of (B, P, L) latents and those before it."""
         return self.model.step(self._frames(self._own(z)), state)
 
@@ -185,7 +206,9 @@ class ForceHead:
             came, do = f"{z.dtype} {tuple(z.shape)}", "Use the tokenizer it was trained on."
             raise ContractError(expected("latents", f"float32 (B, P, {channels})", came, do))
         if not bool(z.isfinite().all()):
-            raise ContractError(expected("latents", "finite numbers", "NaN or inf", "Check the images."))
+            raise ContractError(
+                expected("latents", "finite numbers", "NaN or inf", "Check the images.")
+            )
         return z
 
 
@@ -208,7 +231,9 @@ class HeadTrainingConfig:
     input_noise: float = 0.8
 
 
-def train_head(z: torch.Tensor, force_N: np.ndarray, config: HeadTrainingConfig, seed: int) -> ForceRegressor:
+def train_head(
+    z: torch.Tensor, force_N: np.ndarray, config: HeadTrainingConfig, seed: int
+) -> ForceRegressor:
     """Return a head fitted to latent sequences (n, T, P, L) and their forces (n, T, 3).
 
     Every step takes a random stretch of random length, single frames included, so that the head works with any
@@ -239,7 +264,9 @@ def train_head(z: torch.Tensor, force_N: np.ndarray, config: HeadTrainingConfig,
     return head.eval()
 
 
-def _standardise(head: ForceRegressor, z: torch.Tensor, force_N: torch.Tensor, smallest: float) -> None:
+def _standardise(
+    head: ForceRegressor, z: torch.Tensor, force_N: torch.Tensor, smallest: float
+) -> None:
     """Store the source's mean and spread per cell, and its force scale, inside the head."""
     maps = head.maps(z.flatten(0, 1))  # (n·T, L, g, g)
     std = maps.std(dim=0)

@@ -40,7 +40,9 @@ class Latent(torch.Tensor):
         return self.clone()  # torch's own needs an empty tensor of this class
 
     @classmethod
-    def __torch_function__(cls, func: Callable[..., Any], types: Any, args: Any = (), kwargs: Any = None) -> Any:
+    def __torch_function__(
+        cls, func: Callable[..., Any], types: Any, args: Any = (), kwargs: Any = None
+    ) -> Any:
         """Run one of torch's functions; its result has an origin if all of its tensors have the same."""
         with torch._C.DisableTorchFunctionSubclass():
             result = func(*args, **(kwargs or {}))
@@ -61,7 +63,9 @@ def own_latent(z: torch.Tensor, tokenizer_hash: str, reader: str) -> torch.Tenso
         raise ContractError(expected(f"latents for {reader}", "a Latent", type(z).__name__, do))
     if z.tokenizer_hash != tokenizer_hash:
         wanted, came = (f"tokenizer {name[:12]}…" for name in (tokenizer_hash, z.tokenizer_hash))
-        raise CheckpointError(expected(f"latents for {reader}", wanted, came, "Load both of one size or folder."))
+        raise CheckpointError(
+            expected(f"latents for {reader}", wanted, came, "Load both of one size or folder.")
+        )
     return z.as_subclass(torch.Tensor)
 
 
@@ -78,7 +82,9 @@ def _of_all(result: Any, origin: str) -> Any:
 def as_map(z: torch.Tensor) -> torch.Tensor:
     """Return latents (B, P, L) as a square map (B, L, g, g)."""
     if z.ndim != 3 or math.isqrt(z.shape[1]) ** 2 != z.shape[1]:
-        raise ContractError(expected("latent", "(B, P, L), P a square", tuple(z.shape), "Use Tokenizer.encode."))
+        raise ContractError(
+            expected("latent", "(B, P, L), P a square", tuple(z.shape), "Use Tokenizer.encode.")
+        )
     side = math.isqrt(z.shape[1])
     return z.transpose(1, 2).unflatten(2, (side, side))  # (B, L, g, g)
 

@@ -8,7 +8,8 @@ import numpy as np
 import torch
 from torch import nn
 
-RIDGES = tuple(10.0**k for k in range(-4, 3))  # tried by cross-validation, in units of the latent's mean variance
+# tried by cross-validation, in units of the latent's mean variance
+RIDGES = tuple(10.0**k for k in range(-4, 3))
 FOLDS = 5
 
 
@@ -22,7 +23,11 @@ class LatentMap(nn.Module):
     def __init__(self, patches: int, latent: int) -> None:
         super().__init__()
         self.patches, self.latent, numbers = patches, latent, patches * latent
-        for name, shape in {"weight": (numbers, numbers), "centre": (numbers,), "shift": (numbers,)}.items():
+        for name, shape in {
+            "weight": (numbers, numbers),
+            "centre": (numbers,),
+            "shift": (numbers,),
+        }.items():
             self.register_buffer(name, torch.zeros(shape))
 
     def forward(self, z: torch.Tensor) -> torch.Tensor:
@@ -31,7 +36,9 @@ class LatentMap(nn.Module):
         return (flat + (flat - self.centre) @ self.weight + self.shift).view_as(z)
 
 
-def fit_map(z_new: torch.Tensor, z_anchor: torch.Tensor, grasps: np.ndarray | None = None) -> tuple[LatentMap, float]:
+def fit_map(
+    z_new: torch.Tensor, z_anchor: torch.Tensor, grasps: np.ndarray | None = None
+) -> tuple[LatentMap, float]:
     """Return the map from (n, P, latent) to (n, P, latent) of the same grasps, and its ridge.
 
     ``grasps`` (n,) numbers the grasp that a row is of; None where each row is one of its own, in random order.
@@ -46,7 +53,11 @@ def fit_map(z_new: torch.Tensor, z_anchor: torch.Tensor, grasps: np.ndarray | No
 
 def grasp_numbers(grasps: Sequence[int] | np.ndarray | None, count: int) -> np.ndarray:
     """Return (n,) numbers of grasps from 0 on; without any, each of ``count`` rows is a grasp of its own."""
-    return np.arange(count) if grasps is None else np.unique(np.asarray(grasps), return_inverse=True)[1]
+    return (
+        np.arange(count)
+        if grasps is None
+        else np.unique(np.asarray(grasps), return_inverse=True)[1]
+    )
 
 
 def folds(grasps: np.ndarray) -> np.ndarray:
@@ -54,7 +65,9 @@ def folds(grasps: np.ndarray) -> np.ndarray:
     return grasp_numbers(grasps, len(grasps)) % FOLDS
 
 
-def _ridge_map(x: torch.Tensor, y: torch.Tensor, ridge: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+def _ridge_map(
+    x: torch.Tensor, y: torch.Tensor, ridge: float
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Return weight (N, N), centre (N,) and shift (N,) that bring x (n, N) to y; ``ridge`` holds weight at 0."""
     centre, shift = x.mean(dim=0), (y - x).mean(dim=0)
     around = x - centre
@@ -72,7 +85,9 @@ def _best_ridge(x: torch.Tensor, y: torch.Tensor, fold: torch.Tensor) -> float:
         for k in range(FOLDS):
             weight, centre, shift = _ridge_map(x[fold != k], y[fold != k], ridge)
             left_out = x[fold == k]
-            total += float((left_out + (left_out - centre) @ weight + shift - y[fold == k]).square().sum())
+            total += float(
+                (left_out + (left_out - centre) @ weight + shift - y[fold == k]).square().sum()
+            )
         return total
 
     return min(RIDGES, key=error)

@@ -14,9 +14,15 @@ import torch
 from torch import nn
 
 from uniforce_vtla.errors import CheckpointError, ContractError, SensorError, expected
-from uniforce_vtla.tokenizer.weights import checkpoint_folder, load_model, read_config, save_checkpoint
+from uniforce_vtla.tokenizer.weights import (
+    checkpoint_folder,
+    load_model,
+    read_config,
+    save_checkpoint,
+)
 
-FLOOR = 0.01  # of the mean variance, added to each: directions in which no unit moved must not decide alone
+# of the mean variance, added to each: directions in which no unit moved must not decide alone
+FLOOR = 0.01
 FREE_LOOKS = 3  # at the start of an episode, before anything is touched
 # how much farther looks may lie once a new reference was taken, in free air and later: what is left then are markers
 # that come and go. With a fifth of them missing (2.0 to 2.5 × the limit) a policy that wasn't stopped wiped six boards
@@ -42,7 +48,9 @@ class LatentRange(nn.Module):
     mean: torch.Tensor
     whitening: torch.Tensor
 
-    def __init__(self, kind: str, tokenizer_hash: str, size: int, free_limit: float, run_limit: float) -> None:
+    def __init__(
+        self, kind: str, tokenizer_hash: str, size: int, free_limit: float, run_limit: float
+    ) -> None:
         super().__init__()
         self.kind, self.tokenizer_hash = kind, tokenizer_hash
         self.free_limit, self.run_limit = free_limit, run_limit
@@ -58,7 +66,9 @@ class LatentRange(nn.Module):
         rows = latents.flatten(1)
         count, size = rows.shape
         if count <= size:
-            raise ContractError(expected("latents", f"more than {size}", count, "Draw more contacts."))
+            raise ContractError(
+                expected("latents", f"more than {size}", count, "Draw more contacts.")
+            )
         found = cls(kind, tokenizer_hash, size, float("inf"), float("inf"))
         variance, axes = torch.linalg.eigh(torch.cov(rows.T.double()))
         found.mean = rows.mean(dim=0)
@@ -78,13 +88,17 @@ class LatentRange(nn.Module):
             limits = float(facts["free_limit"]), float(facts["run_limit"])
         except (KeyError, TypeError, ValueError) as error:
             wanted = "kind, tokenizer_hash, size, free_limit, run_limit"
-            raise CheckpointError(expected(f"config of {folder}", wanted, error, "Is this a latent range?")) from error
+            raise CheckpointError(
+                expected(f"config of {folder}", wanted, error, "Is this a latent range?")
+            ) from error
         return load_model(folder, lambda: cls(*found, *limits))
 
     def save(self, path: str | Path) -> Path:
         """Write buffers and facts to a folder that ``from_pretrained`` reads."""
         facts = {"kind": self.kind, "tokenizer_hash": self.tokenizer_hash, "size": len(self.mean)}
-        return save_checkpoint(Path(path), self, facts | {"free_limit": self.free_limit, "run_limit": self.run_limit})
+        return save_checkpoint(
+            Path(path), self, facts | {"free_limit": self.free_limit, "run_limit": self.run_limit}
+        )
 
     def distance(self, latents: torch.Tensor) -> torch.Tensor:
         """Return (B,) Mahalanobis distances of (B, P, L) pooled latents, root mean square over their P · L numbers."""
@@ -102,7 +116,9 @@ class HealthMonitor:
         worn: map of its calibration onto a unit of that kind; what it gives is judged with it.
     """
 
-    def __init__(self, usual: LatentRange, finger: str, looks: int, worn: nn.Module | None = None) -> None:
+    def __init__(
+        self, usual: LatentRange, finger: str, looks: int, worn: nn.Module | None = None
+    ) -> None:
         self._usual, self._finger, self._worn = usual, finger, worn
         self._recent: deque[float] = deque(maxlen=looks)
         self.active = True  # False while a policy trains: samples are in no order
@@ -118,7 +134,10 @@ class HealthMonitor:
         self._recent.clear()
         self._seen = 0
         free_times, run_times = RENEWED_TIMES if renewed else (1.0, 1.0)
-        self._free_limit, self._run_limit = free_times * self._usual.free_limit, run_times * self._usual.run_limit
+        self._free_limit, self._run_limit = (
+            free_times * self._usual.free_limit,
+            run_times * self._usual.run_limit,
+        )
 
     def see(self, latents: torch.Tensor) -> None:
         """Take in the (B, P, L) pooled latents of one look; of several environments the worst counts.
@@ -146,4 +165,6 @@ class HealthMonitor:
 
     def _message(self, when: str, limit: float, times: float, do: str) -> str:
         what = f"{self._usual.kind} on the {self._finger} finger {when}"
-        return expected(what, f"latents within {limit:.2f} of healthy units", f"{times * limit:.2f}", do)
+        return expected(
+            what, f"latents within {limit:.2f} of healthy units", f"{times * limit:.2f}", do
+        )

@@ -49,9 +49,13 @@ def objective(
     parts["kl"] = kl(left.posterior) + kl(right.posterior)
     parts["equilibrium"] = equilibrium(z_left, z_right, config, per_unit)
     with torch.no_grad():
-        copied = reconstruction(left.reference, left, config) + reconstruction(right.reference, right, config)
+        copied = reconstruction(left.reference, left, config) + reconstruction(
+            right.reference, right, config
+        )
         parts["copied"] = 2 * copied
-    pull = config.equilibrium_weight * min(1.0, (step + 1) / max(1, config.equilibrium_warmup_steps))
+    pull = config.equilibrium_weight * min(
+        1.0, (step + 1) / max(1, config.equilibrium_warmup_steps)
+    )
     return recon + config.kl_weight * parts["kl"] + pull * parts["equilibrium"], parts
 
 
@@ -73,7 +77,9 @@ def kl(posterior: Posterior) -> torch.Tensor:
     return 0.5 * (mean**2 + log_variance.exp() - 1 - log_variance).mean()
 
 
-def equilibrium(z_left: torch.Tensor, z_right: torch.Tensor, config: LossConfig, per_unit: int = 1) -> torch.Tensor:
+def equilibrium(
+    z_left: torch.Tensor, z_right: torch.Tensor, config: LossConfig, per_unit: int = 1
+) -> torch.Tensor:
     """Return ‖z_L − z_R‖² / P by patch (paper), or added to the same of regions and of the total.
 
     ``per_unit``: rows (B, P, L) come unit by unit, so many contacts of each.
@@ -100,7 +106,8 @@ def _in_own_units(z: torch.Tensor, per_unit: int) -> torch.Tensor:
 def gradient_pyramid(drawn: torch.Tensor, truth: torch.Tensor, levels: int) -> torch.Tensor:
     """Return the mean L1 between image gradients over ``levels`` halvings: edges at several scales."""
     total = drawn.new_zeros(())
-    error = drawn - truth  # finite differences and averaging are linear: one pass over the error is enough
+    # finite differences and averaging are linear: one pass over the error is enough
+    error = drawn - truth
     for _ in range(levels):
         total = total + error.diff(dim=-1).abs().mean() + error.diff(dim=-2).abs().mean()
         error = F.avg_pool2d(error, 2)

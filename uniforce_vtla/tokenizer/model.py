@@ -11,7 +11,13 @@ import torch
 from torch import nn
 from torch.nn import functional as F  # noqa: N812
 
-from uniforce_vtla.tokenizer.attention import CausalPairAttention, FeedForward, SpatialAttention, grid_code, sinusoid
+from uniforce_vtla.tokenizer.attention import (
+    CausalPairAttention,
+    FeedForward,
+    SpatialAttention,
+    grid_code,
+    sinusoid,
+)
 from uniforce_vtla.tokenizer.motion import CELL_PX, CHANNELS, motion_channels, pyramid
 from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
@@ -41,7 +47,9 @@ class ReferenceCache(NamedTuple):
 
     def repeat(self, times: int) -> ReferenceCache:
         """Return the cache with every reference repeated ``times`` times in a row."""
-        kept = [(k.repeat_interleave(times, 0), v.repeat_interleave(times, 0)) for k, v in self.kept]
+        kept = [
+            (k.repeat_interleave(times, 0), v.repeat_interleave(times, 0)) for k, v in self.kept
+        ]
         halved = [level.repeat_interleave(times, 0) for level in self.halved]
         return ReferenceCache(self.image.repeat_interleave(times, 0), halved, kept)
 
@@ -67,7 +75,9 @@ class PatchEmbed(nn.Module):
         pixels = config.patch**2
         self.project: nn.Module = nn.Linear(pixels, config.width)
         if hidden:
-            self.project = nn.Sequential(nn.Linear(pixels, hidden), nn.GELU(), nn.Linear(hidden, config.width))
+            self.project = nn.Sequential(
+                nn.Linear(pixels, hidden), nn.GELU(), nn.Linear(hidden, config.width)
+            )
         self.register_buffer("position", grid_code(config.grid, config.width), persistent=False)
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
@@ -83,7 +93,9 @@ class MotionEmbed(nn.Module):
         self.scales = config.motion_scales
         self.cells = config.patch // CELL_PX
         inputs = CHANNELS * config.motion_scales * self.cells**2
-        self.project = nn.Sequential(nn.Linear(inputs, config.width), nn.GELU(), nn.Linear(config.width, config.width))
+        self.project = nn.Sequential(
+            nn.Linear(inputs, config.width), nn.GELU(), nn.Linear(config.width, config.width)
+        )
 
     def forward(self, reference: list[torch.Tensor], current: torch.Tensor) -> torch.Tensor:
         """Return (B, P, D) from the reference at every scale and current images; a batch of 1 serves any B."""
@@ -101,12 +113,16 @@ class EncoderBlock(nn.Module):
         self.temporal = CausalPairAttention(config.width, config.heads)
         self.mlp = FeedForward(config.width, config.mlp_ratio)
 
-    def reference(self, tokens: torch.Tensor) -> tuple[torch.Tensor, tuple[torch.Tensor, torch.Tensor]]:
+    def reference(
+        self, tokens: torch.Tensor
+    ) -> tuple[torch.Tensor, tuple[torch.Tensor, torch.Tensor]]:
         """Return reference tokens (B, P, D) and the (key, value) to keep."""
         tokens, kept = self.temporal.reference(self.spatial(tokens))
         return self.mlp(tokens), kept
 
-    def current(self, tokens: torch.Tensor, past: tuple[torch.Tensor, torch.Tensor]) -> torch.Tensor:
+    def current(
+        self, tokens: torch.Tensor, past: tuple[torch.Tensor, torch.Tensor]
+    ) -> torch.Tensor:
         """Return current tokens (B, P, D)."""
         return self.mlp(self.temporal.current(self.spatial(tokens), past))
 
@@ -122,7 +138,9 @@ class Encoder(nn.Module):
         self.embed = PatchEmbed(config, config.embed_hidden)
         self.motion = MotionEmbed(config) if config.motion_scales else None
         self.blocks = nn.ModuleList(EncoderBlock(config) for _ in range(config.depth))
-        self.posterior = nn.Sequential(nn.LayerNorm(config.width), nn.Linear(config.width, 2 * config.latent))
+        self.posterior = nn.Sequential(
+            nn.LayerNorm(config.width), nn.Linear(config.width, 2 * config.latent)
+        )
         with torch.no_grad():  # at σ = 1 noise would drown what little μ says at first
             self.posterior[1].bias[config.latent :] = START_LOG_VARIANCE
         self.register_buffer("time", sinusoid(torch.arange(2), config.width), persistent=False)
@@ -144,7 +162,8 @@ class Encoder(nn.Module):
             tokens = tokens + self.motion(cache.halved, current)
         for block, past in zip(self.blocks, cache.kept, strict=True):
             tokens = block.current(tokens, past)
-        mean, log_variance = self.posterior(tokens).split(self.latent, dim=-1)  # (B, P, latent) each
+        # (B, P, latent) each
+        mean, log_variance = self.posterior(tokens).split(self.latent, dim=-1)
         return Posterior(mean, log_variance.clamp(*LOG_VARIANCE_RANGE))
 
     def forward(self, reference: torch.Tensor, current: torch.Tensor) -> Posterior:
@@ -158,7 +177,8 @@ class DecoderBlock(nn.Module):
     def __init__(self, config: TokenizerConfig) -> None:
         super().__init__()
         self.layers = nn.Sequential(
-            SpatialAttention(config.width, config.heads), FeedForward(config.width, config.mlp_ratio)
+            SpatialAttention(config.width, config.heads),
+            FeedForward(config.width, config.mlp_ratio),
         )
 
     def forward(self, tokens: torch.Tensor) -> torch.Tensor:
@@ -175,7 +195,9 @@ class Decoder(nn.Module):
         self.embed = PatchEmbed(config)
         self.inject = nn.Linear(config.latent, config.width)
         self.blocks = nn.Sequential(*[DecoderBlock(config) for _ in range(config.decoder_depth)])
-        self.draw = nn.Sequential(nn.LayerNorm(config.width), nn.Linear(config.width, config.patch**2))
+        self.draw = nn.Sequential(
+            nn.LayerNorm(config.width), nn.Linear(config.width, config.patch**2)
+        )
         nn.init.zeros_(self.draw[1].weight)  # starts from the reference itself (or from black)
         self.flow = FlowHead(config) if config.warp else None
 
@@ -197,7 +219,9 @@ class FlowHead(nn.Module):
     def __init__(self, config: TokenizerConfig) -> None:
         super().__init__()
         self.side, self.cells, self.grid = config.side, config.patch // CELL_PX, config.grid
-        self.project = nn.Sequential(nn.LayerNorm(config.width), nn.Linear(config.width, 2 * self.cells**2))
+        self.project = nn.Sequential(
+            nn.LayerNorm(config.width), nn.Linear(config.width, 2 * self.cells**2)
+        )
         nn.init.zeros_(self.project[1].weight)  # starts without motion
         nn.init.zeros_(self.project[1].bias)
 
@@ -206,7 +230,9 @@ class FlowHead(nn.Module):
         cells = self.project(tokens).transpose(1, 2)  # (B, 2·cells², P)
         size = (self.grid * self.cells, self.grid * self.cells)
         coarse = F.fold(cells, size, self.cells, stride=self.cells)  # (B, 2, S/4, S/4)
-        return FLOW_PX * F.interpolate(coarse, (self.side, self.side), mode="bilinear", align_corners=False)
+        return FLOW_PX * F.interpolate(
+            coarse, (self.side, self.side), mode="bilinear", align_corners=False
+        )
 
 
 def warped(image: torch.Tensor, flow_px: torch.Tensor) -> torch.Tensor:

@@ -29,10 +29,15 @@ def motion_channels(reference: Sequence[torch.Tensor], current: torch.Tensor) ->
     scale lie together: gain, shift in x, shift in y.
     """
     currents = pyramid(current, len(reference))
-    sums = [_cell_means(b, a, CELL_PX >> k) for k, (b, a) in enumerate(zip(reference, currents, strict=True))]
-    gain, equations = torch.stack(sums, dim=1).split([1, 3], dim=2)  # (B, scales, 1 and 3, S / 4, S / 4)
+    sums = [
+        _cell_means(b, a, CELL_PX >> k)
+        for k, (b, a) in enumerate(zip(reference, currents, strict=True))
+    ]
+    # (B, scales, 1 and 3, S / 4, S / 4)
+    gain, equations = torch.stack(sums, dim=1).split([1, 3], dim=2)
     products, energy = _neighbourhood_sums(equations).split([2, 1], dim=2)
-    shift = -8 * products / (energy + 9 * 16 * EDGE_FLOOR)  # edges face either axis about equally often
+    # edges face either axis about equally often
+    shift = -8 * products / (energy + 9 * 16 * EDGE_FLOOR)
     return torch.cat([gain, shift], dim=2).flatten(1, 2)
 
 
@@ -43,10 +48,12 @@ def _cell_means(reference: torch.Tensor, current: torch.Tensor, cell: int) -> to
     apart), so products are 4 × and the energy 16 × what they are called: powers of two, undone at the end.
     """
     gain = current - reference
-    both = current + reference  # a gradient is the difference of a pixel's two neighbours, zero at the rim
+    # a gradient is the difference of a pixel's two neighbours, zero at the rim
+    both = current + reference
     gx = F.pad(both[..., 2:] - both[..., :-2], (1, 1))
     gy = F.pad(both[..., 2:, :] - both[..., :-2, :], (0, 0, 1, 1))
-    means = torch.cat([gain, gain * gx, gain * gy, torch.addcmul(gx * gx, gy, gy)], dim=1)  # (B, 4, S, S)
+    # (B, 4, S, S)
+    means = torch.cat([gain, gain * gx, gain * gy, torch.addcmul(gx * gx, gy, gy)], dim=1)
     if cell == 1:
         return means
     height, width = means.shape[-2:]

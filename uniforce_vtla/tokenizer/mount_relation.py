@@ -55,9 +55,13 @@ def mount_relation(first: np.ndarray, second: np.ndarray) -> MountRelation:
     shapes = np.shape(first), np.shape(second)
     if shapes[0] != shapes[1] or len(shapes[0]) != 2 or shapes[0][1] != 2:
         came = f"{shapes[0]} and {shapes[1]}"
-        raise ContractError(expected("paired shear", "(n, 2) twice", came, "Pair the readings by frame."))
+        raise ContractError(
+            expected("paired shear", "(n, 2) twice", came, "Pair the readings by frame.")
+        )
     if not (np.isfinite(first).all() and np.isfinite(second).all()):
-        raise ContractError(expected("paired shear", "finite numbers", "NaN or inf", "Leave those frames out."))
+        raise ContractError(
+            expected("paired shear", "finite numbers", "NaN or inf", "Leave those frames out.")
+        )
     if len(first) < FEWEST:
         return MountRelation("undecided", (0.0, 0.0))
     a = first - first.mean(axis=0)

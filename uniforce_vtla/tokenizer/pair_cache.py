@@ -55,7 +55,9 @@ class PairCache:
         unit = rng.integers(len(self.arrays["left_reference"]), size=units)
         contact = np.stack([rng.permutation(self.pairs_per_unit)[:pairs] for _ in unit])  # (U, n)
         references = [self.arrays[name][unit] for name in NAMES[:2]]
-        return _canonical(*references, *(self.arrays[name][unit[:, None], contact] for name in NAMES[2:]))
+        return _canonical(
+            *references, *(self.arrays[name][unit[:, None], contact] for name in NAMES[2:])
+        )
 
 
 class RecordedPairs:
@@ -69,7 +71,9 @@ class RecordedPairs:
 
     def __init__(self, recordings: Sequence[dict[str, np.ndarray]]) -> None:
         if not recordings:
-            raise DatasetError(expected("recorded pairs", "one grasp or more", "none", "Record some."))
+            raise DatasetError(
+                expected("recorded pairs", "one grasp or more", "none", "Record some.")
+            )
         self._recordings = recordings
 
     def draw(self, rng: np.random.Generator, units: int, pairs: int) -> Pairs:
@@ -78,7 +82,9 @@ class RecordedPairs:
         moment = [rng.integers(len(recording["left_current"]), size=pairs) for recording in chosen]
         references = [np.stack([recording[name] for recording in chosen]) for name in NAMES[:2]]
         rows = list(zip(chosen, moment, strict=True))
-        return _canonical(*references, *(np.stack([r[name][row] for r, row in rows]) for name in NAMES[2:]))
+        return _canonical(
+            *references, *(np.stack([r[name][row] for r, row in rows]) for name in NAMES[2:])
+        )
 
 
 def build_cache(folder: Path, config: PairCacheConfig) -> None:
@@ -114,11 +120,21 @@ def _stacked(batches: list[PairBatch]) -> dict[str, np.ndarray]:
 
 def _canonical(*images: np.ndarray) -> Pairs:
     """Return a batch for the model from images (…, S, S) uint8 by ``NAMES``, as the sensors saw them."""
-    flat = [torch.from_numpy(np.ascontiguousarray(i.reshape(-1, 1, *i.shape[-2:]))).float() / 255 for i in images]
-    return Pairs(*(to_canonical(i, "left" if "left" in name else "right") for name, i in zip(NAMES, flat, strict=True)))
+    flat = [
+        torch.from_numpy(np.ascontiguousarray(i.reshape(-1, 1, *i.shape[-2:]))).float() / 255
+        for i in images
+    ]
+    return Pairs(
+        *(
+            to_canonical(i, "left" if "left" in name else "right")
+            for name, i in zip(NAMES, flat, strict=True)
+        )
+    )
 
 
-def _draw_unit(rng: np.random.Generator, config: PairCacheConfig, rig: tuple[str, str]) -> PairBatch:
+def _draw_unit(
+    rng: np.random.Generator, config: PairCacheConfig, rig: tuple[str, str]
+) -> PairBatch:
     left, right = (draw_finger(rng, sensor, config) for sensor in rig)
     lossy = config.marker_loss > 0 and rng.random() < 0.5
     settings = PairSettings(
@@ -130,10 +146,14 @@ def _draw_unit(rng: np.random.Generator, config: PairCacheConfig, rig: tuple[str
         force_range=ForceRange(flat_torsion_arm_mm=config.flat_torsion_arm_mm),
     )
     shrunk = partial(shrink, side=config.side)
-    return equilibrium_pairs(rng, config.pairs_per_unit, left, right, settings=settings, transform=shrunk)
+    return equilibrium_pairs(
+        rng, config.pairs_per_unit, left, right, settings=settings, transform=shrunk
+    )
 
 
-def draw_finger(rng: np.random.Generator, sensor: str, config: PairCacheConfig) -> str | VirtualSensor:
+def draw_finger(
+    rng: np.random.Generator, sensor: str, config: PairCacheConfig
+) -> str | VirtualSensor:
     """Return ``sensor``, or with probability ``family_share`` a procedural one of its kind (cameras only)."""
     share = config.family_share
     if sensor not in FAMILIES or share <= 0 or rng.random() >= share:
@@ -168,4 +188,6 @@ def _check_or_write_config(path: Path, config: PairCacheConfig) -> None:
     known = set(asdict(config)) >= set(stored)
     # options added after the cache was drawn stand at their defaults
     if not known or replace(PairCacheConfig(), **stored) != config:
-        raise DatasetError(expected(f"cache in {path.parent}", asdict(config), stored, "Choose another folder."))
+        raise DatasetError(
+            expected(f"cache in {path.parent}", asdict(config), stored, "Choose another folder.")
+        )

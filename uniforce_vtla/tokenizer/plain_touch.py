@@ -18,7 +18,9 @@ PAIR_SIDE = 32  # px: a GelSight's markers lie four apart, area averaging keeps 
 
 def descriptors(reference: np.ndarray, current: np.ndarray, finger: Finger) -> np.ndarray:
     """Return (B, 6) float32 hand descriptors of (B, H, W) uint8 images against a (H, W) reference, canonical."""
-    before, after = (np.ascontiguousarray(to_canonical(image, finger)) for image in (reference, current))
+    before, after = (
+        np.ascontiguousarray(to_canonical(image, finger)) for image in (reference, current)
+    )
     return describe(before, after)
 
 

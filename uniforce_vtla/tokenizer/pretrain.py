@@ -58,7 +58,9 @@ def starting_model(settings: PretrainSettings) -> ForceAutoencoder:
         earlier = Tokenizer.from_pretrained(settings.init)
         if earlier.config != settings.model:
             do = "Give it the same sizes."
-            raise ContractError(expected(f"model of {settings.init}", settings.model, earlier.config, do))
+            raise ContractError(
+                expected(f"model of {settings.init}", settings.model, earlier.config, do)
+            )
         model.load_state_dict(earlier.model.state_dict())
     return model
 
@@ -69,13 +71,17 @@ class Pretraining:
     Every step draws its batch and noise from (seed, step), so that a resumed run equals an uninterrupted one.
     """
 
-    def __init__(self, settings: PretrainSettings, folder: Path, data: PairCache | RecordedPairs) -> None:
+    def __init__(
+        self, settings: PretrainSettings, folder: Path, data: PairCache | RecordedPairs
+    ) -> None:
         self.settings, self.folder, self.data = settings, folder, data
         self._check_recipe()
         self.accelerator = Accelerator(mixed_precision=settings.mixed_precision)
         resumes = (folder / STATE).exists()  # then ``init`` is history, and may be gone
         model = starting_model(replace(settings, init="") if resumes else settings)
-        optimizer = torch.optim.AdamW(model.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay)
+        optimizer = torch.optim.AdamW(
+            model.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay
+        )
         self.model, self.optimizer = self.accelerator.prepare(model, optimizer)
         self.step = 0
         if resumes:
@@ -92,7 +98,9 @@ class Pretraining:
         while self.step < last:
             report = self.train_step()
             bar.update()
-            bar.set_postfix({name: f"{report[name]:.3g}" for name in ("loss", "equilibrium", "latent_std")})
+            bar.set_postfix(
+                {name: f"{report[name]:.3g}" for name in ("loss", "equilibrium", "latent_std")}
+            )
             self._log(report | {"seconds": time.monotonic() - start})
             if self.step % self.settings.save_every == 0 or self.step == last:
                 self.save()
@@ -111,7 +119,9 @@ class Pretraining:
         torch.manual_seed(int(rng.integers(2**62)))  # the latent's noise
         start = time.monotonic()
         drawn = self.data.draw(rng, self.settings.units_per_batch, self.settings.pairs_per_unit)
-        pairs = Pairs(**{name: value.to(self.accelerator.device) for name, value in vars(drawn).items()})
+        pairs = Pairs(
+            **{name: value.to(self.accelerator.device) for name, value in vars(drawn).items()}
+        )
         loaded = time.monotonic()
         for group in self.optimizer.param_groups:
             group["lr"] = learning_rate(self.step, self.settings)
@@ -127,13 +137,16 @@ class Pretraining:
         self.optimizer.step()
         self.step += 1
         report = {"step": self.step, "loss": loss.item(), "latent_std": spread.item()}
-        share = (loaded - start) / max(time.monotonic() - start, 1e-9)  # of this step, spent waiting for data
+        # of this step, spent waiting for data
+        share = (loaded - start) / max(time.monotonic() - start, 1e-9)
         return report | {name: part.item() for name, part in parts.items()} | {"data_share": share}
 
     def tokenizer(self) -> Tokenizer:
         """Return a frozen copy of the model as it stands."""
         copy = ForceAutoencoder(self.settings.model)
-        copy.load_state_dict({k: v.detach().cpu().clone() for k, v in self._bare().state_dict().items()})
+        copy.load_state_dict(
+            {k: v.detach().cpu().clone() for k, v in self._bare().state_dict().items()}
+        )
         return Tokenizer(copy)
 
     def save(self) -> None:
@@ -155,7 +168,9 @@ class Pretraining:
         differs = sorted(k for k in asked if k not in MAY_CHANGE and stored[k] != asked[k])
         if differs:
             do = "Choose another out=."
-            raise DatasetError(expected(str(path), "the recipe now asked for", f"another {differs}", do))
+            raise DatasetError(
+                expected(str(path), "the recipe now asked for", f"another {differs}", do)
+            )
 
     def _bare(self) -> ForceAutoencoder:
         return self.accelerator.unwrap_model(self.model)

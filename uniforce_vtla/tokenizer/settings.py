@@ -40,15 +40,18 @@ OBJECT_CLASSES = ("small", "tool")
 class TokenizerConfig:
     """Sizes of the model; all of them travel with the checkpoint."""
 
-    side: int = 128  # pixels per side of the square it sees; a fifth of 640, so areas average exactly
+    # pixels per side of the square it sees; a fifth of 640, so areas average exactly
+    side: int = 128
     patch: int = 16  # pixels per side of a patch; P = (side / patch)²
     width: int = 128  # D, size of a token
     depth: int = 2  # encoder blocks
     decoder_depth: int = 1  # decoder blocks
     heads: int = 4  # attention heads; width must divide by it
     mlp_ratio: int = 3  # hidden size of a block's MLP over width
-    embed_hidden: int = 256  # hidden units inside the encoder's patch embedding; 0 = linear, as in the paper
-    motion_scales: int = 3  # scales of motion channels given to current tokens; 0 = none, as in the paper
+    # hidden units inside the encoder's patch embedding; 0 = linear, as in the paper
+    embed_hidden: int = 256
+    # scales of motion channels given to current tokens; 0 = none, as in the paper
+    motion_scales: int = 3
     latent: int = 6  # numbers per patch (paper)
     predict_change: bool = True  # decoder adds to the reference instead of redrawing every marker
     # decoder also moves the reference's pixels along a flow it predicts; a marker stays a marker
@@ -95,7 +98,8 @@ class LossConfig:
     # extra weight where current differs from reference; 0 = plain L1
     changed_pixel_weight: NotNegative = 10.0
     pyramid_levels: Count = 3  # scales of the gradient pyramid
-    pixels_per_patch: Count = 256  # errors are summed over a patch, as the equilibrium term is; a mean over
+    # errors are summed over a patch, as the equilibrium term is; a mean over
+    pixels_per_patch: Count = 256
     # pixels is so small beside it that the latent collapses (docs/experiments/tokenizer.md)
 
 
@@ -106,14 +110,17 @@ class PairCacheConfig:
     side: Pixels = 128  # pixels, the model's
     units: Count = 768  # units per rig; each has its own layout, view, stiffness and gains
     pairs_per_unit: Count = 16  # contacts of one unit: they share a reference
-    units_per_shard: Count = 64  # one file per so many units; a killed run continues at the next shard
+    # one file per so many units; a killed run continues at the next shard
+    units_per_shard: Count = 64
     seed: Seed = 1  # of everything drawn
     # share of cameras drawn from the procedural family; 0 = the paper's three sensors
     family_share: Share = 0.0
     free_look: bool = False  # every camera with a pose, zoom and marker size of its own
     marker_loss: Share = 0.0  # chance per marker and frame, in half of the units
-    misaligned_cells: CountOrZero = 0  # fingers up to so many cells of 1.25 mm off each other; 0 = they face
-    imbalance: Share = 0.0  # the right finger's force is off by up to this share; 0 = perfect equilibrium
+    # fingers up to so many cells of 1.25 mm off each other; 0 = they face
+    misaligned_cells: CountOrZero = 0
+    # the right finger's force is off by up to this share; 0 = perfect equilibrium
+    imbalance: Share = 0.0
     flat_share: Share = 0.15  # flat faces, the side of a held tool, among the indenters
     # a kind that nothing is drawn of, nor of the family around it: what a tokenizer does with a kind it never saw
     left_out: Literal["", "gelsight", "uskin"] = ""
@@ -128,7 +135,8 @@ class PretrainSettings:
     model: TokenizerConfig = field(default_factory=TokenizerConfig)
     loss: LossConfig = field(default_factory=LossConfig)
     data: PairCacheConfig = field(default_factory=PairCacheConfig)
-    pairs: FolderPath = ""  # recorded by `uniforce pairs`, its uniforce_pairs/; "" = drawn as data says
+    # recorded by `uniforce pairs`, its uniforce_pairs/; "" = drawn as data says
+    pairs: FolderPath = ""
     steps: Count = 2600  # optimiser steps
     units_per_batch: Count = 4  # units (references) in a batch
     pairs_per_unit: Count = 8  # contacts of each: 4 × 8 = 32 pairs
@@ -138,8 +146,10 @@ class PretrainSettings:
     clip_norm: Positive = 1.0  # of the gradient
     seed: Seed = 0  # weights, batches, latent noise
     save_every: Count = 100  # steps between checkpoints a killed run continues from
-    init: TokenizerFolder = ""  # tokenizer folder whose weights it starts from; empty = drawn from the seed
-    mixed_precision: Literal["no", "bf16", "fp16"] = "no"  # accelerate's; float32 is fastest on most CPUs
+    # tokenizer folder whose weights it starts from; empty = drawn from the seed
+    init: TokenizerFolder = ""
+    # accelerate's; float32 is fastest on most CPUs
+    mixed_precision: Literal["no", "bf16", "fp16"] = "no"
     strips_every: CountOrZero = 500  # steps between pictures of reconstructions (strips/); 0 = none
 
 
@@ -152,5 +162,6 @@ class CalibrationConfig:
     # whether one gain of the newtons may be chosen; a policy that feels whole latents can't use it
     gain: bool = True
     seed: Seed = 0  # which grasps judge
-    refuse_below: Share = 0.5  # R² of Fz on held-out grasps of the task's class; less is no calibration
+    # R² of Fz on held-out grasps of the task's class; less is no calibration
+    refuse_below: Share = 0.5
     warn_below: Share = 0.8  # less is worth another try

@@ -36,12 +36,15 @@ def save_checkpoint(folder: Path, model: nn.Module, config: dict[str, Any]) -> P
     """Write weights, ``config`` and where they come from atomically, file by file, and last their hashes."""
     folder.mkdir(parents=True, exist_ok=True)
     drop_hashes(folder)
-    tensors = {name: value.detach().cpu().contiguous() for name, value in model.state_dict().items()}
+    tensors = {
+        name: value.detach().cpu().contiguous() for name, value in model.state_dict().items()
+    }
     with tempfile.TemporaryDirectory(dir=folder) as scratch:
         save_file(tensors, Path(scratch) / WEIGHTS)
         (Path(scratch) / CONFIG).write_text(json.dumps(config, indent=1, sort_keys=True) + "\n")
         for name in (WEIGHTS, CONFIG):
-            (Path(scratch) / name).chmod(0o644)  # safetensors makes them private; a package is for everyone
+            # safetensors makes them private; a package is for everyone
+            (Path(scratch) / name).chmod(0o644)
             (Path(scratch) / name).replace(folder / name)
     write_json(folder / PROVENANCE, provenance())
     write_hashes(folder, (WEIGHTS, CONFIG, PROVENANCE))
@@ -55,7 +58,9 @@ def read_config(folder: Path) -> dict[str, Any]:
     """
     path = folder / CONFIG
     if not path.is_file() or not (folder / WEIGHTS).is_file():
-        raise CheckpointError(expected("checkpoint", f"{WEIGHTS} and {CONFIG} in {folder}", "none", "Check the path."))
+        raise CheckpointError(
+            expected("checkpoint", f"{WEIGHTS} and {CONFIG} in {folder}", "none", "Check the path.")
+        )
     check_hashes(folder, CheckpointError)
     return read_object(path, CheckpointError)
 
@@ -72,7 +77,9 @@ def load_model[Model: nn.Module](folder: Path, build: Callable[[], Model]) -> Mo
         tensors = load_file(folder / WEIGHTS)
     except (safetensors.SafetensorError, OSError, ValueError, KeyError) as error:
         do = "Copy the checkpoint again."
-        raise CheckpointError(expected(str(folder / WEIGHTS), "readable weights", str(error), do)) from error
+        raise CheckpointError(
+            expected(str(folder / WEIGHTS), "readable weights", str(error), do)
+        ) from error
     with torch.device("meta"):
         wanted = build().state_dict()
     wrong = mismatches(wanted, tensors)
@@ -81,7 +88,9 @@ def load_model[Model: nn.Module](folder: Path, build: Callable[[], Model]) -> Mo
         for name in sorted(wanted.keys() & tensors.keys())
         if tensors[name].dtype != wanted[name].dtype
     ]
-    wrong += [f"NaN or inf in {name}" for name, tensor in sorted(tensors.items()) if not is_finite(tensor)]
+    wrong += [
+        f"NaN or inf in {name}" for name, tensor in sorted(tensors.items()) if not is_finite(tensor)
+    ]
     if wrong:
         do = "Load the config it was made with."
         raise CheckpointError(expected(str(folder), "the model's tensors", "; ".join(wrong), do))
@@ -127,7 +136,9 @@ def save_state(folder: Path, step: int, model: dict[str, Any], optimizer: dict[s
     """Write both state dicts atomically."""
     tensors = {MODEL + name: value for name, value in model.items()}
     for number, moments in optimizer["state"].items():
-        tensors |= {f"{MOMENTS}{number}.{name}": torch.as_tensor(value) for name, value in moments.items()}
+        tensors |= {
+            f"{MOMENTS}{number}.{name}": torch.as_tensor(value) for name, value in moments.items()
+        }
     tensors = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
     facts = {"step": str(step), "groups": json.dumps(optimizer["param_groups"])}
     scratch = folder / "state.tmp"
@@ -152,11 +163,17 @@ def load_state(folder: Path) -> tuple[int, dict[str, Any], dict[str, Any]]:
         return step, _part(tensors, MODEL), {"state": _moments(tensors), "param_groups": groups}
     except (safetensors.SafetensorError, OSError, ValueError, KeyError) as error:
         do = "Delete it to start the run again, or restore it from a copy."
-        raise CheckpointError(expected(str(path), "a whole training state", repr(error)[:200], do)) from error
+        raise CheckpointError(
+            expected(str(path), "a whole training state", repr(error)[:200], do)
+        ) from error
 
 
 def _part(tensors: dict[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:
-    return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
+    return {
+        name.removeprefix(prefix): value
+        for name, value in tensors.items()
+        if name.startswith(prefix)
+    }
 
 
 def _moments(tensors: dict[str, torch.Tensor]) -> dict[int, dict[str, torch.Tensor]]:

@@ -9,7 +9,13 @@ import torch
 from tqdm import tqdm
 
 from uniforce_vtla.contact.indenters import SEEN
-from uniforce_vtla.contact.sampling import FLAT, ForceRange, press_shear_release, sample_loads, sample_objects
+from uniforce_vtla.contact.sampling import (
+    FLAT,
+    ForceRange,
+    press_shear_release,
+    sample_loads,
+    sample_objects,
+)
 from uniforce_vtla.contact.simulator import slices
 from uniforce_vtla.contact.virtual import any_virtual
 from uniforce_vtla.contact.worn import WornView, unit_of
@@ -48,20 +54,27 @@ def fit_head(kind: str, tokenizer: Tokenizer, settings: WornSequences | None = N
     return ForceHead(train_head(z, force_N, WORN_HEADS, seed=0), kind, tokenizer.hash)
 
 
-def draw_worn(settings: WornSequences, kind: str, tokenizer: Tokenizer) -> tuple[torch.Tensor, np.ndarray]:
+def draw_worn(
+    settings: WornSequences, kind: str, tokenizer: Tokenizer
+) -> tuple[torch.Tensor, np.ndarray]:
     """Return pooled latents (n, T, P, L) of a kind's units, worn left, and force (n, T, 3) N.
 
     Contacts whose frames the canonicalizer refuses are left out, and logged.
     """
     found: list[tuple[torch.Tensor, np.ndarray]] = []
-    for number in tqdm(range(settings.first_unit, settings.first_unit + settings.units), desc=f"units of {kind}"):
+    for number in tqdm(
+        range(settings.first_unit, settings.first_unit + settings.units), desc=f"units of {kind}"
+    ):
         rng = np.random.default_rng([number, 77])
         view = WornView(unit_of(any_virtual(kind), number), number)
         for contact in _moving(rng, settings):
             found += [(z[None], contact.force_N[None]) for z in _seen(view, contact, tokenizer)]
         for contact in _held(rng, settings):
             force = np.repeat(contact.force_N[:, None], settings.length, axis=1)
-            found += [(z[:, None].expand(-1, settings.length, -1, -1), force) for z in _seen(view, contact, tokenizer)]
+            found += [
+                (z[:, None].expand(-1, settings.length, -1, -1), force)
+                for z in _seen(view, contact, tokenizer)
+            ]
     latents, forces = zip(*found, strict=True)
     return torch.cat(latents), np.concatenate(forces)
 
@@ -73,7 +86,9 @@ def _seen(view: WornView, contact: ContactState, tokenizer: Tokenizer) -> list[t
     except SensorError as error:
         logger.info("unit of %s: %s", view.worn.kind, error)
         return []
-    return [pool_latent(tokenizer.encode(view.reference[None], images), POOL).as_subclass(torch.Tensor)]
+    return [
+        pool_latent(tokenizer.encode(view.reference[None], images), POOL).as_subclass(torch.Tensor)
+    ]
 
 
 def _moving(rng: np.random.Generator, settings: WornSequences) -> Iterator[ContactState]:
@@ -93,7 +108,9 @@ def _held(rng: np.random.Generator, settings: WornSequences) -> Iterator[Contact
         yield ContactState(objects.gap_mm[part], force[part], torsion[part])
 
 
-def _twist(rng: np.random.Generator, force: np.ndarray, bounds: ForceRange, flat: bool) -> np.ndarray:
+def _twist(
+    rng: np.random.Generator, force: np.ndarray, bounds: ForceRange, flat: bool
+) -> np.ndarray:
     """Return (T,) Nmm of torsion that friction has left beside the shear; none in half of the sequences."""
     room = bounds.friction * force[:, 2]
     spare = np.sqrt(np.maximum(1 - (np.hypot(*force[:, :2].T) / np.maximum(room, 1e-9)) ** 2, 0))

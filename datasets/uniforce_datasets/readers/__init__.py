@@ -2,7 +2,11 @@
 
 from uniforce_datasets.readers.genforce import ForceAxes, GenForceConfig, ReadOptions, read_genforce
 from uniforce_datasets.readers.recording import LabelledRecording, PairRecording
-from uniforce_datasets.readers.uniforce_pairs import PairConfig, read_uniforce_pairs, write_uniforce_pairs
+from uniforce_datasets.readers.uniforce_pairs import (
+    PairConfig,
+    read_uniforce_pairs,
+    write_uniforce_pairs,
+)
 
 __all__ = [
     "ForceAxes",

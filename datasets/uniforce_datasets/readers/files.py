@@ -35,7 +35,11 @@ def subfolders(folder: Path, root: Path) -> list[Path]:
     """Return the sorted folders in ``folder``, hidden ones left out, none leading outside ``root``."""
     if not folder.is_dir():
         return []
-    return [inside(root, p) for p in sorted(folder.iterdir()) if p.is_dir() and not p.name.startswith((".", "__"))]
+    return [
+        inside(root, p)
+        for p in sorted(folder.iterdir())
+        if p.is_dir() and not p.name.startswith((".", "__"))
+    ]
 
 
 def numbered_images(folder: Path, root: Path, endings: Iterable[str]) -> list[Path]:
@@ -50,7 +54,9 @@ def numbered_images(folder: Path, root: Path, endings: Iterable[str]) -> list[Pa
         raise DatasetError(expected(str(folder), wanted, "none", "Is the data set complete?"))
     if len({p.suffix for p in found}) > 1 or len({int(p.stem) for p in found}) < len(found):
         came = ", ".join(sorted(p.name for p in found)[:4]) + " …"
-        raise DatasetError(expected(str(folder), f"one kind of {wanted}", came, "Which belong together?"))
+        raise DatasetError(
+            expected(str(folder), f"one kind of {wanted}", came, "Which belong together?")
+        )
     return [inside(root, p) for p in sorted(found, key=lambda p: int(p.stem))]
 
 
@@ -61,7 +67,9 @@ def read_marker_picture(path: Path, threshold: int) -> np.ndarray:
     """
     picture = decode_picture(read_bytes(path), str(path), colour=False)
     if picture.shape != MARKER_IMAGE_SHAPE:
-        raise DatasetError(expected(str(path), MARKER_IMAGE_SHAPE, picture.shape, "Rows × columns of it?"))
+        raise DatasetError(
+            expected(str(path), MARKER_IMAGE_SHAPE, picture.shape, "Rows × columns of it?")
+        )
     middle = float(((picture >= MIDDLE[0]) & (picture <= MIDDLE[1])).mean())
     if middle > MAX_MIDDLE_SHARE:
         do = "This is no marker image: raw camera frames need another reader."
@@ -74,7 +82,9 @@ def read_bytes(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise DatasetError(expected(str(path), "a readable file", error, "Restore it from a copy.")) from error
+        raise DatasetError(
+            expected(str(path), "a readable file", error, "Restore it from a copy.")
+        ) from error
 
 
 def decode_picture(data: bytes, where: str, colour: bool) -> np.ndarray:
@@ -99,4 +109,6 @@ def read_table(path: Path) -> pd.DataFrame:
     try:
         return pd.read_csv(path, float_precision="round_trip")
     except (pd.errors.EmptyDataError, pd.errors.ParserError, UnicodeDecodeError) as error:
-        raise DatasetError(expected(str(path), "a csv table", error, "Restore it from a copy.")) from error
+        raise DatasetError(
+            expected(str(path), "a csv table", error, "Restore it from a copy.")
+        ) from error

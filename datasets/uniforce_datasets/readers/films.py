@@ -47,13 +47,17 @@ def opened_film(path: Path) -> Iterator[av.container.InputContainer]:
         with av.open(str(path)) as film:
             yield film
     except BROKEN_VIDEO as error:
-        raise DatasetError(expected(str(path), "a whole film", error, "Restore it from a copy.")) from error
+        raise DatasetError(
+            expected(str(path), "a whole film", error, "Restore it from a copy.")
+        ) from error
 
 
 def _stacked_frames(path: Path) -> Iterator[np.ndarray]:
     stack = read_array(path, mapped=True)
     if stack.ndim != 4 or stack.shape[3] != 3 or stack.dtype != np.uint8:
         came = f"{stack.dtype} {stack.shape}"
-        raise DatasetError(expected(str(path), "(T, H, W, 3) uint8 RGB", came, "Save the camera's own frames."))
+        raise DatasetError(
+            expected(str(path), "(T, H, W, 3) uint8 RGB", came, "Save the camera's own frames.")
+        )
     for frame in stack:
         yield np.array(frame)

@@ -17,7 +17,8 @@ from uniforce_datasets.readers.films import opened_film
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import DatasetError, expected
 
-FILMS: dict[Finger, str] = {"left": "camera_0.avi", "right": "camera_2.avi"}  # assumed; the authors don't say
+# assumed; the authors don't say
+FILMS: dict[Finger, str] = {"left": "camera_0.avi", "right": "camera_2.avi"}
 SLIPPED = "slip.txt"  # an empty file beside the films of a trial whose object slipped
 WIDE_FRAMES = 450
 FIRST_CHOICE = "base_data_for"  # of several copies: its folders name every object in one way
@@ -49,7 +50,11 @@ def read_grasps(folder: str | Path) -> list[GraspTrial]:
         kept.setdefault(_content(path, root), path)
     if not kept:
         wanted = f"OBJECT/exp_num_N/{FILMS['left']}"
-        raise DatasetError(expected(str(root), wanted, "none", "Give docs/franka-servo/datasets of the repository."))
+        raise DatasetError(
+            expected(
+                str(root), wanted, "none", "Give docs/franka-servo/datasets of the repository."
+            )
+        )
     return sorted((_trial(path, root) for path in kept.values()), key=str)
 
 
@@ -67,7 +72,9 @@ def _content(trial: Path, root: Path) -> str:
         film = trial / FILMS[finger]
         if not film.is_file():
             do = "Copy the trial again, or leave it out."
-            raise DatasetError(expected(str(trial), f"a film of each finger, {FILMS}", f"no {film.name}", do))
+            raise DatasetError(
+                expected(str(trial), f"a film of each finger, {FILMS}", f"no {film.name}", do)
+            )
         digest.update(read_bytes(inside(root, film)))
     return digest.hexdigest()
 
@@ -75,7 +82,9 @@ def _content(trial: Path, root: Path) -> str:
 def _trial(path: Path, root: Path) -> GraspTrial:
     films = {finger: path / name for finger, name in FILMS.items()}
     campaign: Campaign = "wide" if _length(films["left"]) == WIDE_FRAMES else "close"
-    return GraspTrial(path.parent.name, str(path.relative_to(root)), campaign, films, (path / SLIPPED).is_file())
+    return GraspTrial(
+        path.parent.name, str(path.relative_to(root)), campaign, films, (path / SLIPPED).is_file()
+    )
 
 
 def _length(path: Path) -> int:

@@ -29,7 +29,8 @@ from uniforce_vtla.errors import ContractError, DatasetError, expected, require_
 
 log = logging.getLogger(__name__)
 PACKED_BYTES = MARKER_IMAGE_SHAPE[0] * MARKER_IMAGE_SHAPE[1] // 8
-LAYOUTS = (".", "hetero", "training/hetero", "dataset/training/hetero")  # where img/ and force/ may be
+# where img/ and force/ may be
+LAYOUTS = (".", "hetero", "training/hetero", "dataset/training/hetero")
 SPLITS = ("all", "seen", "unseen")
 JPEG_WHITE = 50  # grey level above which a JPEG pixel is white, as the release binarises
 CLEAR_PULL_N = 2.0  # a pad can't be pulled; tare drift and gel that sticks stay below this
@@ -52,7 +53,9 @@ class ForceAxes:
     def __post_init__(self) -> None:
         """Raise ContractError unless the three are signed and different."""
         names = (self.x, self.y, self.z)
-        if any(len(n) != 2 or n[0] not in "+-" for n in names) or {n[1] for n in names} != set("xyz"):
+        if any(len(n) != 2 or n[0] not in "+-" for n in names) or {n[1] for n in names} != set(
+            "xyz"
+        ):
             do = 'Give each recorded axis once, with its sign, e.g. ForceAxes("+x", "-y", "-z").'
             raise ContractError(expected("force axes", "±x, ±y, ±z in some order", names, do))
 
@@ -77,8 +80,10 @@ def check_compression(force_N: np.ndarray, where: str) -> None:
 class ReadOptions:
     """Limits for trials that aren't as the protocol promises, and for memory."""
 
-    reference: Literal["first", "quietest"] = "first"  # frame taken as free air; a trial begins before contact
-    max_reference_force_N: float = 0.5  # |F| in it; drift of a tared cell, less than any labelled press
+    # frame taken as free air; a trial begins before contact
+    reference: Literal["first", "quietest"] = "first"
+    # |F| in it; drift of a tared cell, less than any labelled press
+    max_reference_force_N: float = 0.5
     pressed_reference: Literal["refuse", "skip"] = "refuse"  # a trial that has no such frame
     max_frames: int = 256  # per recording, 79 MB of images; a longer trial comes in parts
 
@@ -100,7 +105,9 @@ def genforce_root(folder: str | Path) -> Path | None:
     return next((p for p in places if (p / "img").is_dir() and (p / "force").is_dir()), None)
 
 
-def read_genforce(folder: str | Path, config: GenForceConfig | None = None) -> Iterator[LabelledRecording]:
+def read_genforce(
+    folder: str | Path, config: GenForceConfig | None = None
+) -> Iterator[LabelledRecording]:
     """Yield every trial of a GenForce folder, sensor by sensor; about one trial is in memory at a time.
 
     Raises DatasetError: another layout, an asked sensor that isn't there, a trial without forces or with another number
@@ -127,7 +134,9 @@ def _sensors(root: Path, config: GenForceConfig) -> list[Path]:
     if unknown or not found:
         came = unknown or "none"
         raise DatasetError(
-            expected(f"sensors in {root / 'img'}", " | ".join(found) or "at least one", came, MISSING_DO)
+            expected(
+                f"sensors in {root / 'img'}", " | ".join(found) or "at least one", came, MISSING_DO
+            )
         )
     return [found[name] for name in wanted]
 
@@ -141,7 +150,9 @@ def _recordings(root: Path, folder: Path, config: GenForceConfig) -> Iterator[La
     force_N = config.axes.to_image(read_forces(forces))
     if len(force_N) != len(images):
         do = "Which force belongs to which frame can't be known: restore the trial."
-        raise DatasetError(expected(str(forces), f"{len(images)} rows, one per image", len(force_N), do))
+        raise DatasetError(
+            expected(str(forces), f"{len(images)} rows, one per image", len(force_N), do)
+        )
     check_compression(force_N, where)
     free_air = _free_air(force_N, where, config.options)
     if free_air is None:
@@ -179,7 +190,9 @@ def read_forces(path: Path) -> np.ndarray:
     if not numeric or len(values) == 0 or not np.isfinite(values.to_numpy(np.float64)).all():
         came = f"{len(table)} rows of {list(table.columns)[:6]}, or NaN and text between"
         do = "Leave this trial out, or restore the file."
-        raise DatasetError(expected(str(path), "three columns of finite forces Fx, Fy, Fz", came, do))
+        raise DatasetError(
+            expected(str(path), "three columns of finite forces Fx, Fy, Fz", came, do)
+        )
     return values.to_numpy(np.float64)
 
 
@@ -198,5 +211,7 @@ def read_packed(path: Path) -> np.ndarray:
     values = set(np.unique(array)) if array.shape == MARKER_IMAGE_SHAPE else None
     if values is None or not (values <= {0, 1} or values <= {0, 255}):
         wanted = f"{PACKED_BYTES} packed bytes, or {MARKER_IMAGE_SHAPE} of 0 and 1 or of 0 and 255"
-        raise DatasetError(expected(str(path), wanted, f"{array.dtype} {array.shape}", "Another image size?"))
+        raise DatasetError(
+            expected(str(path), wanted, f"{array.dtype} {array.shape}", "Another image size?")
+        )
     return np.where(array > 0, 255, 0).astype(np.uint8)

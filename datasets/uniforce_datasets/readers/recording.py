@@ -22,7 +22,8 @@ class LabelledRecording:
     reference: np.ndarray  # (H, W) uint8 marker image in free air
     frames: np.ndarray  # (T, H, W) uint8 marker images
     force_N: np.ndarray  # (T, 3) float32
-    first_frame: int = 0  # index of ``frames[0]`` within the trial: a long trial comes in several recordings
+    # index of ``frames[0]`` within the trial: a long trial comes in several recordings
+    first_frame: int = 0
 
     def __post_init__(self) -> None:
         """Raise DatasetError where images or forces break the form."""
@@ -52,7 +53,9 @@ class PairRecording:
         check_images(self.right_reference, self.right_frames, f"{self}, right")
         if len(self.left_frames) != len(self.right_frames):
             counts = f"{len(self.left_frames)} and {len(self.right_frames)}"
-            raise DatasetError(expected(str(self), "as many left as right frames", counts, "Pair them up."))
+            raise DatasetError(
+                expected(str(self), "as many left as right frames", counts, "Pair them up.")
+            )
 
     @property
     def kinds(self) -> tuple[str, str]:
@@ -68,7 +71,11 @@ def check_images(reference: np.ndarray, frames: np.ndarray, where: str) -> None:
     if getattr(frames, "ndim", 0) != 3 or len(frames) == 0 or frames.shape[1:] != reference.shape:
         wanted = f"(T, {', '.join(map(str, reference.shape))}) with T > 0"
         came = getattr(frames, "shape", type(frames).__name__)
-        raise DatasetError(expected(f"{where}, frames", wanted, came, "One image size per trial, at least one frame."))
+        raise DatasetError(
+            expected(
+                f"{where}, frames", wanted, came, "One image size per trial, at least one frame."
+            )
+        )
     try:
         check_marker_image(reference, f"{where}, reference")
         check_marker_image(frames.reshape(-1, frames.shape[-1]), f"{where}, frames")
@@ -80,8 +87,14 @@ def check_forces(force_N: np.ndarray, frames: int, where: str) -> None:
     """Raise DatasetError unless ``force_N`` is (frames, 3) finite float32."""
     wanted = f"({frames}, 3) float32, finite"
     came = f"{getattr(force_N, 'dtype', type(force_N).__name__)} {getattr(force_N, 'shape', '')}"
-    if not isinstance(force_N, np.ndarray) or force_N.shape != (frames, 3) or force_N.dtype != np.float32:
+    if (
+        not isinstance(force_N, np.ndarray)
+        or force_N.shape != (frames, 3)
+        or force_N.dtype != np.float32
+    ):
         raise DatasetError(expected(f"{where}, force", wanted, came, "One force per frame."))
     if not np.isfinite(force_N).all():
         row = int(np.flatnonzero(~np.isfinite(force_N).all(axis=1))[0])
-        raise DatasetError(expected(f"{where}, force", wanted, f"NaN or inf in row {row}", "Leave this trial out."))
+        raise DatasetError(
+            expected(f"{where}, force", wanted, f"NaN or inf in row {row}", "Leave this trial out.")
+        )

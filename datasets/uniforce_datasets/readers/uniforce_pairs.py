@@ -14,7 +14,13 @@ import cv2
 import numpy as np
 
 from uniforce_datasets.dataset_info import inside
-from uniforce_datasets.readers.files import existing_folder, find, numbered_images, read_marker_picture, subfolders
+from uniforce_datasets.readers.files import (
+    existing_folder,
+    find,
+    numbered_images,
+    read_marker_picture,
+    subfolders,
+)
 from uniforce_datasets.readers.recording import PairRecording
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
 from uniforce_vtla.errors import ContractError, DatasetError, expected
@@ -28,7 +34,8 @@ HALF_WAY = 127  # grey level: a quality-100 JPEG of a binary image stays far on 
 class PairConfig:
     """Selection of a folder of pairs."""
 
-    reference_index: int | None = None  # frame of free air where there is no reference.jpg; None refuses such a set
+    # frame of free air where there is no reference.jpg; None refuses such a set
+    reference_index: int | None = None
     indenters: tuple[str, ...] = ()  # names to read; empty for all
     max_frames: int = 256  # pairs per recording: two stacks of 79 MB; more come in parts
 
@@ -38,7 +45,9 @@ def pair_folders(folder: str | Path) -> list[Path]:
     return [path.parent for path in find(Path(folder), LOG_FILE)]
 
 
-def read_uniforce_pairs(folder: str | Path, config: PairConfig | None = None) -> Iterator[PairRecording]:
+def read_uniforce_pairs(
+    folder: str | Path, config: PairConfig | None = None
+) -> Iterator[PairRecording]:
     """Yield the pairs of every indenter, at most ``config.max_frames`` at a time.
 
     Raises DatasetError: no collection_log.txt, folders that don't name two sensors, indices on one side only, no
@@ -65,7 +74,9 @@ def pair_sensors(folder: Path, root: Path) -> tuple[str, str]:
     fitting = [(a, b) for a in names for b in names if a != b and f"{a}_{b}" == folder.name]
     if len(fitting) != 1:
         wanted = f"marker/ with the two sensors of {folder.name}, of different names"
-        raise DatasetError(expected(str(folder), wanted, names or "none", "Name them apart: _l, _r."))
+        raise DatasetError(
+            expected(str(folder), wanted, names or "none", "Name them apart: _l, _r.")
+        )
     return fitting[0]
 
 
@@ -73,10 +84,14 @@ def _indenters(pairs: Path, sensors: tuple[str, str], root: Path, config: PairCo
     left, right = ([p.name for p in subfolders(pairs / "marker" / s, root)] for s in sensors)
     if left != right or not left:
         came = f"{left} on the left, {right} on the right"
-        raise DatasetError(expected(str(pairs), "the same indenters on both sides", came, "Restore both."))
+        raise DatasetError(
+            expected(str(pairs), "the same indenters on both sides", came, "Restore both.")
+        )
     unknown = [name for name in config.indenters if name not in left]
     if unknown:
-        raise DatasetError(expected(f"indenters in {pairs}", " | ".join(left), unknown, "Check the names."))
+        raise DatasetError(
+            expected(f"indenters in {pairs}", " | ".join(left), unknown, "Check the names.")
+        )
     return [name for name in left if not config.indenters or name in config.indenters]
 
 
@@ -89,13 +104,21 @@ def _recordings(
     if left != right:
         alone = sorted(left ^ right)
         came = f"{len(alone)} on one side only, e.g. {alone[0]:06d}"
-        raise DatasetError(expected(f"{pairs}, {indenter}", "the same indices", came, "Same index = pair."))
-    references = [_reference(folder, side, root, config) for folder, side in zip(folders, images, strict=True)]
+        raise DatasetError(
+            expected(f"{pairs}, {indenter}", "the same indices", came, "Same index = pair.")
+        )
+    references = [
+        _reference(folder, side, root, config) for folder, side in zip(folders, images, strict=True)
+    ]
     name = "/".join(pairs.relative_to(root).parts) or pairs.name
     for start in range(0, len(images[0]), config.max_frames):
         parts = (side[start : start + config.max_frames] for side in images)
-        left_frames, right_frames = (np.stack([read_marker_picture(p, HALF_WAY) for p in part]) for part in parts)
-        yield PairRecording(sensors, indenter, name, references[0], references[1], left_frames, right_frames, start)
+        left_frames, right_frames = (
+            np.stack([read_marker_picture(p, HALF_WAY) for p in part]) for part in parts
+        )
+        yield PairRecording(
+            sensors, indenter, name, references[0], references[1], left_frames, right_frames, start
+        )
 
 
 def _reference(folder: Path, images: list[Path], root: Path, config: PairConfig) -> np.ndarray:
@@ -112,7 +135,9 @@ def _reference(folder: Path, images: list[Path], root: Path, config: PairConfig)
     return read_marker_picture(chosen[0], HALF_WAY)
 
 
-def write_uniforce_pairs(root: str | Path, recording: PairRecording, pattern: str, date: str | None = None) -> Path:
+def write_uniforce_pairs(
+    root: str | Path, recording: PairRecording, pattern: str, date: str | None = None
+) -> Path:
     """Append pairs to the layout and return the ``<left>_<right>`` folder; reading gives the same images back.
 
     Frames go on from the last index of their indenter. The outermost 4 px become black, as the format has it. The
@@ -138,7 +163,9 @@ def write_uniforce_pairs(root: str | Path, recording: PairRecording, pattern: st
     there = [int(path.stem) for path in folders[0].glob("*.jpg") if path.stem.isdecimal()]
     start = max(there, default=-1) + 1  # the left side counts: it is written last
     _log(pairs, recording.indenter, f"{len(recording.left_frames)} pairs from {start:06d}")
-    for index, (left, right) in enumerate(zip(recording.left_frames, recording.right_frames, strict=True), start):
+    for index, (left, right) in enumerate(
+        zip(recording.left_frames, recording.right_frames, strict=True), start
+    ):
         _write_picture(folders[1] / f"{index:06d}.jpg", right)
         _write_picture(folders[0] / f"{index:06d}.jpg", left)
     return pairs
@@ -147,13 +174,17 @@ def write_uniforce_pairs(root: str | Path, recording: PairRecording, pattern: st
 def _check_writable(recording: PairRecording, pattern: str, date: str | None) -> None:
     for name in (pattern, date or "today", recording.indenter, *recording.sensors):
         if not name or name.startswith((".", "__")) or name != Path(name).name or "\\" in name:
-            raise ContractError(expected("folder name", "a plain name", repr(name), "Leave out / and dots."))
+            raise ContractError(
+                expected("folder name", "a plain name", repr(name), "Leave out / and dots.")
+            )
     if recording.sensors[0] == recording.sensors[1]:
         do = "Both fingers' images would share a folder: name them apart, e.g. with _l and _r."
         raise ContractError(expected("sensors", "two different names", recording.sensors, do))
     if {recording.left_reference.shape, recording.right_reference.shape} != {MARKER_IMAGE_SHAPE}:
         came = recording.left_reference.shape, recording.right_reference.shape
-        raise ContractError(expected("pair images", MARKER_IMAGE_SHAPE, came, "Use the canonical size."))
+        raise ContractError(
+            expected("pair images", MARKER_IMAGE_SHAPE, came, "Use the canonical size.")
+        )
 
 
 def bordered(image: np.ndarray) -> np.ndarray:

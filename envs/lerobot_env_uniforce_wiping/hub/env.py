@@ -17,5 +17,9 @@ def make_env(n_envs: int = 1, use_async_envs: bool = False, cfg: EnvConfig | Non
         use_async_envs: a process for each.
         cfg: its level, sensors and episode_length are taken over; None: the benchmark's level with its own sensors.
     """
-    settings = {name: getattr(cfg, name) for name in (*BENCHMARK.gym_kwargs, "episode_length") if hasattr(cfg, name)}
+    settings = {
+        name: getattr(cfg, name)
+        for name in (*BENCHMARK.gym_kwargs, "episode_length")
+        if hasattr(cfg, name)
+    }
     return replace(BENCHMARK, **settings).create_envs(n_envs=n_envs, use_async_envs=use_async_envs)

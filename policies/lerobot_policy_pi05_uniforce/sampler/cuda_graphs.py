@@ -51,9 +51,15 @@ class Replayed:
 
         Raises ContractError: inputs of other shapes than the example's.
         """
-        wanted, came = ([tuple(value.shape) for value in values] for values in (self._inputs, inputs))
+        wanted, came = (
+            [tuple(value.shape) for value in values] for values in (self._inputs, inputs)
+        )
         if wanted != came:
-            raise ContractError(expected("inputs of a graph", wanted, came, "Record another graph for other shapes."))
+            raise ContractError(
+                expected(
+                    "inputs of a graph", wanted, came, "Record another graph for other shapes."
+                )
+            )
         for own, new in zip(self._inputs, inputs, strict=True):
             own.copy_(new)
         if self._graph is not None:
@@ -163,11 +169,16 @@ def restored(tensors: Sequence[Tensor], example: Inputs) -> Inputs:
 
 def bucketed(tokens: Tensor, masks: Tensor) -> tuple[Tensor, Tensor]:
     """Pad (B, L) text to the next of ``BUCKETS``, masked: a prompt of another length then finds its graph."""
-    room = next((size for size in BUCKETS if size >= tokens.shape[1]), tokens.shape[1]) - tokens.shape[1]
+    room = (
+        next((size for size in BUCKETS if size >= tokens.shape[1]), tokens.shape[1])
+        - tokens.shape[1]
+    )
     return F.pad(tokens, (0, room)), F.pad(masks.bool(), (0, room))
 
 
-def _record(function: Recordable, inputs: list[Tensor]) -> tuple[torch.cuda.CUDAGraph, tuple[Tensor, ...]]:
+def _record(
+    function: Recordable, inputs: list[Tensor]
+) -> tuple[torch.cuda.CUDAGraph, tuple[Tensor, ...]]:
     """Run twice aside, as torch asks for, then record; return the graph and the buffers it writes."""
     aside = torch.cuda.Stream()
     aside.wait_stream(torch.cuda.current_stream())

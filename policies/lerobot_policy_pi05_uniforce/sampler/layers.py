@@ -16,7 +16,8 @@ from torch.nn import functional as F  # noqa: N812
 AVAILABLE = torch.backends.mkldnn.is_available() and hasattr(torch.ops.mkldnn, "_linear_pointwise")
 # of attention: fewer aren't worth five operations, more leave the cache, and torch's tiled attention wins
 SCORES = (2**16, 2**20)
-Rotary = tuple[Tensor, Tensor]  # cos, and sin with the sign rotate_half would give; (B, heads, L, head) each
+# cos, and sin with the sign rotate_half would give; (B, heads, L, head) each
+Rotary = tuple[Tensor, Tensor]
 
 
 class Modulation(NamedTuple):
@@ -75,7 +76,8 @@ def attend_one(q: Tensor, k: Tensor, v: Tensor, mask: Tensor | None) -> Tensor:
         v: (L_keys, head).
         mask: (1, 1, 1 or L, L_keys), bool (True is seen) or additive, or None.
     """
-    k, v = k.contiguous(), v.contiguous()  # of strided ones oneDNN makes products a thousand times slower
+    # of strided ones oneDNN makes products a thousand times slower
+    k, v = k.contiguous(), v.contiguous()
     scores = linear(q.flatten(0, 2), k)  # (heads·L, L_keys)
     if mask is not None:
         apart = scores.view(*q.shape[:3], -1)
@@ -124,7 +126,11 @@ def rotated(rows: Tensor, rotary: Rotary) -> Tensor:
 
 def attend(q: Tensor, cache: Tensor, mask: Tensor | None) -> Tensor:
     """Return (B, L, heads·head) of scaled (B, heads, L, head) queries; one key/value head serves all of them."""
-    if here(q) and len(q) == 1 and SCORES[0] <= q.shape[1] * q.shape[2] * cache.shape[2] <= SCORES[1]:
+    if (
+        here(q)
+        and len(q) == 1
+        and SCORES[0] <= q.shape[1] * q.shape[2] * cache.shape[2] <= SCORES[1]
+    ):
         mixed = attend_one(q, cache[0, 0], cache[0, 1], mask)
     else:
         k, v = (cache[:, n : n + 1].expand(-1, q.shape[1], -1, -1) for n in (0, 1))
@@ -140,7 +146,8 @@ def embed_cameras(paligemma: nn.Module, images: Tensor) -> Tensor:
         images: of the resolution the tower was built for.
     """
     tower = paligemma.vision_tower
-    tower = getattr(tower, "vision_model", tower)  # transformers moved it: a wrapper or the tower itself
+    # transformers moved it: a wrapper or the tower itself
+    tower = getattr(tower, "vision_model", tower)
     x = tower.embeddings(images.float())
     for layer in tower.encoder.layers:
         x = _vision_attention(layer.self_attn, _normed(layer.layer_norm1, x), x)
@@ -153,7 +160,8 @@ def embed_cameras(paligemma: nn.Module, images: Tensor) -> Tensor:
 
 def _vision_attention(a: nn.Module, x: Tensor, residual: Tensor) -> Tensor:
     parts = [linear(x, p.weight, p.bias) for p in (a.q_proj, a.k_proj, a.v_proj)]
-    q, k, v = (part.unflatten(-1, (-1, a.head_dim)).transpose(1, 2) for part in parts)  # (B, heads, L, head)
+    # (B, heads, L, head)
+    q, k, v = (part.unflatten(-1, (-1, a.head_dim)).transpose(1, 2) for part in parts)
     mixed = F.scaled_dot_product_attention(q, k, v, scale=a.scale).transpose(1, 2).flatten(2)
     return linear_plus(mixed, a.out_proj.weight, a.out_proj.bias, residual)
 
@@ -181,7 +189,8 @@ class Prepared:
         self.eps = torch.empty(0)  # of the norms, one for all of π0.5
         # of the VLM's norms, before attention and MLP, per layer
         self.gains: list[tuple[Tensor, Tensor]] = []
-        self.qkv: list[Tensor] = []  # of the expert's layers, side by side, ((heads + 2)·head, D) each
+        # of the expert's layers, side by side, ((heads + 2)·head, D) each
+        self.qkv: list[Tensor] = []
 
     def tables(self, num_steps: int) -> list[StepTable]:
         """Return the step tables of these weights, for a flow of so many steps."""
@@ -192,9 +201,13 @@ class Prepared:
             vlm = self._network.paligemma_with_expert.paligemma.model.language_model
             expert = self._network.paligemma_with_expert.gemma_expert.model
             self.eps = torch.full((), vlm.norm.eps, device=vlm.norm.weight.device)
-            norms = [(la.input_layernorm.weight, la.post_attention_layernorm.weight) for la in vlm.layers]
+            norms = [
+                (la.input_layernorm.weight, la.post_attention_layernorm.weight) for la in vlm.layers
+            ]
             self.gains = [(1 + first.float(), 1 + second.float()) for first, second in norms]
-            heads = [(a.q_proj, a.k_proj, a.v_proj) for a in (layer.self_attn for layer in expert.layers)]
+            heads = [
+                (a.q_proj, a.k_proj, a.v_proj) for a in (layer.self_attn for layer in expert.layers)
+            ]
             self.qkv = [torch.cat([part.weight for part in parts]) for parts in heads]
         if num_steps not in self._tables:
             self._tables[num_steps] = self._step_tables(num_steps)
@@ -203,7 +216,11 @@ class Prepared:
     def _prepared_parameters(self) -> list[Tensor]:
         network, joint = self._network, self._network.paligemma_with_expert
         layers = joint.paligemma.model.language_model.layers
-        norms = [norm.weight for la in layers for norm in (la.input_layernorm, la.post_attention_layernorm)]
+        norms = [
+            norm.weight
+            for la in layers
+            for norm in (la.input_layernorm, la.post_attention_layernorm)
+        ]
         time = [*network.time_mlp_in.parameters(), *network.time_mlp_out.parameters()]
         return [*joint.gemma_expert.model.parameters(), *time, *norms]
 
@@ -214,13 +231,19 @@ class Prepared:
         times = torch.tensor([1.0 - step / num_steps for step in range(num_steps)], device=device)
         width, config = network.action_in_proj.out_features, network.config
         periods = config.min_period, config.max_period
-        wave = stock.create_sinusoidal_pos_embedding(times, width, *periods, device=device).to(times.dtype)
+        wave = stock.create_sinusoidal_pos_embedding(times, width, *periods, device=device).to(
+            times.dtype
+        )
         cond = F.silu(network.time_mlp_out(F.silu(network.time_mlp_in(wave))))  # (steps, D)
         dtype = expert.layers[0].self_attn.q_proj.weight.dtype
         before = [_modulation(layer.input_layernorm, cond, dtype) for layer in expert.layers]
-        after = [_modulation(layer.post_attention_layernorm, cond, dtype) for layer in expert.layers]
+        after = [
+            _modulation(layer.post_attention_layernorm, cond, dtype) for layer in expert.layers
+        ]
         final = _modulation(expert.norm, cond, dtype)
-        layers = [[(a[n], b[n]) for a, b in zip(before, after, strict=True)] for n in range(num_steps)]
+        layers = [
+            [(a[n], b[n]) for a, b in zip(before, after, strict=True)] for n in range(num_steps)
+        ]
         return [StepTable(pairs, last) for pairs, last in zip(layers, final, strict=True)]
 
 

@@ -42,7 +42,8 @@ class Prefix:
     touch: SuffixTouch | None  # force tokens in front of the actions, or None
     # (B, 1, 1 or L_suffix, L_prefix + L_suffix), bool or (touch behind a gate) additive; None: all see all
     mask: Tensor | None
-    rotary: ops.Rotary  # of the suffix's positions, for queries, key and value; the value's turns nothing
+    # of the suffix's positions, for queries, key and value; the value's turns nothing
+    rotary: ops.Rotary
 
 
 class PrefixEncoder:
@@ -83,10 +84,14 @@ class PrefixEncoder:
             mixed = ops.attend(turned[:, :-2], turned[:, -2:], mask)
             x = ops.linear_plus(mixed, layer.self_attn.o_proj.weight, None, x)
             normed = ops.rms(x, eps).mul_(gains[depth][1]).to(x.dtype)
-            x = ops.linear_plus(ops.gated_hidden(layer.mlp, normed), layer.mlp.down_proj.weight, None, x)
+            x = ops.linear_plus(
+                ops.gated_hidden(layer.mlp, normed), layer.mlp.down_proj.weight, None, x
+            )
         return Prefill(cache, pads, gated)
 
-    def with_suffix(self, prefill: Prefill, touch: SuffixTouch | None, chunk: int, always_mask: bool = False) -> Prefix:
+    def with_suffix(
+        self, prefill: Prefill, touch: SuffixTouch | None, chunk: int, always_mask: bool = False
+    ) -> Prefix:
         """Return whom the suffix attends to and where it stands; ``always_mask`` as in :meth:`prefill`."""
         expert = self._network.paligemma_with_expert.gemma_expert.model
         gated, behind = prefill.gated, prefill.pads.new_ones(len(prefill.pads), chunk)
@@ -111,7 +116,10 @@ class PrefixEncoder:
         if inputs.images:
             cameras = ops.embed_cameras(model.paligemma.model, torch.cat(inputs.images))
             parts += cameras.chunk(len(inputs.images))
-        pads = [mask[:, None].expand(-1, part.shape[1]) for part, mask in zip(parts, inputs.img_masks, strict=True)]
+        pads = [
+            mask[:, None].expand(-1, part.shape[1])
+            for part, mask in zip(parts, inputs.img_masks, strict=True)
+        ]
         parts.append(model.embed_language_tokens(inputs.tokens))
         pads.append(inputs.masks.bool())
         before = sum(part.shape[1] for part in parts)
@@ -146,7 +154,9 @@ def _positions(real: Tensor, gated: GatedColumns | None) -> Tensor:
     return positions if gated is None else gated.placed(positions, real.shape[1])
 
 
-def _additive(mask: Tensor | None, real: Tensor, gated: GatedColumns | None, dtype: torch.dtype) -> Tensor | None:
+def _additive(
+    mask: Tensor | None, real: Tensor, gated: GatedColumns | None, dtype: torch.dtype
+) -> Tensor | None:
     """Return a bool mask (B, 1, rows, L) as an additive one with touch's logits; unchanged without a gate."""
     if gated is None:
         return mask

@@ -37,7 +37,11 @@ class GripComparison:
     def look(self) -> bool:
         """Count a look of the policy; return whether it compares."""
         self._looks += 1
-        return self._encoder.head is not None and self._looks % self._every == 0 and not self._balance.done
+        return (
+            self._encoder.head is not None
+            and self._looks % self._every == 0
+            and not self._balance.done
+        )
 
     @torch.no_grad()
     def see(self, slot: str, finger: Finger, own: Tensor, others_pair: list[Tensor]) -> None:

@@ -12,18 +12,32 @@ from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05Uniforc
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
 from lerobot_policy_pi05_uniforce.touch.grip import GripHold, held_grips
 from lerobot_policy_pi05_uniforce.touch.tokens import ForceTokens
-from lerobot_policy_pi05_uniforce.touch.touch_input import LATENT_KEYS, TouchInput, load_calibrations, taken
+from lerobot_policy_pi05_uniforce.touch.touch_input import (
+    LATENT_KEYS,
+    TouchInput,
+    load_calibrations,
+    taken,
+)
 from uniforce_vtla.keys import descriptor_key, marker_pair_key, wrench_key
-from uniforce_vtla.tokenizer.plain_touch import DESCRIPTOR_SIZE, PAIR_SIDE, descriptors, marker_pairs
+from uniforce_vtla.tokenizer.plain_touch import (
+    DESCRIPTOR_SIZE,
+    PAIR_SIDE,
+    descriptors,
+    marker_pairs,
+)
 
-WRENCH_SCALE = (5.0, 5.0, 10.0, 100.0)  # N, N, N, Nmm: a firm wipe's shear, press and torsion become ~1
+# N, N, N, Nmm: a firm wipe's shear, press and torsion become ~1
+WRENCH_SCALE = (5.0, 5.0, 10.0, 100.0)
 SHAPES = {
     "newtons": (1, 3),  # fx, fy, fz in N
     "wrench": (1, len(WRENCH_SCALE)),  # and torsion in Nmm
     "descriptor": (1, DESCRIPTOR_SIZE),
     "marker_pair": (2, PAIR_SIDE**2),  # rows of pixels
 }
-FROM_IMAGES = {"descriptor": (descriptor_key, descriptors), "marker_pair": (marker_pair_key, marker_pairs)}
+FROM_IMAGES = {
+    "descriptor": (descriptor_key, descriptors),
+    "marker_pair": (marker_pair_key, marker_pairs),
+}
 
 
 class ControlInput(TouchInput):
@@ -43,13 +57,22 @@ class ControlInput(TouchInput):
             value = taken(batch, wrench_key(slot))
         else:
             key, compute = FROM_IMAGES[self.config.touch.input]
-            value = batch[key(slot)] if key(slot) in batch else self._computed(compute, batch, slot, device)
+            value = (
+                batch[key(slot)]
+                if key(slot) in batch
+                else self._computed(compute, batch, slot, device)
+            )
         scale = 255 if value.dtype == torch.uint8 else 1
         return (value.to(device, torch.float32) / scale).reshape(len(value), *self.shape)
 
-    def _computed(self, compute: Callable, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor:
+    def _computed(
+        self, compute: Callable, batch: dict[str, Tensor], slot: str, device: torch.device
+    ) -> Tensor:
         finger = self.config.finger_by_slot()[slot]
-        pair = ((i.detach().cpu() * 255).round().to(torch.uint8).numpy() for i in self.pair(batch, finger))
+        pair = (
+            (i.detach().cpu() * 255).round().to(torch.uint8).numpy()
+            for i in self.pair(batch, finger)
+        )
         rows = [compute(b, c[None], finger) for b, c in zip(*pair, strict=True)]
         found = torch.from_numpy(np.concatenate(rows))
         if finger not in self.worn:
@@ -61,7 +84,9 @@ class NewtonInput(TouchInput):
     """Reads force in newtons: the frozen head on the slot's latents, calibrated where its sensor wears a map."""
 
     def __init__(self, latents: TouchInput) -> None:
-        super().__init__(latents.config, latents.encoder, SHAPES["newtons"], monitors=latents.monitors)
+        super().__init__(
+            latents.config, latents.encoder, SHAPES["newtons"], monitors=latents.monitors
+        )
         self._latents = latents
         held_N, self.notes = held_grips(latents.config, latents.worn)
         self._grip = GripHold(held_N)
@@ -78,12 +103,18 @@ class NewtonInput(TouchInput):
     def read(self, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor:
         """Return (B, 1, 3) N of a slot; RolloutError where its sensor is lost."""
         with torch.no_grad():
-            force_N = self.encoder.head.step(self._latents.read(batch, slot, device), None)[0][:, None]
+            force_N = self.encoder.head.step(self._latents.read(batch, slot, device), None)[0][
+                :, None
+            ]
         if LATENT_KEYS[slot] in batch:  # a demonstration's
             return force_N
         worn = self._latents.worn.get(self.config.finger_by_slot()[slot])
         force_N = force_N if worn is None else worn.scaled(force_N)
-        return self._grip(slot, force_N, taken(batch, MEASURED_STATE)) if slot in self._grip.held_N else force_N
+        return (
+            self._grip(slot, force_N, taken(batch, MEASURED_STATE))
+            if slot in self._grip.held_N
+            else force_N
+        )
 
 
 class MarkerPairTokens(nn.Module):

@@ -23,9 +23,13 @@ from uniforce_vtla.tokenizer.model import ForceAutoencoder, ReferenceCache, buil
 from uniforce_vtla.tokenizer.weights import SIZES, content_hash
 
 if TYPE_CHECKING:
-    from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig, TouchSettings
+    from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import (
+        PI05UniforceConfig,
+        TouchSettings,
+    )
 
-ENCODER = "model.tactile_encoder."  # its tensors in a policy; stored only where the package doesn't have them
+# its tensors in a policy; stored only where the package doesn't have them
+ENCODER = "model.tactile_encoder."
 
 
 class TactileEncoder(nn.Module):
@@ -34,10 +38,13 @@ class TactileEncoder(nn.Module):
     ``head`` reads newtons in its latents, frozen too; None where the policy feels with the latents themselves.
     """
 
-    def __init__(self, model: ForceAutoencoder, grid: int, head: ForceRegressor | None = None) -> None:
+    def __init__(
+        self, model: ForceAutoencoder, grid: int, head: ForceRegressor | None = None
+    ) -> None:
         super().__init__()
         self.model, self.grid, self.head = model, grid, head
-        self.references: ReferenceMemory[ReferenceCache] = ReferenceMemory(len(SLOTS) + 1)  # and the finger compared
+        # and the finger compared
+        self.references: ReferenceMemory[ReferenceCache] = ReferenceMemory(len(SLOTS) + 1)
         self.requires_grad_(False)
         self.train(False)
 
@@ -53,18 +60,24 @@ class TactileEncoder(nn.Module):
         """
         encode = functools.partial(self._encode_reference, slot, finger, reference)
         cached = self.references.get((slot, finger), reference, encode)
-        latent = self.model.encoder.encode_current(cached, self._prepare(current, finger, "current")).mean
+        latent = self.model.encoder.encode_current(
+            cached, self._prepare(current, finger, "current")
+        ).mean
         return pool_latent(latent, self.grid)
 
     def _encode_reference(self, slot: str, finger: Finger, reference: Tensor) -> ReferenceCache:
         before = self._prepare(reference, finger, "reference")
         if not bool((before.amax(dim=(1, 2, 3)) > 0).all()):
             do = "Capture it again in free air."
-            raise ContractError(expected(f"reference of {slot}", "an image with markers", "all black", do))
+            raise ContractError(
+                expected(f"reference of {slot}", "an image with markers", "all black", do)
+            )
         return self.model.encoder.encode_reference(before)
 
     def _prepare(self, images: Tensor, finger: Finger, name: str) -> Tensor:
-        return prepare_tensor(images, right=finger == "right", side=self.model.config.side, name=name)
+        return prepare_tensor(
+            images, right=finger == "right", side=self.model.config.side, name=name
+        )
 
 
 @functools.cache
@@ -126,15 +139,22 @@ def read_head(touch: TouchSettings, tokenizer_hash: str) -> ForceHead:
 
     Raises CheckpointError: no such head, or one of another tokenizer.
     """
-    beside = None if touch.head_hash else touch.tokenizer_path  # a path in a checkpoint is never followed
+    # a path in a checkpoint is never followed
+    beside = None if touch.head_hash else touch.tokenizer_path
     try:
-        head = ForceHead.from_pretrained(touch.head, packaged_hashes().get(tokenizer_hash) or beside)
+        head = ForceHead.from_pretrained(
+            touch.head, packaged_hashes().get(tokenizer_hash) or beside
+        )
     except CheckpointError as error:
         do = "Let `uniforce pretrain` fit one, use a packaged tokenizer, or touch.input=latent."
-        raise CheckpointError(expected("touch.head", f"a force head of {touch.head}", error, do)) from error
+        raise CheckpointError(
+            expected("touch.head", f"a force head of {touch.head}", error, do)
+        ) from error
     if head.tokenizer_hash != tokenizer_hash:
         came, do = head.tokenizer_hash, "Fit a head to this tokenizer, or use touch.input=latent."
-        raise CheckpointError(expected(f"tokenizer of the force head of {touch.head}", tokenizer_hash, came, do))
+        raise CheckpointError(
+            expected(f"tokenizer of the force head of {touch.head}", tokenizer_hash, came, do)
+        )
     return head
 
 

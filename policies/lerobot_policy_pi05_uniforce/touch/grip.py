@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 HEIGHT = AXES.index("z.pos")
 TOUCHES_N = 1.0  # of grip, from which on something is between the fingers
-LIFT_m = 0.02  # above the lowest height at which it was touched: it is in the hand, not on the table
+# above the lowest height at which it was touched: it is in the hand, not on the table
+LIFT_m = 0.02
 FZ = 2  # of a reading's fx, fy, fz
 
 
@@ -71,7 +72,9 @@ class GripHold:
         return held
 
 
-def held_grips(config: PI05UniforceConfig, worn: Mapping[Finger, Calibration]) -> tuple[dict[str, float], list[str]]:
+def held_grips(
+    config: PI05UniforceConfig, worn: Mapping[Finger, Calibration]
+) -> tuple[dict[str, float], list[str]]:
     """Return slot → grip to hold in N, and a sentence about each; by ``config.grip``, or as calibrations say.
 
     Raises ContractError: it is to be held, and the checkpoint doesn't know what demonstrations read.
@@ -86,13 +89,24 @@ def held_grips(config: PI05UniforceConfig, worn: Mapping[Finger, Calibration]) -
         carried_N = config.touch.carried_N.get(slot)
         if carried_N is None and config.grip == "held":
             do = "Train it again from a view of this version, or leave grip as read."
-            raise ContractError(expected(f"grip of {slot} to hold", "one in touch.carried_N", "none", do))
+            raise ContractError(
+                expected(f"grip of {slot} to hold", "one in touch.carried_N", "none", do)
+            )
         if carried_N is None:
-            logger.warning("%s finger: grip can't be read and the checkpoint has none to hold; taken as read", finger)
+            logger.warning(
+                "%s finger: grip can't be read and the checkpoint has none to hold; taken as read",
+                finger,
+            )
             continue
         found[slot] = carried_N
-        why = "as asked" if config.grip == "held" or calibration is None else calibration.grip_in_words
-        notes.append(f"{finger} finger: shear felt, grip held at {carried_N:.1f} N once lifted ({why})")
+        why = (
+            "as asked"
+            if config.grip == "held" or calibration is None
+            else calibration.grip_in_words
+        )
+        notes.append(
+            f"{finger} finger: shear felt, grip held at {carried_N:.1f} N once lifted ({why})"
+        )
         logger.warning("%s", notes[-1])
     return found, notes
 

@@ -30,7 +30,9 @@ class ForceTokens(nn.Module):
     over cells, which attention over single cells reads less exactly.
     """
 
-    def __init__(self, config: PI05UniforceConfig, input_shape: tuple[int, int], width: int) -> None:
+    def __init__(
+        self, config: PI05UniforceConfig, input_shape: tuple[int, int], width: int
+    ) -> None:
         super().__init__()
         self.register_buffer("input_mean", torch.zeros(input_shape))
         self.register_buffer("input_scale", torch.ones(input_shape[1]))

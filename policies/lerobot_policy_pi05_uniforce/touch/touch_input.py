@@ -16,7 +16,12 @@ from uniforce_vtla.errors import CheckpointError, RolloutError, SensorError, Uni
 from uniforce_vtla.keys import AXES, SLOTS, latent_key, tactile_key
 from uniforce_vtla.sensors import list_sensors
 from uniforce_vtla.tokenizer.calibration import Calibration
-from uniforce_vtla.tokenizer.latent_range import FREE_LOOKS, FreeAirError, HealthMonitor, LatentRange
+from uniforce_vtla.tokenizer.latent_range import (
+    FREE_LOOKS,
+    FreeAirError,
+    HealthMonitor,
+    LatentRange,
+)
 from uniforce_vtla.tokenizer.weights import checkpoint_folder
 
 if TYPE_CHECKING:
@@ -50,12 +55,19 @@ def load_calibrations(
             if came != shape:
                 do = "Calibrate with this version."
                 raise CheckpointError(expected(f"latents of {folder}", shape, came, do))
-            made_of, kind = worn.new.partition("+")[0].partition(":")[0], getattr(config, f"{finger}_sensor")
+            made_of, kind = (
+                worn.new.partition("+")[0].partition(":")[0],
+                getattr(config, f"{finger}_sensor"),
+            )
             if kind and made_of in list_sensors() and made_of != kind:
                 do = "Calibrate the sensor that the finger wears."
-                raise CheckpointError(expected(f"{finger}_calibration", f"one of a {kind}", f"one of {worn.new}", do))
+                raise CheckpointError(
+                    expected(f"{finger}_calibration", f"one of a {kind}", f"one of {worn.new}", do)
+                )
             _check_gain(config, finger, worn)
-            logger.info("%s finger wears the calibration of %s against %s", finger, worn.new, worn.anchor)
+            logger.info(
+                "%s finger wears the calibration of %s against %s", finger, worn.new, worn.anchor
+            )
             worn.map.to(config.device)
             found[finger] = worn
     return found
@@ -65,13 +77,19 @@ def _check_gain(config: PI05UniforceConfig, finger: Finger, worn: Calibration) -
     """Refuse a gain of newtons that another head reads, or none."""
     head = config.touch.head_hash if config.touch.input == "newtons" else ""
     if worn.gain != 1 and worn.head_hash != head:
-        wanted = f"a gain of newtons that head {head[:12]} reads" if head else "a map: this policy feels no newtons"
+        wanted = (
+            f"a gain of newtons that head {head[:12]} reads"
+            if head
+            else "a map: this policy feels no newtons"
+        )
         came = f"a gain of those of head {worn.head_hash[:12]}"
         do = "Calibrate by pairs with fit.gain=false, or with this policy's head."
         raise CheckpointError(expected(f"{finger}_calibration", wanted, came, do))
 
 
-def build_monitors(config: PI05UniforceConfig, calibrations: dict[Finger, Calibration]) -> dict[Finger, HealthMonitor]:
+def build_monitors(
+    config: PI05UniforceConfig, calibrations: dict[Finger, Calibration]
+) -> dict[Finger, HealthMonitor]:
     """Return finger → monitor of the sensor it wears, where the policy feels with it and a range is shipped.
 
     A sensor that is calibrated to a unit of its own kind has to look like that unit: it is judged after the map. A
@@ -89,9 +107,13 @@ def build_monitors(config: PI05UniforceConfig, calibrations: dict[Finger, Calibr
         if checkpoint_folder(size, f"latent_range_{kind}").is_dir():
             worn = calibrations.get(finger)
             within_kind = worn.map if worn and worn.anchor.partition(":")[0] == kind else None
-            found[finger] = HealthMonitor(LatentRange.from_pretrained(kind, size), finger, looks, within_kind)
+            found[finger] = HealthMonitor(
+                LatentRange.from_pretrained(kind, size), finger, looks, within_kind
+            )
         else:
-            logger.info("%s finger (%s): no range of latents is shipped, it isn't watched", finger, kind)
+            logger.info(
+                "%s finger (%s): no range of latents is shipped, it isn't watched", finger, kind
+            )
     return found
 
 
@@ -112,9 +134,11 @@ class TouchInput:
         self.worn = calibrations or {}
         self.encoder: Any = encoder  # TactileEncoder; None where the input is a control's
         self._grips = GripComparison(encoder, self.worn, config.n_action_steps)
-        self._renewed: dict[Finger, Tensor] = {}  # references taken in this episode instead of those given
+        # references taken in this episode instead of those given
+        self._renewed: dict[Finger, Tensor] = {}
         self.notes: list[str] = []  # for people who score or roll out: how it feels
-        self.masked = False  # every slot masked: the control that takes touch away from a trained policy
+        # every slot masked: the control that takes touch away from a trained policy
+        self.masked = False
         self._logged: set[str] = set()
 
     def reset(self) -> None:
@@ -133,7 +157,9 @@ class TouchInput:
         for worn in self.worn.values():
             worn.map.to(device)
 
-    def gather(self, batch: dict[str, Tensor], device: torch.device, training: bool) -> tuple[list, list]:
+    def gather(
+        self, batch: dict[str, Tensor], device: torch.device, training: bool
+    ) -> tuple[list, list]:
         """Return the slots' tensors and masks, in slot order.
 
         Raises, if ``on_sensor_loss`` is "error", RolloutError: a declared input is missing or not finite; SensorError:
@@ -193,9 +219,13 @@ class TouchInput:
         first, other = next(iter(self.config.slots)), next(one for one in FINGERS if one != finger)
         seen = all(key in batch for key in PAIR_KEYS[other])
         if slot == first and seen and self.monitors[finger].active and self._grips.look():
-            self._grips.see(slot, finger, worn, [image.to(worn.device) for image in self.pair(batch, other)])
+            self._grips.see(
+                slot, finger, worn, [image.to(worn.device) for image in self.pair(batch, other)]
+            )
 
-    def _renew(self, batch: dict[str, Tensor], slot: str, current: Tensor, why: FreeAirError) -> Tensor:
+    def _renew(
+        self, batch: dict[str, Tensor], slot: str, current: Tensor, why: FreeAirError
+    ) -> Tensor:
         """Take what an open hand shows now as the reference of this episode, once; return the latents with it."""
         finger = self.config.finger_by_slot()[slot]
         if finger in self._renewed or not self._hand_is_open(batch):

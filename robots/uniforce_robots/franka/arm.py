@@ -17,14 +17,20 @@ from uniforce_vtla.errors import ContractError, RobotError, expected
 
 # A mode in which nothing may move, and the RobotError.fault it means.
 STOPPED_MODES = {"reflex": "reflex", "user_stopped": "user_stop", "guiding": "guiding"}
-UNBELIEVED = ("bad_state", "jump", "speed", "frozen", "connection", "stale")  # faults of readings themselves
+# faults of readings themselves
+UNBELIEVED = ("bad_state", "jump", "speed", "frozen", "connection", "stale")
 # Every fault of an arm that has stopped by itself and can still be read.
 ROBOT_STOPS = (*STOPPED_MODES.values(), "communication", "discontinuity", "limit")
-ERROR_WORDS = {"communication": "communication", "discontinuity": "discontinuity", "violation": "limit"}
+ERROR_WORDS = {
+    "communication": "communication",
+    "discontinuity": "discontinuity",
+    "violation": "limit",
+}
 CLIENT_WORDS = {"incompatible": "version", "infinite or nan": "bad_state", "user stop": "user_stop"}
 CLIENT_WORDS |= {"reflex": "reflex"}
 CLIENT_ADVICE = {"realtime": "Set robot.realtime=ignore, or boot a PREEMPT_RT kernel."}
-FRAME_m, FRAME_rad, LOAD_kg = 0.002, 0.02, 0.05  # by so much the setup may differ from the assumed one
+# by so much the setup may differ from the assumed one
+FRAME_m, FRAME_rad, LOAD_kg = 0.002, 0.02, 0.05
 CLIENT_WORDS |= dict.fromkeys(("timeout", "connection", "network", "tcp", "udp"), "connection")
 
 
@@ -41,8 +47,10 @@ class ArmState:
     # poor near singularities, never the only guard
     wrench_N: np.ndarray
     mode: str  # idle, move, guiding, reflex, user_stopped, recovery or other
-    success_rate: float  # share of the last 100 control commands that reached the robot in time; 0 without control
-    errors: tuple[str, ...] = ()  # the robot's own names of what stopped it, as libfranka spells them
+    # share of the last 100 control commands that reached the robot in time; 0 without control
+    success_rate: float
+    # the robot's own names of what stopped it, as libfranka spells them
+    errors: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -77,9 +85,14 @@ def refuse_stopped(state: ArmState) -> None:
     command jumped), ``limit`` (of a joint, a speed or power), ``reflex``, ``user_stop`` or ``guiding``.
     """
     if state.mode in STOPPED_MODES:
-        fault = fault_of_errors(state.errors) if state.mode == "reflex" else STOPPED_MODES[state.mode]
+        fault = (
+            fault_of_errors(state.errors) if state.mode == "reflex" else STOPPED_MODES[state.mode]
+        )
         came = f"{state.mode} {', '.join(state.errors)}".strip()
-        raise RobotError(expected("arm mode", "idle or move", came, "See to the robot, then call recover()."), fault)
+        raise RobotError(
+            expected("arm mode", "idle or move", came, "See to the robot, then call recover()."),
+            fault,
+        )
 
 
 def fault_of_errors(errors: Iterable[str]) -> str:
@@ -97,7 +110,9 @@ def fault_of(fault: str, text: str, errors: Iterable[str] = ()) -> str:
         errors: the robot's own error names.
     """
     if fault == "other":
-        fault = next((named for word, named in CLIENT_WORDS.items() if word in text.lower()), "other")
+        fault = next(
+            (named for word, named in CLIENT_WORDS.items() if word in text.lower()), "other"
+        )
     return fault_of_errors((*errors, text)) if fault == "reflex" else fault
 
 
@@ -115,7 +130,8 @@ class Gains:
     length, over every turn of a hand that points down, stays below ``limits.FORCE_N``.
     """
 
-    stiffness_N_m: tuple[float, float, float]  # along the hand's x, y (the fingers close along y) and z
+    # along the hand's x, y (the fingers close along y) and z
+    stiffness_N_m: tuple[float, float, float]
     rotation_Nm_rad: tuple[float, float, float] = (60.0, 60.0, 60.0)  # about the same axes
     # largest position error the spring sees, along the base frame's x, y, z; and rotation error, about each axis
     clip_m: tuple[float, float, float] = (0.018, 0.018, 0.018)

@@ -30,7 +30,9 @@ class Child:
         listen: called by the reader thread for each state, as a dict; must be quick. Other lines wait to be asked for.
     """
 
-    def __init__(self, what: str, script: str, *arguments: str, listen: Callable[..., None]) -> None:
+    def __init__(
+        self, what: str, script: str, *arguments: str, listen: Callable[..., None]
+    ) -> None:
         self._what, self._command = what, [sys.executable, str(SCRIPTS / script), *arguments]
         self._listen = listen
         self._process: subprocess.Popen[str] | None = None
@@ -48,7 +50,9 @@ class Child:
         pipe = subprocess.PIPE
         self._process = subprocess.Popen(self._command, stdin=pipe, stdout=pipe, text=True)
         # A daemon: a program that forgets close() can end.
-        self._reader = threading.Thread(target=self._read, args=(self._process, self._answers), daemon=True)
+        self._reader = threading.Thread(
+            target=self._read, args=(self._process, self._answers), daemon=True
+        )
         self._reader.start()
         # A program that ends without close(): else its exit meets the reader thread in the middle of a line.
         atexit.register(self.close)
@@ -103,7 +107,9 @@ class Child:
                 self.close(grace_s=0.0)
                 do = "Is it switched on, unlocked, FCI activated, and no other program connected?"
                 came = f"none after {deadline_s:.1f} s"
-                raise RobotError(expected(self._what, "an answer", came, do), "connection") from None
+                raise RobotError(
+                    expected(self._what, "an answer", came, do), "connection"
+                ) from None
             if self._sound(line)["say"] == word:
                 return line
 
@@ -133,7 +139,9 @@ class Child:
 
     def _running(self) -> subprocess.Popen[str]:
         if self._process is None:
-            raise RobotError(expected(self._what, "connect() first", "no connection", "Call connect()."), "ended")
+            raise RobotError(
+                expected(self._what, "connect() first", "no connection", "Call connect()."), "ended"
+            )
         return self._process
 
     def close(self, grace_s: float = END_s) -> None:

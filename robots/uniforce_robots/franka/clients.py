@@ -12,7 +12,13 @@ from typing import Any
 import numpy as np
 import psutil
 
-from uniforce_robots.franka.arm import ROBOT_STOPS, ArmSetup, ArmState, refuse_stopped, require_setup
+from uniforce_robots.franka.arm import (
+    ROBOT_STOPS,
+    ArmSetup,
+    ArmState,
+    refuse_stopped,
+    require_setup,
+)
 from uniforce_robots.franka.child import Child
 from uniforce_robots.franka.config import UniforceFrankaConfig
 from uniforce_vtla.errors import RobotError, expected
@@ -22,7 +28,8 @@ CLIENT, EXTRA = "franky", "franka"
 DISTRIBUTION = "lerobot_policy_pi05_uniforce"
 TURN_rad = 0.01  # the hand's turn after which the gains are expressed in the base frame anew
 STOP_s = 8.0  # braking takes a few tenths of a second, longer beside a busy machine
-GIVE_UP_s = 2.0  # without braking; a robot that has died is noticed after one second, and a client may hang
+# without braking; a robot that has died is noticed after one second, and a client may hang
+GIVE_UP_s = 2.0
 STATE_AGE_s = 1.5  # the child notices a dead robot after 1 s and says so
 FIRST_READING_s = 3.0  # of the hand, which gives ten a second
 HAND_PORT = 1338  # of every Franka Hand; the arm's is 1337
@@ -49,8 +56,15 @@ class Arm:
         self._state: ArmState | None = None
         self._fault: RobotError | None = None
         self._controls = False
-        words = (config.address, config.realtime, str(config.reflex_torque_Nm), str(config.reflex_force_N))
-        self._child = Child(f"robot at {config.address}", "franky_arm.py", *words, listen=self._listen)
+        words = (
+            config.address,
+            config.realtime,
+            str(config.reflex_torque_Nm),
+            str(config.reflex_force_N),
+        )
+        self._child = Child(
+            f"robot at {config.address}", "franky_arm.py", *words, listen=self._listen
+        )
         self.setup: ArmSetup | None = None  # read when connecting
 
     def connect(self) -> None:
@@ -65,7 +79,10 @@ class Arm:
             flange_to_ee = np.array(said["flange_to_ee"]).reshape(4, 4).T
             self.setup = ArmSetup(flange_to_ee, said["load_kg"])
             require_setup(self.setup, self._config.load_kg)
-            wait_for(lambda: self._state is not None or self._read_fault(), self._config.connect_deadline_s)
+            wait_for(
+                lambda: self._state is not None or self._read_fault(),
+                self._config.connect_deadline_s,
+            )
             self.state()
         except RobotError:
             self.close()
@@ -74,7 +91,9 @@ class Arm:
     def _listen(self, **state: Any) -> None:
         arrays = {name: np.array(state[name]) for name in ("q_rad", "dq_rad_s", "wrench_N")}
         pose = np.array(state["ee_to_base"]).reshape(4, 4).T
-        self._state = ArmState(**state | arrays | {"ee_to_base": pose, "errors": tuple(state["errors"])})
+        self._state = ArmState(
+            **state | arrays | {"ee_to_base": pose, "errors": tuple(state["errors"])}
+        )
 
     def state(self) -> ArmState:
         """Return the newest reading; there are a hundred a second. Never blocks."""
@@ -127,7 +146,9 @@ class Arm:
     def recover(self) -> None:
         """Clear a reflex. Nothing moves; the next target takes control again."""
         if not self._child.is_alive:
-            raise RobotError("arm: expected a running client, got none. Connect again.", "connection")
+            raise RobotError(
+                "arm: expected a running client, got none. Connect again.", "connection"
+            )
         self._controls, self._fault = False, None
         self._child.forget()  # what was said about the old fault
         self._child.send("recover")
@@ -172,8 +193,14 @@ class HandClient:
     def begin(self, command: HandCommand) -> None:
         """Start a command; none is in flight."""
         if command.force_N > 0:
-            widths = {"width_m": command.grasp_width_m, "inner_m": command.inner_m, "outer_m": OUTER_m}
-            self._child.send("grasp", speed_m_s=command.speed_m_s, force_N=command.force_N, **widths)
+            widths = {
+                "width_m": command.grasp_width_m,
+                "inner_m": command.inner_m,
+                "outer_m": OUTER_m,
+            }
+            self._child.send(
+                "grasp", speed_m_s=command.speed_m_s, force_N=command.force_N, **widths
+            )
         else:
             self._child.send("move", width_m=command.width_m, speed_m_s=command.speed_m_s)
 
@@ -197,7 +224,9 @@ class HandClient:
     def read(self) -> HandReading | None:
         """Return the newest reading, None before the first. Never blocks."""
         if not self._child.is_alive:
-            raise RobotError(f"{self._what}: the client process ended. Connect again.", "hand_connection")
+            raise RobotError(
+                f"{self._what}: the client process ended. Connect again.", "hand_connection"
+            )
         return self._reading
 
     def refuse_closed(self) -> None:
@@ -211,7 +240,9 @@ class HandClient:
         self._looked_s = now_s
         if is_hand_closed(pid):
             do = "Check the cable and the robot's controller, then connect again."
-            raise RobotError(expected(self._what, "a connection", "one it has closed", do), "hand_connection")
+            raise RobotError(
+                expected(self._what, "a connection", "one it has closed", do), "hand_connection"
+            )
 
     def close(self) -> None:
         """Stop the fingers and hang up. Safe to call twice."""
@@ -236,4 +267,6 @@ def is_hand_closed(pid: int) -> bool:
         found = psutil.Process(pid).net_connections("tcp")
     except psutil.Error:  # the process is gone, which its owner notices, or may not be looked at
         return False
-    return any(c.raddr and c.raddr.port == HAND_PORT and c.status == psutil.CONN_CLOSE_WAIT for c in found)
+    return any(
+        c.raddr and c.raddr.port == HAND_PORT and c.status == psutil.CONN_CLOSE_WAIT for c in found
+    )

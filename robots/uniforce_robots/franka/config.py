@@ -8,7 +8,12 @@ from lerobot.robots.config import RobotConfig
 
 from uniforce_robots.franka.arm import ROLLOUT, Gains
 from uniforce_robots.franka.guards import GuardLimits
-from uniforce_robots.franka.limits import HandSettings, StreamSettings, require_in_limits, require_kind
+from uniforce_robots.franka.limits import (
+    HandSettings,
+    StreamSettings,
+    require_in_limits,
+    require_kind,
+)
 from uniforce_robots.sensors.config_uniforce import TactileFingerConfig
 from uniforce_vtla.errors import require_one_of
 
@@ -20,10 +25,12 @@ NESTED = {"gains": Gains, "guards": GuardLimits, "stream": StreamSettings, "grip
 class UniforceFrankaConfig(RobotConfig):
     """A Franka Research 3 with its hand; hard limits of every number in ``limits.HARD_LIMITS``."""
 
-    address: str = "172.16.0.2"  # of the robot's controller, its default; 127.0.0.N for the stand-in
+    # of the robot's controller, its default; 127.0.0.N for the stand-in
+    address: str = "172.16.0.2"
     backend: Literal["franky"] = "franky"  # the only client; kept, since rig files name it
     fps: float = 30.0  # actions per second; a target is reached within one period
-    gains: Gains = field(default_factory=lambda: ROLLOUT)  # stiffness and clip; the force bound is their product
+    # stiffness and clip; the force bound is their product
+    gains: Gains = field(default_factory=lambda: ROLLOUT)
     guards: GuardLimits = field(default_factory=GuardLimits)  # limits every action passes
     # rhythm and watchdog; its ``action_period_s`` follows ``fps``
     stream: StreamSettings = field(default_factory=StreamSettings)
@@ -32,12 +39,15 @@ class UniforceFrankaConfig(RobotConfig):
     # below what breaks a gel.
     reflex_torque_Nm: float = 40.0
     reflex_force_N: float = 40.0
-    connect_deadline_s: float = 2.5  # for an answer, once the client is loaded; with its start a person waits 3 s
+    # for an answer, once the client is loaded; with its start a person waits 3 s
+    connect_deadline_s: float = 2.5
     realtime: Literal["ignore", "enforce"] = "ignore"  # enforce needs PREEMPT_RT
-    load_kg: float = 0.0  # payload beside the hand, as set in Desk; another one at connect is refused
+    # payload beside the hand, as set in Desk; another one at connect is refused
+    load_kg: float = 0.0
     # By name; each is one image of the observation, and a tactile one two: its free-air reference is ``NAME_ref``.
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
-    open_width_m: float = 0.06  # fingers so far apart count as open, as a free-air reference needs; 0.08 is the widest
+    # fingers so far apart count as open, as a free-air reference needs; 0.08 is the widest
+    open_width_m: float = 0.06
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -15,7 +15,8 @@ from uniforce_vtla.errors import ContractError, RobotError, expected
 from uniforce_vtla.keys import AXES
 
 log = logging.getLogger(__name__)
-GUARDS = ("finite", "box", "step", "rate", "sensor")  # the last one acts on a camera, not on an action
+# the last one acts on a camera, not on an action
+GUARDS = ("finite", "box", "step", "rate", "sensor")
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,8 @@ class GuardLimits:
     Each has a hard limit in ``limits.HARD_LIMITS``.
     """
 
-    low: tuple[float, ...] = (0.30, -0.30, 0.005, -np.pi / 2, 0.0)  # the workspace box: measure your own
+    # the workspace box: measure your own
+    low: tuple[float, ...] = (0.30, -0.30, 0.005, -np.pi / 2, 0.0)
     high: tuple[float, ...] = (0.70, 0.30, 0.50, np.pi / 2, 0.08)
     # Largest distance of a target from the measured pose. Wider than the tracker's clip, so that it catches a policy
     # gone astray rather than one that presses.
@@ -88,16 +90,22 @@ class GuardChain:
     def _finite(self, action: np.ndarray, measured: np.ndarray) -> None:
         if not np.isfinite(measured).all():
             do = "Nothing can be sent; the robot stops."
-            raise RobotError(expected("measured pose", "finite numbers", measured.tolist(), do), "bad_state")
+            raise RobotError(
+                expected("measured pose", "finite numbers", measured.tolist(), do), "bad_state"
+            )
         if action.shape == (len(AXES),) and np.isfinite(action).all():
             return
         self.counts["finite"] += 1
         do = "The policy or the teleoperator is broken; the robot stops."
-        raise RobotError(expected("action", f"{len(AXES)} finite numbers", action.tolist(), do), "action")
+        raise RobotError(
+            expected("action", f"{len(AXES)} finite numbers", action.tolist(), do), "action"
+        )
 
     def _box(self, action: np.ndarray, start: np.ndarray) -> np.ndarray:
         """Clamp to the box; outside it an axis may stay where it starts from and come back, never go farther out."""
-        return np.clip(action, np.minimum(self.limits.low, start), np.maximum(self.limits.high, start))
+        return np.clip(
+            action, np.minimum(self.limits.low, start), np.maximum(self.limits.high, start)
+        )
 
     def _step(self, action: np.ndarray, measured: np.ndarray) -> np.ndarray:
         near = action.copy()
@@ -134,4 +142,8 @@ def towards(start: np.ndarray, goal: np.ndarray, reach: float) -> np.ndarray:
 def turn_towards(start_rad: float, goal_rad: float, reach_rad: float) -> float:
     """Return the goal, or ``reach_rad`` of the shorter turn to it."""
     turn = shortest_turn(start_rad, goal_rad)
-    return goal_rad if abs(turn) <= reach_rad else start_rad + float(np.clip(turn, -reach_rad, reach_rad))
+    return (
+        goal_rad
+        if abs(turn) <= reach_rad
+        else start_rad + float(np.clip(turn, -reach_rad, reach_rad))
+    )

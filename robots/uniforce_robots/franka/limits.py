@@ -17,7 +17,8 @@ def up_to(most: float) -> Range:
     return Range(0, most, above=True)
 
 
-BOX = (  # x, y m (the arm reaches 0.855), z m, yaw rad (joint 7 turns ±3.02), width m (the hand opens to 0.08)
+# x, y m (the arm reaches 0.855), z m, yaw rad (joint 7 turns ±3.02), width m (the hand opens to 0.08)
+BOX = (
     Range(-0.9, 0.9),
     Range(-0.9, 0.9),
     Range(-0.5, 1.2),
@@ -80,7 +81,9 @@ def require_in_limits(settings: object) -> None:
             _require(what, value, allowed)
             continue
         if not isinstance(value, tuple | list) or len(value) != len(allowed):
-            raise ContractError(expected(what, f"{len(allowed)} numbers", repr(value), "Mend the setting."))
+            raise ContractError(
+                expected(what, f"{len(allowed)} numbers", repr(value), "Mend the setting.")
+            )
         for index, (one, row) in enumerate(zip(value, allowed, strict=True)):
             _require(f"{what}[{index}]", one, row)
 
@@ -96,7 +99,9 @@ def require_kind(what: str, value: object, kind: type) -> None:
 
 def _require(what: str, value: object, allowed: Range) -> None:
     if not allowed.holds(value):
-        raise ContractError(expected(what, f"one number, {allowed}", repr(value), "Mend the setting."))
+        raise ContractError(
+            expected(what, f"one number, {allowed}", repr(value), "Mend the setting.")
+        )
 
 
 @dataclass(frozen=True)
@@ -104,9 +109,11 @@ class StreamSettings:
     """Rhythm of the stream; hard limits in ``limits.HARD_LIMITS``."""
 
     rate_hz: float = 100.0  # targets per second
-    action_period_s: float = 1 / 30  # how long a ramp to a new action takes; the policy's own period
+    # how long a ramp to a new action takes; the policy's own period
+    action_period_s: float = 1 / 30
     stale_s: float = 0.2  # an action older than this is no longer followed
-    state_age_s: float = 0.2  # an older reading is not used; a robot whose clock stands still for so long is gone
+    # an older reading is not used; a robot whose clock stands still for so long is gone
+    state_age_s: float = 0.2
 
     def __post_init__(self) -> None:
         require_in_limits(self)

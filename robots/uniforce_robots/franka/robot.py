@@ -62,21 +62,27 @@ class UniforceFranka(Robot):
 
     _stream: ArmStream | None = None  # the finaliser also runs where the constructor failed
 
-    def __init__(self, config: UniforceFrankaConfig, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, config: UniforceFrankaConfig, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         super().__init__(config)
-        self.config = config = replace(config)  # checks it again: a field may have been set since it was made
+        # checks it again: a field may have been set since it was made
+        self.config = config = replace(config)
         self._clock = clock
         self.cameras = make_cameras_from_configs(config.cameras)
         self.guards = GuardChain(config.guards)
         self._arm, self._hand_client = make_backend(config)
         self._hand: Hand | None = None
-        self._plain: dict[str, PlainCamera] = {}  # LeRobot's own cameras, watched from the connection on
+        # LeRobot's own cameras, watched from the connection on
+        self._plain: dict[str, PlainCamera] = {}
         self._fault: RobotError | None = None
 
     @property
     def observation_features(self) -> dict[str, Any]:
         """Five measured axes, (height, width, 3) for each camera, and again for each finger's reference."""
-        images = {name: (camera.height, camera.width, 3) for name, camera in self.config.cameras.items()}
+        images = {
+            name: (camera.height, camera.width, 3) for name, camera in self.config.cameras.items()
+        }
         images |= {f"{name}_ref": images[name] for name in self.config.fingers}
         return {**dict.fromkeys(AXES, float), **images}
 
@@ -98,7 +104,9 @@ class UniforceFranka(Robot):
         reference.
         """
         if self.is_connected:
-            raise RobotError("robot: expected one not connected, got one that is. Disconnect first.", "other")
+            raise RobotError(
+                "robot: expected one not connected, got one that is. Disconnect first.", "other"
+            )
         forbid_return_motion()
         try:
             self._connect_all()
@@ -158,7 +166,8 @@ class UniforceFranka(Robot):
         """Stop the arm where it is, stop the fingers, join every thread, hang up. Safe to call twice."""
         counts = self.guard_counts
         stream, self._stream, self._hand = self._stream, None, None
-        with ExitStack() as closing:  # last in, first out, and each of them even if another one fails
+        # last in, first out, and each of them even if another one fails
+        with ExitStack() as closing:
             closing.callback(log.info, "guards acted: %s", counts)
             for camera in self.cameras.values():
                 if camera.is_connected:
@@ -201,7 +210,10 @@ class UniforceFranka(Robot):
         setup = self._arm.setup
         if setup is None:
             return {}
-        return {"flange_to_ee": setup.flange_to_ee.round(5).tolist(), "load_kg": round(setup.load_kg, 3)}
+        return {
+            "flange_to_ee": setup.flange_to_ee.round(5).tolist(),
+            "load_kg": round(setup.load_kg, 3),
+        }
 
     @property
     def guard_counts(self) -> dict[str, int]:
@@ -257,7 +269,9 @@ class UniforceFranka(Robot):
         hand.check()
         missing = [axis for axis in AXES if axis not in action]
         if missing:
-            raise RobotError(expected("action", AXES, f"{missing} missing", "Send all five."), "action")
+            raise RobotError(
+                expected("action", AXES, f"{missing} missing", "Send all five."), "action"
+            )
         wanted = np.array([_number(axis, action[axis]) for axis in AXES])
         measured, rest = self.measured(), stream.resting
         if rest is not None:  # what was sent before the rest is no place to go on from
@@ -277,7 +291,9 @@ class UniforceFranka(Robot):
             raise
         except Exception as error:  # whatever a policy hands over: the arm must not go on
             do = "The policy or the teleoperator is broken; the robot stops."
-            broken = RobotError(expected("action", "five numbers by name", repr(error), do), "action")
+            broken = RobotError(
+                expected("action", "five numbers by name", repr(error), do), "action"
+            )
             self._halt(broken)
             raise broken from error
         except BaseException:  # Ctrl-C
@@ -299,7 +315,9 @@ class UniforceFranka(Robot):
 def _number(axis: str, value: Any) -> float:
     """Return a number, also of a tensor of one; a text that reads like one is none."""
     if isinstance(value, bool | str | bytes):
-        raise RobotError(expected(axis, "a number", reprlib.repr(value), "The robot stops."), "action")
+        raise RobotError(
+            expected(axis, "a number", reprlib.repr(value), "The robot stops."), "action"
+        )
     number = float(value.item() if hasattr(value, "item") else value)
     if not math.isfinite(number):
         raise RobotError(expected(axis, "a finite number", number, "The robot stops."), "action")

@@ -14,11 +14,13 @@ from uniforce_vtla.errors import RobotError, expected
 
 JOINT_SPEED_rad_s = 1.2 * DQ_MAX_rad_s  # a fifth more than a joint can do is no measurement
 HAND_SPEED_m_s, HAND_TURN_rad_s = 2.0, 3.0
-LONGEST_s = 0.02  # after a longer pause the allowed distance is counted from here: a pause excuses no jump
+# after a longer pause the allowed distance is counted from here: a pause excuses no jump
+LONGEST_s = 0.02
 NOISE_m, NOISE_rad = 0.005, 0.05
 RESTART = "restart the robot's controller."
 ROTATION_ERROR = 1e-2  # of RᵀR from the identity
-LEAD_m = 0.015  # closer to its target the spring is not clipped, so a target that moves moves the arm
+# closer to its target the spring is not clipped, so a target that moves moves the arm
+LEAD_m = 0.015
 # a target went so far and no joint changed by a single bit, by the robot's clock: a busy computer whose command is late
 # by some milliseconds is no frozen robot
 FROZEN_m, FROZEN_s = 0.003, 0.1
@@ -67,10 +69,16 @@ def _require_possible(state: ArmState) -> None:
     if not (whole and np.isfinite(state.robot_time_s)):
         raise _wrong("arm state", "finite numbers", "NaN or infinity", "bad_state")
     rotation = pose[:3, :3]
-    if np.abs(rotation.T @ rotation - np.eye(3)).max() > ROTATION_ERROR or np.linalg.det(rotation) < 0:
+    if (
+        np.abs(rotation.T @ rotation - np.eye(3)).max() > ROTATION_ERROR
+        or np.linalg.det(rotation) < 0
+    ):
         raise _wrong("arm state", "a rotation in its pose", rotation.round(3).tolist(), "bad_state")
     if (np.abs(state.dq_rad_s) > JOINT_SPEED_rad_s).any():
-        came, do = state.dq_rad_s.round(2).tolist(), f"Its encoders or the network are wrong; {RESTART}"
+        came, do = (
+            state.dq_rad_s.round(2).tolist(),
+            f"Its encoders or the network are wrong; {RESTART}",
+        )
         raise _wrong("joint speed", "within the data sheet's", came, "speed", do)
     if not np.isfinite(state.wrench_N).all():
         came, do = state.wrench_N.round(2).tolist(), f"Without it nothing bounds a press; {RESTART}"
@@ -80,7 +88,9 @@ def _require_possible(state: ArmState) -> None:
 def _require_continuous(last: ArmState, state: ArmState) -> None:
     elapsed_s = state.robot_time_s - last.robot_time_s
     if elapsed_s < 0:
-        raise _wrong("arm state", "a clock that advances", f"{1000 * elapsed_s:.0f} ms", "bad_state")
+        raise _wrong(
+            "arm state", "a clock that advances", f"{1000 * elapsed_s:.0f} ms", "bad_state"
+        )
     elapsed_s = min(elapsed_s, LONGEST_s)
     moved_m = float(np.linalg.norm(state.ee_to_base[:3, 3] - last.ee_to_base[:3, 3]))
     turned_rad = _angle(last.ee_to_base[:3, :3].T @ state.ee_to_base[:3, :3])
@@ -98,7 +108,9 @@ def _angle(rotation: np.ndarray) -> float:
 
 
 def _wrong(what: str, wanted: str, came: object, fault: str, do: str = "") -> RobotError:
-    return RobotError(expected(what, wanted, came, do or f"Nothing it reports can be used; {RESTART}"), fault)
+    return RobotError(
+        expected(what, wanted, came, do or f"Nothing it reports can be used; {RESTART}"), fault
+    )
 
 
 def require_upright(state: ArmState, limit_rad: float) -> None:
@@ -153,22 +165,32 @@ class SendCheck:
         if _tilt_of(target) > allowed_rad + ROUNDING:
             raise _refused(f"a tilt of at most {allowed_rad:.3f} rad", target)
 
-    def _require_rate(self, target: np.ndarray, last: np.ndarray, here: np.ndarray, elapsed_s: float) -> None:
+    def _require_rate(
+        self, target: np.ndarray, last: np.ndarray, here: np.ndarray, elapsed_s: float
+    ) -> None:
         if _distance(target, here) <= HERE_m and _turn(target, here) <= HERE_rad:
             return  # it lets go: the pull becomes nothing, however far the last target was
         limits = self._limits
         slow = _distance(target, last) <= limits.speed_m_s * elapsed_s + ROUNDING
         if not (slow and _turn(target, last) <= limits.speed_rad_s * elapsed_s + ROUNDING):
-            raise _refused(f"at most {limits.speed_m_s} m/s from {last.round(4).tolist()} in {elapsed_s:.3f} s", target)
+            raise _refused(
+                f"at most {limits.speed_m_s} m/s from {last.round(4).tolist()} in {elapsed_s:.3f} s",
+                target,
+            )
 
     def _require_near(self, target: np.ndarray, here: np.ndarray) -> None:
         """A target was within a step of the arm when it was chosen; since then the arm may have moved a little."""
         limits = self._limits
         reach_m = limits.step_m + limits.speed_m_s * limits.longest_gap_s
         reach_rad = limits.step_rad + limits.speed_rad_s * limits.longest_gap_s
-        if _distance(target, here) > reach_m + ROUNDING or _turn(target, here) > reach_rad + ROUNDING:
+        if (
+            _distance(target, here) > reach_m + ROUNDING
+            or _turn(target, here) > reach_rad + ROUNDING
+        ):
             wanted = f"within {reach_m:.3f} m and {reach_rad:.2f} rad of the arm at {here.round(4).tolist()}"
-            raise _refused(wanted, target, "Not sent: has something pushed the arm away? See to it.")
+            raise _refused(
+                wanted, target, "Not sent: has something pushed the arm away? See to it."
+            )
 
 
 def _axes(pose: ToolPose) -> np.ndarray:
@@ -188,5 +210,7 @@ def _tilt_of(axes: np.ndarray) -> float:
     return float(np.linalg.norm(axes[4:]))
 
 
-def _refused(wanted: str, target: np.ndarray, do: str = "Not sent; please report it.") -> RobotError:
+def _refused(
+    wanted: str, target: np.ndarray, do: str = "Not sent; please report it."
+) -> RobotError:
     return RobotError(expected("target to send", wanted, target.round(4).tolist(), do), "guard")

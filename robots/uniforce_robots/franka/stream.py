@@ -24,7 +24,8 @@ from uniforce_vtla.errors import RobotError, expected
 
 log = logging.getLogger(__name__)
 JOIN_s = 10.0  # a backend's own deadlines are shorter
-LEVEL_rad_m = 1.0  # a tilted hand turns upright by so much along each metre of a wished way, and never without one
+# a tilted hand turns upright by so much along each metre of a wished way, and never without one
+LEVEL_rad_m = 1.0
 TOLD_rad = 0.02  # a smaller tilt is not worth a line in the log
 GOOD_RATE = 0.9  # share of commands in time, below which someone should look at the computer
 
@@ -97,7 +98,9 @@ class ArmStream:
         tilt_rad = float(np.linalg.norm(self._measured().tilt_rad))
         if tilt_rad > TOLD_rad:
             way_m = tilt_rad / LEVEL_rad_m
-            log.warning("hand tilted by %.0f°: levelled along its first %.2f m", np.degrees(tilt_rad), way_m)
+            log.warning(
+                "hand tilted by %.0f°: levelled along its first %.2f m", np.degrees(tilt_rad), way_m
+            )
         self._robot_time_s, self._advanced_s = state.robot_time_s, self._clock()
 
     def stop(self) -> None:
@@ -108,7 +111,9 @@ class ArmStream:
         self._thread.join(JOIN_s)
         if self._thread.is_alive():
             do = "The client hangs; end the process."
-            raise RobotError(expected("arm thread", f"an end within {JOIN_s} s", "none", do), "connection")
+            raise RobotError(
+                expected("arm thread", f"an end within {JOIN_s} s", "none", do), "connection"
+            )
 
     def halt(self, fault: RobotError) -> None:
         """End the stream for a reason; the thread lets go of the arm by itself. Never blocks."""
@@ -135,7 +140,9 @@ class ArmStream:
 
     def _read_before(self) -> ArmState:
         if self._state is None:
-            raise RobotError("arm stream: expected start() first, got no reading. Connect the robot.", "ended")
+            raise RobotError(
+                "arm stream: expected start() first, got no reading. Connect the robot.", "ended"
+            )
         return self._state
 
     def submit(self, target: ToolPose) -> None:
@@ -145,10 +152,14 @@ class ArmStream:
         """
         self._check()
         if self._ending.is_set():
-            raise RobotError("arm: expected a running stream, got one that has ended. Connect again.", "ended")
+            raise RobotError(
+                "arm: expected a running stream, got one that has ended. Connect again.", "ended"
+            )
         with self._lock:
             now = self._clock()
-            self._ramp = Ramp(self._sent or self._measured(), target, now, self.settings.action_period_s)
+            self._ramp = Ramp(
+                self._sent or self._measured(), target, now, self.settings.action_period_s
+            )
             self._submitted_s, self._rest_wanted, self._holding = now, False, False
 
     def hold(self) -> None:
@@ -179,9 +190,12 @@ class ArmStream:
                 self.tick()
                 due = max(due + 1 / self.settings.rate_hz, time.monotonic())
                 self._ending.wait(due - time.monotonic())
-        except Exception as error:  # the thread's outermost frame: the caller must learn why it ended
+        # the thread's outermost frame: the caller must learn why it ended
+        except Exception as error:
             text = f"arm stream: {type(error).__name__}: {error}. Please report it."
-            self.fault = self.fault or (error if isinstance(error, RobotError) else RobotError(text, "other"))
+            self.fault = self.fault or (
+                error if isinstance(error, RobotError) else RobotError(text, "other")
+            )
             log.error("arm stopped (%s): %s", self.fault.fault, self.fault)
         finally:
             self._ending.set()
@@ -234,7 +248,9 @@ class ArmStream:
     def _warn_of_late_commands(self, state: ArmState) -> None:
         late = state.mode == "move" and state.success_rate < GOOD_RATE
         if late and not self._late:
-            log.warning("only %.0f%% of the commands reach the robot in time", 100 * state.success_rate)
+            log.warning(
+                "only %.0f%% of the commands reach the robot in time", 100 * state.success_rate
+            )
         self._late = late
 
     def _target(self, now_s: float) -> ToolPose | None:
@@ -244,7 +260,9 @@ class ArmStream:
         if not self._holding and now_s - self._submitted_s > self.settings.stale_s:
             self.stale_count += 1
             self.hold()
-            log.warning("no action for %.0f ms: holding the measured pose", 1000 * self.settings.stale_s)
+            log.warning(
+                "no action for %.0f ms: holding the measured pose", 1000 * self.settings.stale_s
+            )
         if self._rest_wanted:
             self._rest_here(now_s)
         return self._ramp.at(now_s) if self._holding else self._slowed(self._ramp.at(now_s), now_s)
@@ -258,7 +276,9 @@ class ArmStream:
         position_m = towards(self._sent.position_m, goal.position_m, limits.speed_m_s * elapsed_s)
         yaw_rad = turn_towards(self._sent.yaw_rad, goal.yaw_rad, limits.speed_rad_s * elapsed_s)
         way_m = float(np.linalg.norm(position_m - self._sent.position_m))
-        return ToolPose(position_m, yaw_rad, towards(self._sent.tilt_rad, np.zeros(3), LEVEL_rad_m * way_m))
+        return ToolPose(
+            position_m, yaw_rad, towards(self._sent.tilt_rad, np.zeros(3), LEVEL_rad_m * way_m)
+        )
 
     def _rest_here(self, now_s: float) -> None:
         """Take the measured pose as target, once: followed for ever it would let the arm sink under any load."""

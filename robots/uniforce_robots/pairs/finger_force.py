@@ -46,7 +46,9 @@ class TouchField:
         self._before = find_blobs(check_marker_image(reference, "reference"))
         if len(self._before.area_px) < MIN_MATCHES:
             came = len(self._before.area_px)
-            raise ContractError(expected("reference", f"≥ {MIN_MATCHES} markers", came, "Capture it again."))
+            raise ContractError(
+                expected("reference", f"≥ {MIN_MATCHES} markers", came, "Capture it again.")
+            )
         self._reach_px = spacing(self._before.centre_px)
         y, x = ((np.arange(GRID) + 0.5) * size / GRID for size in MARKER_IMAGE_SHAPE)
         cells = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
@@ -108,5 +110,7 @@ class FingerForce(nn.Module):
             do = "Train one: python -m benchmarks.pair_quality train=true rigs=…"
             raise CheckpointError(expected(f"force reader of {sensor}", known, "none", do))
         if (came := read_config(path).get("sensor")) != sensor:
-            raise CheckpointError(expected(str(path), f"a reader of {sensor}", came, "Name another."))
+            raise CheckpointError(
+                expected(str(path), f"a reader of {sensor}", came, "Name another.")
+            )
         return load_model(path, cls).eval()

@@ -39,7 +39,8 @@ class GraspSettings:
     rate_hz: float = 15.0  # frames per second
     frames: int = 45  # per grasp
     rest_s: float = 1.0
-    fault_share: float = 0.5  # of the grasps in which something goes wrong, the faults taking equal parts
+    # of the grasps in which something goes wrong, the faults taking equal parts
+    fault_share: float = 0.5
     faults: tuple[str, ...] = FAULTS  # those that may be drawn
 
     @property
@@ -60,7 +61,9 @@ class GuidedGrasp:
     fault: str  # one of ``FAULTS``, or "none"
 
 
-def draw_grasp(rng: np.random.Generator, settings: GraspSettings, mass_kg: float, friction: float = 1.0) -> GuidedGrasp:
+def draw_grasp(
+    rng: np.random.Generator, settings: GraspSettings, mass_kg: float, friction: float = 1.0
+) -> GuidedGrasp:
     """Return a random guided grasp of an object whose mass counts with what moves of its holder.
 
     The loads asked for stay below the pads' friction.
@@ -76,7 +79,8 @@ def draw_grasp(rng: np.random.Generator, settings: GraspSettings, mass_kg: float
     difference[:, 2] += mass_kg * acceleration[:, CLOSING]
     left, right = _faulty(rng, settings, fault, friction, grip, shear, difference)
     velocity = np.cumsum(acceleration, axis=0) * dt
-    velocity += 0.03 * _wander(rng, T, 3, 6) * led[:, None]  # slow leading, its acceleration is in SLOW_m_s2
+    # slow leading, its acceleration is in SLOW_m_s2
+    velocity += 0.03 * _wander(rng, T, 3, 6) * led[:, None]
     velocity += SPEED_NOISE_m_s * rng.standard_normal((T, 3))
     acceleration += ACCELERATION_NOISE_m_s2 * rng.standard_normal((T, 3))
     grip_N = grip * (1 + GRIP_NOISE * rng.standard_normal()) + 0.1 * rng.standard_normal(T)
@@ -156,7 +160,9 @@ def _window(rng: np.random.Generator, settings: GraspSettings) -> np.ndarray:
     """(T,) a stretch of the led part with soft ends, 1 inside."""
     start = rng.uniform(settings.rest_s + 0.1, 0.6 * settings.frames / settings.rate_hz)
     stop = start + rng.uniform(0.3, 0.9)
-    return np.clip(np.minimum((settings.times_s - start) / 0.1, (stop - settings.times_s) / 0.1), 0, 1)
+    return np.clip(
+        np.minimum((settings.times_s - start) / 0.1, (stop - settings.times_s) / 0.1), 0, 1
+    )
 
 
 def _jerk(rng: np.random.Generator, settings: GraspSettings) -> np.ndarray:

@@ -21,17 +21,22 @@ from scipy.ndimage import uniform_filter1d
 from uniforce_robots.pairs.rig import CLOSING
 
 # Threshold and trust were set on simulated sessions other than those the score is measured on.
-LIMIT = 0.115  # estimated error above which a pair is flagged; above the true limit of 0.10, since noise only adds
-TRUST = 3.0  # standard deviations of the session by which normals must disagree to overrule the acceleration
+# estimated error above which a pair is flagged; above the true limit of 0.10, since noise only adds
+LIMIT = 0.115
+# standard deviations of the session by which normals must disagree to overrule the acceleration
+TRUST = 3.0
 SMOOTH = 3  # frames of the moving mean of forces; odd
 ALONE = 0.3  # share of the other finger's normal below which a finger counts as not touching
 REST_SPEED_m_s, REST_ACCELERATION_m_s2 = 0.02, 0.6  # a hand below both is at rest
-FIRST_SPREAD = 0.2  # of the log ratio of normals, expected of a session that has not shown its own yet
+# of the log ratio of normals, expected of a session that has not shown its own yet
+FIRST_SPREAD = 0.2
 GRASPS_KEPT = 48  # the newest, from which a session's comparison is learnt
-FLOOR_N = 1.0  # below this mean force errors count against it: a tenth of a newton is not worth a flag
+# below this mean force errors count against it: a tenth of a newton is not worth a flag
+FLOOR_N = 1.0
 TOUCH_N = 1.0  # lighter normals say nothing of how two units compare
 LEAST_N = 0.05  # keeps logarithms finite
-PULL_N2 = (200.0, 200.0, 2000.0)  # prior that two units' shears are alike, not made of normals: some ten grasps
+# prior that two units' shears are alike, not made of normals: some ten grasps
+PULL_N2 = (200.0, 200.0, 2000.0)
 SPREAD_GRASPS = 4  # grasps the first guess of the spread is worth
 
 
@@ -50,7 +55,8 @@ class GraspSignals:
 class PairQuality:
     """The score of T pairs."""
 
-    error: np.ndarray  # (T,) estimated ‖F_left − F_right‖ over the mean of both; 2 where one finger doesn't touch
+    # (T,) estimated ‖F_left − F_right‖ over the mean of both; 2 where one finger doesn't touch
+    error: np.ndarray
 
     @property
     def flagged(self) -> np.ndarray:
@@ -73,7 +79,8 @@ class PairJudge:
     def __init__(self) -> None:
         self._shear = np.eye(3, 2)  # takes the right finger's force to the left finger's shear
         self._log_ratio = 0.0  # of normals, right over left, of the session's median grasp
-        self._spread = FIRST_SPREAD  # of that within a grasp, once the grasp's own comparison is taken out
+        # of that within a grasp, once the grasp's own comparison is taken out
+        self._spread = FIRST_SPREAD
         self._grasps: list[GraspSignals] = []
 
     def judge(self, grasp: GraspSignals) -> PairQuality:
@@ -94,7 +101,9 @@ class PairJudge:
         """Take a finished grasp into the session's comparison."""
         self._grasps = [*self._grasps, grasp][-GRASPS_KEPT:]
         left = np.concatenate([_smooth(g.left_N) for g in self._grasps])
-        self._shear = _compare_shear(left, np.concatenate([_smooth(g.right_N) for g in self._grasps]))
+        self._shear = _compare_shear(
+            left, np.concatenate([_smooth(g.right_N) for g in self._grasps])
+        )
         known = [ratio for ratio in map(_rest_ratio, self._grasps) if np.isfinite(ratio)]
         self._log_ratio = float(np.median(known)) if known else 0.0
         self._spread = self._learn_spread()
@@ -106,7 +115,8 @@ class PairJudge:
         weight = _rest(grasp) * np.clip(np.minimum(a, b), 0, 3)
         around = np.average(np.log(a), weights=weight + 1e-6)
         terms = np.column_stack([np.ones_like(a), np.log(a) - around])
-        prior, pull = np.array([self._log_ratio, 0.0]), np.diag([1.0, 4.0])  # as if from one, four frames
+        # as if from one, four frames
+        prior, pull = np.array([self._log_ratio, 0.0]), np.diag([1.0, 4.0])
         normal = terms.T @ (weight[:, None] * terms) + pull
         found = np.linalg.solve(normal, terms.T @ (weight * np.log(b / a)) + pull @ prior)
         low, high = prior[0] - 0.7, prior[0] + 0.7  # a factor of 2: more is a finger not touching
@@ -124,7 +134,9 @@ class PairJudge:
         if not len(seen):
             return FIRST_SPREAD
         own, grasps = 1.4826 * float(np.median(seen)) + 0.02, len(self._grasps)
-        return float(np.sqrt((SPREAD_GRASPS * FIRST_SPREAD**2 + grasps * own**2) / (SPREAD_GRASPS + grasps)))
+        return float(
+            np.sqrt((SPREAD_GRASPS * FIRST_SPREAD**2 + grasps * own**2) / (SPREAD_GRASPS + grasps))
+        )
 
 
 def _rest(grasp: GraspSignals) -> np.ndarray:

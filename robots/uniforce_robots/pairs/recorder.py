@@ -30,9 +30,11 @@ class RecordingPlan:
     pairs: int = 1000  # per indenter
     chunk: int = 50  # pairs saved at once; what a kill may cost
     limits: MotionLimits = field(default_factory=MotionLimits)  # what counts as slow
-    crowded: float = 0.25  # largest share of an indenter's pairs in one cell of force; more are left out
+    # largest share of an indenter's pairs in one cell of force; more are left out
+    crowded: float = 0.25
     longest_grasp: int = 300  # frames after which a grasp is judged although the fingers hold on
-    give_up: int = 60  # frames per wanted pair after which an indenter is given up: something is wrong then
+    # frames per wanted pair after which an indenter is given up: something is wrong then
+    give_up: int = 60
 
 
 @dataclass(frozen=True)
@@ -52,13 +54,16 @@ class SessionReport:
     """Counts of frames kept and left out."""
 
     outcomes: Counter[str] = field(default_factory=Counter)  # how many frames were kept, or why not
-    kept: list[tuple[int, int]] = field(default_factory=list)  # (grasp, frame within it) of every kept pair
+    # (grasp, frame within it) of every kept pair
+    kept: list[tuple[int, int]] = field(default_factory=list)
 
 
 class PairRecorder:
     """One session: references are taken once, then grasps come in; ``show`` is called with the live status."""
 
-    def __init__(self, rig: PairRig, store: PairStore, plan: RecordingPlan, show: Callable[[Status], None]) -> None:
+    def __init__(
+        self, rig: PairRig, store: PairStore, plan: RecordingPlan, show: Callable[[Status], None]
+    ) -> None:
         self._rig, self._store, self._plan, self._show = rig, store, plan, show
         self._judge = PairJudge()
         self.report = SessionReport()
@@ -98,7 +103,9 @@ class PairRecorder:
         self._judge.learn(track.signals())
         outcomes = pairs.take(track, quality, self._reasons(track, quality))
         self.report.outcomes.update(outcomes)
-        self.report.kept += [(track.frames[0].grasp, k) for k, outcome in enumerate(outcomes) if outcome == KEPT]
+        self.report.kept += [
+            (track.frames[0].grasp, k) for k, outcome in enumerate(outcomes) if outcome == KEPT
+        ]
         self._show(self._status(track, pairs))
 
     def _reasons(self, track: GraspTrack, quality: PairQuality) -> list[str]:
@@ -119,13 +126,17 @@ class PairRecorder:
         why = ", ".join(f"{name} {count}" for name, count in self.report.outcomes.most_common(4))
         wanted = f"{self._plan.pairs} pairs of {pairs.name}"
         do = "Hold the object from outside, lead slowly, take the references anew."
-        raise DatasetError(expected("guided grasps", wanted, f"{pairs.have} in {frames} frames ({why})", do))
+        raise DatasetError(
+            expected("guided grasps", wanted, f"{pairs.have} in {frames} frames ({why})", do)
+        )
 
 
 class _Pairs:
     """Good pairs of one indenter on their way to the store."""
 
-    def __init__(self, indenter: int, store: PairStore, plan: RecordingPlan, session: Session) -> None:
+    def __init__(
+        self, indenter: int, store: PairStore, plan: RecordingPlan, session: Session
+    ) -> None:
         self.indenter, self.name = indenter, store.indenters[indenter]
         self._store, self._plan, self._session = store, plan, session
         self._waiting: list[Pair] = []
@@ -166,4 +177,6 @@ class _Pairs:
     def _is_due(self) -> bool:
         """A full chunk, or the last one; the last but one leaves enough for a chunk behind."""
         waits, after = len(self._waiting), self.missing
-        return waits >= MIN_CHUNK and (after <= 0 or (waits >= self._plan.chunk and after >= MIN_CHUNK))
+        return waits >= MIN_CHUNK and (
+            after <= 0 or (waits >= self._plan.chunk and after >= MIN_CHUNK)
+        )

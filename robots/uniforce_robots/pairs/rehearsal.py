@@ -22,7 +22,8 @@ OPTIONS = ContactOptions()
 UNIT_STRENGTH = 1.0  # unit-to-unit variation
 MASS_kg = (0.15, 0.40)  # range of the object's mass with what moves of its holder; one per session
 MASS_KNOWN = 0.05  # relative standard deviation of the mass an operator enters
-MISALIGNED_mm = 0.5  # fingers that don't face each other exactly: the right contact lies off by up to so much
+# fingers that don't face each other exactly: the right contact lies off by up to so much
+MISALIGNED_mm = 0.5
 REACH_mm = 4.0  # how far from the pad's centre an object is grasped
 CANONICAL = np.array([-1.0, 1.0, 1.0])  # the right finger's own x against the canonical one
 
@@ -60,11 +61,16 @@ class SimulatedRig:
     def __init__(self, rehearsal: Rehearsal) -> None:
         self.rehearsal = rehearsal
         self.rate_hz = rehearsal.grasps.rate_hz
-        self.sensors: dict[Finger, str] = {"left": rehearsal.left_sensor, "right": rehearsal.right_sensor}
+        self.sensors: dict[Finger, str] = {
+            "left": rehearsal.left_sensor,
+            "right": rehearsal.right_sensor,
+        }
         self.truths: list[GraspTruth] = []  # of each grasp so far
         self._rng = np.random.default_rng([rehearsal.seed, 77])
         worn = self.sensors.items()
-        self._fingers = {f: draw_simulator(self._rng, name, UNIT_STRENGTH, OPTIONS) for f, name in worn}
+        self._fingers = {
+            f: draw_simulator(self._rng, name, UNIT_STRENGTH, OPTIONS) for f, name in worn
+        }
         self._true_mass_kg = float(self._rng.uniform(*MASS_kg))
         self.mass_kg = self._true_mass_kg * (1 + MASS_KNOWN * float(self._rng.standard_normal()))
 
@@ -84,11 +90,15 @@ class SimulatedRig:
         left, right = (self._fingers[f].carried(contact)[0] for f, contact in contacts.items())
         number = len(self.truths)
         self.truths.append(GraspTruth(equilibrium_error(left, right * CANONICAL), grasp.fault))
-        moments = zip(grasp.velocity_m_s, grasp.acceleration_m_s2, grasp.grip_N.tolist(), strict=True)
+        moments = zip(
+            grasp.velocity_m_s, grasp.acceleration_m_s2, grasp.grip_N.tolist(), strict=True
+        )
         seen = ({f: images[f][k] for f in FINGERS} for k in range(len(grasp.grip_N)))
         return [RigFrame(number, pair, *moment) for pair, moment in zip(seen, moments, strict=True)]
 
-    def _contacts(self, indenter: str, left_N: np.ndarray, right_N: np.ndarray) -> dict[Finger, ContactState]:
+    def _contacts(
+        self, indenter: str, left_N: np.ndarray, right_N: np.ndarray
+    ) -> dict[Finger, ContactState]:
         """Return each finger's contact in its own frame; the place stays the same for a grasp."""
         rng = self._rng
         centre = rng.uniform(-REACH_mm, REACH_mm, 2)
@@ -105,4 +115,6 @@ def _held(gap: np.ndarray, load: np.ndarray) -> ContactState:
     """Return the same object (1, G, G) in each frame of a load (T, 3), nothing where the pad carries nothing."""
     gaps = np.repeat(gap, len(load), axis=0)
     gaps[load[:, 2] <= 0] = np.inf
-    return ContactState(gaps.astype(np.float32), load.astype(np.float32), np.zeros(len(load), np.float32))
+    return ContactState(
+        gaps.astype(np.float32), load.astype(np.float32), np.zeros(len(load), np.float32)
+    )

@@ -64,13 +64,16 @@ class HandMotion:
         """
         if self._times and time_s <= self._times[-1]:
             do = "Give each pose once, with its time."
-            raise ContractError(expected("pose", "a later one than the last", time_s - self._times[-1], do))
+            raise ContractError(
+                expected("pose", "a later one than the last", time_s - self._times[-1], do)
+            )
         self._times.append(time_s)
         self._positions.append(np.array(axes[:3], dtype=np.float64))
         if len(self._times) < POSES:
             return np.zeros(3), np.zeros(3)
         now = np.array(self._times) - self._times[-1]
-        curve = np.polynomial.polynomial.polyfit(now, np.array(self._positions), 2)  # (3, 3) by power and axis
+        # (3, 3) by power and axis
+        curve = np.polynomial.polynomial.polyfit(now, np.array(self._positions), 2)
         # at yaw 0 the fingers close along the base's x
         to_hand = Rotation.from_euler("z", -axes[3]).as_matrix()
         return to_hand @ curve[1], 2 * to_hand @ curve[2]
@@ -98,11 +101,14 @@ class RobotRig:
         self._robot, self._fingers, self._grip_N = robot, fingers, grip_N
         self._steer, self._clock = steer, clock
         self._grasp = 0
-        self._is_open, self._turning_m = True, 0.0  # widest since they opened, or narrowest since they closed
+        # widest since they opened, or narrowest since they closed
+        self._is_open, self._turning_m = True, 0.0
 
     def references(self) -> dict[Finger, np.ndarray]:
         """Return the references taken when the fingers were opened, in free air; ContractError: none was taken."""
-        return {f: np.ascontiguousarray(c.reference_image()[..., 0]) for f, c in self._fingers.items()}
+        return {
+            f: np.ascontiguousarray(c.reference_image()[..., 0]) for f, c in self._fingers.items()
+        }
 
     def frames(self, indenter: str) -> Iterator[RigFrame]:
         """Yield a frame whenever both fingers have a new image.
@@ -111,11 +117,15 @@ class RobotRig:
         """
         motion = HandMotion()
         while True:
-            images = {f: np.ascontiguousarray(c.async_read()[..., 0]) for f, c in self._fingers.items()}
+            images = {
+                f: np.ascontiguousarray(c.async_read()[..., 0]) for f, c in self._fingers.items()
+            }
             axes = self._robot.measured()
             self._steer(axes)
             velocity, acceleration = motion(self._clock(), axes)
-            yield RigFrame(self._count_grasps(float(axes[4])), images, velocity, acceleration, self._grip_N)
+            yield RigFrame(
+                self._count_grasps(float(axes[4])), images, velocity, acceleration, self._grip_N
+            )
 
     def _count_grasps(self, width_m: float) -> int:
         """Return the number of this grasp: it ends, once, when the fingers open."""

@@ -15,7 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from uniforce_datasets.features import MARKER_VIDEO_SHAPE, flat_column, scalar_column, vector_column, video_column
+from uniforce_datasets.features import (
+    MARKER_VIDEO_SHAPE,
+    flat_column,
+    scalar_column,
+    vector_column,
+    video_column,
+)
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.readers.recording import PairRecording
 from uniforce_datasets.readers.uniforce_pairs import write_uniforce_pairs
@@ -70,7 +76,9 @@ def pair_features() -> dict[str, dict]:
     """Return LeRobot's features dict of recorded pairs."""
     features: dict[str, dict] = {key: video_column(MARKER_VIDEO_SHAPE) for key in keys.TACTILE_KEYS}
     features |= {keys.pair_force_key(f): vector_column(["fx_N", "fy_N", "fz_N"]) for f in FINGERS}
-    features |= {key: vector_column(["x", "y", "z"]) for key in (keys.PAIR_VELOCITY, keys.PAIR_ACCELERATION)}
+    features |= {
+        key: vector_column(["x", "y", "z"]) for key in (keys.PAIR_VELOCITY, keys.PAIR_ACCELERATION)
+    }
     features |= {key: scalar_column("float32") for key in (keys.PAIR_ERROR, keys.PAIR_GRIP)}
     integers = (keys.PAIR_INDENTER, keys.PAIR_SESSION, *(keys.sensor_key(f) for f in FINGERS))
     return features | {key: flat_column(1, "int64") for key in integers}
@@ -86,15 +94,27 @@ class PairStore:
     """
 
     def __init__(
-        self, root: str | Path, left_sensor: str, right_sensor: str, indenters: tuple[str, ...], rate_hz: int
+        self,
+        root: str | Path,
+        left_sensor: str,
+        right_sensor: str,
+        indenters: tuple[str, ...],
+        rate_hz: int,
     ) -> None:
         self.root, self.indenters = absolute(root), indenters
         self.dataset, self.layout = self.root / DATASET, self.root / LAYOUT
         # the layout names left and right by folders, which two sensors of one kind would share
         same = left_sensor == right_sensor
-        self._names = (f"{left_sensor}_l", f"{right_sensor}_r") if same else (left_sensor, right_sensor)
+        self._names = (
+            (f"{left_sensor}_l", f"{right_sensor}_r") if same else (left_sensor, right_sensor)
+        )
         self._recorder = EpisodeRecorder(
-            self.dataset, "local/uniforce_pairs", left_sensor, right_sensor, rate_hz, features=pair_features()
+            self.dataset,
+            "local/uniforce_pairs",
+            left_sensor,
+            right_sensor,
+            rate_hz,
+            features=pair_features(),
         )
         self.coverage = [Coverage() for _ in indenters]
         self.next_session = 0
@@ -117,10 +137,14 @@ class PairStore:
             wanted = f"one of {len(self.indenters)} indenters and ≥ {MIN_CHUNK} pairs"
             raise ContractError(expected("chunk", wanted, came, "Collect more before saving."))
         fixed = {keys.tactile_key(f, reference=True): session.references[f] for f in FINGERS}
-        fixed |= {keys.PAIR_INDENTER: np.array([indenter]), keys.PAIR_SESSION: np.array([session.number])}
+        fixed |= {
+            keys.PAIR_INDENTER: np.array([indenter]),
+            keys.PAIR_SESSION: np.array([session.number]),
+        }
         for pair in pairs:
             self._recorder.add(fixed | pair.row(), f"hold the {self.indenters[indenter]}")
-        self._recorder.save(success=True, outcome="success", seed=0)  # a pair dataset has no such columns
+        # a pair dataset has no such columns
+        self._recorder.save(success=True, outcome="success", seed=0)
         self.coverage[indenter].add(np.array([pair.mean_force_N for pair in pairs]))
         self.next_session = max(self.next_session, session.number + 1)
         images = {f: np.stack([pair.frame.images[f] for pair in pairs]) for f in FINGERS}
@@ -140,11 +164,15 @@ class PairStore:
         """Count what is there and bring the layout up to it."""
         left, right = (keys.pair_force_key(f) for f in FINGERS)
         columns = source.columns((keys.PAIR_INDENTER, keys.PAIR_SESSION, left, right))
-        indenter, session = (columns[key].reshape(-1) for key in (keys.PAIR_INDENTER, keys.PAIR_SESSION))
+        indenter, session = (
+            columns[key].reshape(-1) for key in (keys.PAIR_INDENTER, keys.PAIR_SESSION)
+        )
         if indenter.max() >= len(self.indenters):
             came = f"indenter {indenter.max()}"
             do = "Give the same indenters as before."
-            raise DatasetError(expected(str(self.root), f"{len(self.indenters)} indenters", came, do))
+            raise DatasetError(
+                expected(str(self.root), f"{len(self.indenters)} indenters", came, do)
+            )
         force_N = (columns[left] + columns[right]) / 2
         for index in np.unique(indenter):
             self.coverage[index].add(force_N[indenter == index])
@@ -162,11 +190,15 @@ class PairStore:
             shutil.rmtree(folder, ignore_errors=True)
         for episode in source.episodes:
             if rows[episode.start]:
-                references = {f: _decoded(source, episode, keys.tactile_key(f, True), 1)[0] for f in FINGERS}
+                references = {
+                    f: _decoded(source, episode, keys.tactile_key(f, True), 1)[0] for f in FINGERS
+                }
                 images = {f: _decoded(source, episode, keys.tactile_key(f)) for f in FINGERS}
                 self._write_layout(indenter, Session(session, references), images)
 
-    def _write_layout(self, indenter: int, session: Session, images: Mapping[Finger, np.ndarray]) -> None:
+    def _write_layout(
+        self, indenter: int, session: Session, images: Mapping[Finger, np.ndarray]
+    ) -> None:
         left, right = session.references["left"], session.references["right"]
         name = self.indenters[indenter]
         pairs = PairRecording(self._names, name, "", left, right, images["left"], images["right"])

@@ -22,7 +22,8 @@ class MotionLimits:
 
     speed_m_s: float = 0.15  # of the hand; at 30 Hz 0.15 m/s is 5 mm between two frames
     acceleration_m_s2: float = 1.0  # of the hand; 0.3 kg × 1 m/s² is 0.3 N, a tenth of a light grip
-    settle_s: float = 0.1  # how long it must have been slow: the rubber needs some time to come to rest
+    # how long it must have been slow: the rubber needs some time to come to rest
+    settle_s: float = 0.1
     grip_N: float = 0.8  # a lighter grip says nothing of equilibrium
 
     def __post_init__(self) -> None:
@@ -31,7 +32,11 @@ class MotionLimits:
 
 
 def quasi_static(
-    velocity_m_s: np.ndarray, acceleration_m_s2: np.ndarray, contact_N: np.ndarray, rate_hz: float, limits: MotionLimits
+    velocity_m_s: np.ndarray,
+    acceleration_m_s2: np.ndarray,
+    contact_N: np.ndarray,
+    rate_hz: float,
+    limits: MotionLimits,
 ) -> np.ndarray:
     """Return why each of T frames doesn't count: (T,) of "fast", "jerked", "settling", "no contact"; "" where it does.
 
@@ -42,7 +47,8 @@ def quasi_static(
     fast = np.linalg.norm(velocity_m_s, axis=1) > limits.speed_m_s
     jerked = np.linalg.norm(acceleration_m_s2, axis=1) > limits.acceleration_m_s2
     index = np.arange(len(fast))
-    last = np.maximum.accumulate(np.where(fast | jerked, index, -(10**9)))  # frame that was last not slow
+    # frame that was last not slow
+    last = np.maximum.accumulate(np.where(fast | jerked, index, -(10**9)))
     settling = index - last <= round(limits.settle_s * rate_hz)
     names = ["fast", "jerked", "settling", "no contact"]
     return np.select([fast, jerked, settling, contact_N < limits.grip_N], names, default="")
@@ -91,4 +97,6 @@ class GraspTrack:
         """Return why each frame isn't quasi-static, see ``quasi_static``; the firmer finger says what is touched."""
         signals = self.signals()
         contact_N = np.maximum(signals.left_N[:, 2], signals.right_N[:, 2])
-        return quasi_static(signals.velocity_m_s, signals.acceleration_m_s2, contact_N, rate_hz, limits)
+        return quasi_static(
+            signals.velocity_m_s, signals.acceleration_m_s2, contact_N, rate_hz, limits
+        )

@@ -66,7 +66,8 @@ def run_session(
         sys.setswitchinterval(SWITCH_s)
         recorder = open_store(rig.facts, store)
         for close in (recorder.close, operator.stop, steering.close, rig.close, rig.hold):
-            closing.callback(close)  # last in, first done: the robot rests before anything is closed
+            # last in, first done: the robot rests before anything is closed
+            closing.callback(close)
         rig.connect()
         steering.connect()
         operator.start()

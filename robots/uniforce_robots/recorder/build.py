@@ -30,7 +30,8 @@ from uniforce_vtla.errors import ContractError, expected, require_one_of
 from uniforce_vtla.options import check_text
 
 FRANKA = "uniforce_franka"
-STOCK_CAMERAS = {  # LeRobot's own, registered once imported: type → its module, the package it reads with, its extra
+# LeRobot's own, registered once imported: type → its module, the package it reads with, its extra
+STOCK_CAMERAS = {
     "opencv": ("opencv", "cv2", ""),
     "intelrealsense": ("realsense", "pyrealsense2", "intelrealsense"),
     "zmq": ("zmq", "zmq", "pyzmq-dep"),
@@ -74,16 +75,22 @@ def read_devices(
     cameras = section("robot.cameras", settings["robot"].pop("cameras", None))
     robot = decode_file(classes["robot"], "robot", settings["robot"])
     cameras = {name: _camera(f"robot.cameras.{name}", camera) for name, camera in cameras.items()}
-    return replace(robot, cameras=cameras), decode_file(classes["teleop"], "teleop", settings["teleop"])
+    return replace(robot, cameras=cameras), decode_file(
+        classes["teleop"], "teleop", settings["teleop"]
+    )
 
 
-def _with_flags(settings: dict[str, Any], flags: Sequence[str], options: Mapping[str, Option]) -> None:
+def _with_flags(
+    settings: dict[str, Any], flags: Sequence[str], options: Mapping[str, Option]
+) -> None:
     """Put flags into the settings, checked as far as their options say what they may be.
 
     Not through draccus' own parser, which stumbles over unrelated classes.
     """
     names = [flag.removeprefix("--").partition("=")[0] for flag in flags]
-    refuse_unknown([name for name in names if not any(name.startswith(f"{o}.") for o in options)], options)
+    refuse_unknown(
+        [name for name in names if not any(name.startswith(f"{o}.") for o in options)], options
+    )
     for name, flag in zip(names, flags, strict=True):
         text = flag.partition("=")[2]
         check_text(name, text)
@@ -104,7 +111,9 @@ def _camera(name: str, content: Any) -> CameraConfig:
     if kind in STOCK_CAMERAS:
         module, package, extra = STOCK_CAMERAS[kind]
         if find_spec(package) is None:
-            raise ContractError(expected(name, f"the package {package}", "none", f"pip install 'lerobot[{extra}]'"))
+            raise ContractError(
+                expected(name, f"the package {package}", "none", f"pip install 'lerobot[{extra}]'")
+            )
         import_module(f"lerobot.cameras.{module}")
     known = CameraConfig.get_known_choices()
     require_one_of(f"{name}.type", kind, sorted({*known, *STOCK_CAMERAS}))
@@ -147,7 +156,9 @@ def make_robot(config: RobotConfig, teleop: Teleoperator) -> UniforceFranka:
     gains = getattr(teleop, "wants_gains", None)
     if gains is not None and franka.gains not in (ROLLOUT, gains):
         do = "Leave robot.gains out, or steer with another teleoperator."
-        raise ContractError(expected(f"robot.gains with teleop {teleop.name}", gains, franka.gains, do))
+        raise ContractError(
+            expected(f"robot.gains with teleop {teleop.name}", gains, franka.gains, do)
+        )
     if gains is not None:
         franka.gains = gains
     return UniforceFranka(franka)

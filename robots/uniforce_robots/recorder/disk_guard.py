@@ -27,9 +27,13 @@ class DiskGuard:
     so that a stopped episode can still be stored.
     """
 
-    def __init__(self, root: Path, features: Mapping[str, dict], raw_pixels: int, reserve_MB: float) -> None:
+    def __init__(
+        self, root: Path, features: Mapping[str, dict], raw_pixels: int, reserve_MB: float
+    ) -> None:
         self._root, self._reserve_MB = root, reserve_MB
-        self._guess_B = sum(_frame_bytes(key, f) for key, f in features.items()) + raw_pixels * RAW_B_px
+        self._guess_B = (
+            sum(_frame_bytes(key, f) for key, f in features.items()) + raw_pixels * RAW_B_px
+        )
 
     def estimate_MB(self, frames: int, recorded_frames: int) -> float:  # noqa: N802  a unit
         """Return what ``frames`` will take; with some recorded already, their own size is the measure."""
@@ -52,10 +56,14 @@ class DiskGuard:
         try:
             free_MB, wanted_MB = free_bytes(self._root) / MB, beside_MB + self._reserve_MB
         except OSError as error:
-            raise DatasetError(expected(str(self._root), "a disk", error, "Was it unplugged?")) from error
+            raise DatasetError(
+                expected(str(self._root), "a disk", error, "Was it unplugged?")
+            ) from error
         if free_MB < wanted_MB:
             wanted = f"{wanted_MB:.0f} MB free{why}"
-            raise DiskFullError(expected(str(self._root), wanted, f"{free_MB:.0f} MB", "Free some space."))
+            raise DiskFullError(
+                expected(str(self._root), wanted, f"{free_MB:.0f} MB", "Free some space.")
+            )
         return free_MB
 
 

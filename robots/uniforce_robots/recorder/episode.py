@@ -62,7 +62,8 @@ class Ending:
     clean: bool = False  # whether it was a success without slip or excess force
     cause: str = "none"  # where aborted, one of ``keys.ABORT_CAUSES``
     message: str = ""  # what happened, in words
-    held_s: float = 0.0  # from the beginning of the tick that met a fault until the rig was held; 0: no fault
+    # from the beginning of the tick that met a fault until the rig was held; 0: no fault
+    held_s: float = 0.0
     notes: tuple[str, ...] = ()  # what the operator wrote
     pauses: int = 0  # how often it was paused
     quits: bool = False  # whether the session shall end after it
@@ -75,11 +76,15 @@ class Ending:
         return self.outcome if self.how == "judged" else self.how
 
 
-ENDINGS: dict[Command, dict[str, Any]] = {  # attributes of the ``Ending`` that an operator's command makes
+# attributes of the ``Ending`` that an operator's command makes
+ENDINGS: dict[Command, dict[str, Any]] = {
     Command.DISCARD: {"how": "discard"},
     Command.QUIT: {"how": "discard", "quits": True},
     Command.RERECORD: {"how": "rerecord"},
-    **{c: {"how": "judged", "outcome": o, "clean": c is Command.SUCCESS} for c, o in VERDICTS.items()},
+    **{
+        c: {"how": "judged", "outcome": o, "clean": c is Command.SUCCESS}
+        for c, o in VERDICTS.items()
+    },
 }
 
 
@@ -111,12 +116,20 @@ class EpisodeLoop:
             fault = error
         except Exception as error:  # a device may be anybody's code: what was recorded is kept
             log.exception("the episode is aborted")
-            came, do = f"{type(error).__name__}: {error}", "Check the devices; the log has the place."
+            came, do = (
+                f"{type(error).__name__}: {error}",
+                "Check the devices; the log has the place.",
+            )
             fault = UniForceError(expected("episode", "no other error than known ones", came, do))
         self._parts.rig.hold()
         if fault is not None:
             held_s = time.perf_counter() - self._tick_begun_s
-            ending = {"how": "aborted", "cause": cause_of(fault), "message": str(fault), "held_s": held_s}
+            ending = {
+                "how": "aborted",
+                "cause": cause_of(fault),
+                "message": str(fault),
+                "held_s": held_s,
+            }
         return Ending(self._ticker.stats, notes=tuple(self._notes), pauses=self._pauses, **ending)
 
     def _record(self) -> None:

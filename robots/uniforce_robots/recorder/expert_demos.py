@@ -21,7 +21,13 @@ GIVE_UP_FACTOR = 4  # attempts per wanted episode before a run without failures 
 
 
 def record_expert(
-    env: WipeEnv, root: Path, repo_id: str, episodes: int, seed: int, keep_failures: bool, settings: Settings
+    env: WipeEnv,
+    root: Path,
+    repo_id: str,
+    episodes: int,
+    seed: int,
+    keep_failures: bool,
+    settings: Settings,
 ) -> int:
     """Record what is missing; ``uniforce record --help`` says what each setting is. Return how many are new.
 
@@ -40,7 +46,9 @@ def record_expert(
                 else:
                     recorder.discard()
                 bar.update(recorder.num_episodes - bar.n)
-                bar.set_postfix_str(f"seed {seed}: {'clean ' if result.clean else ''}{result.outcome}")
+                bar.set_postfix_str(
+                    f"seed {seed}: {'clean ' if result.clean else ''}{result.outcome}"
+                )
         if recorder.num_episodes < episodes:
             wanted, do = f"{episodes} successes", "Try an easier level."
             raise ContractError(expected("expert", wanted, recorder.num_episodes, do))
@@ -53,7 +61,10 @@ def record_episode(env: WipeEnv, recorder: EpisodeRecorder, seed: int) -> Episod
     Ink comes back in most episodes.
     """
     observation, _ = env.reset(seed=seed)
-    expert, rewrite = WipeExpert(late_steps=max(worn.lag_steps for worn in env.worn.values())), Rewrite(seed)
+    expert, rewrite = (
+        WipeExpert(late_steps=max(worn.lag_steps for worn in env.worn.values())),
+        Rewrite(seed),
+    )
     expert.reset(env)
     for step in itertools.count():
         action = np.asarray(expert.act(env), dtype=np.float32)
@@ -65,7 +76,9 @@ def record_episode(env: WipeEnv, recorder: EpisodeRecorder, seed: int) -> Episod
     return env.result()
 
 
-def _frame(env: WipeEnv, observation: dict[str, Any], action: np.ndarray, step: int) -> dict[str, Any]:
+def _frame(
+    env: WipeEnv, observation: dict[str, Any], action: np.ndarray, step: int
+) -> dict[str, Any]:
     frame = {f"observation.images.{name}": image for name, image in observation["pixels"].items()}
     frame |= {STATE: observation["agent_pos"], ACTION: action}
     for finger, wrench in env.true_wrench().items():

@@ -55,7 +55,9 @@ def named(kind: Literal["camera", "touch"], device: str) -> Iterator[None]:
     try:
         yield
     except errors.SensorError as error:
-        how = next((name for error_type, name in HOW.items() if isinstance(error, error_type)), "bad")
+        how = next(
+            (name for error_type, name in HOW.items() if isinstance(error, error_type)), "bad"
+        )
         raise DeviceError(f"{how}_{kind}", f"{device}: {error}") from error
 
 
@@ -82,7 +84,8 @@ class Interrupts:
     def counted(self) -> Iterator[None]:
         """Count while the block lasts; in the main thread only, as signals are."""
         with handled(self._take) as before:
-            if before[signal.SIGHUP] is signal.SIG_IGN:  # nohup: it is to go on without its terminal
+            # nohup: it is to go on without its terminal
+            if before[signal.SIGHUP] is signal.SIG_IGN:
                 signal.signal(signal.SIGHUP, signal.SIG_IGN)
             yield
 

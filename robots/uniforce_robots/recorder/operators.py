@@ -101,7 +101,9 @@ class KeyOperator(Operator):
         self._is_own, self._keys = keys is None, keys or TerminalKeys({})
         self._keys.text_begins = Command.NOTE.value
         self._meanings = {c.value: Event(c) for c in Command if c is not Command.NOTE}
-        self._meanings |= {str(n): Event(Command.NOTE, note) for n, note in enumerate(quick_notes, 1)}
+        self._meanings |= {
+            str(n): Event(Command.NOTE, note) for n, note in enumerate(quick_notes, 1)
+        }
         self._phase, self._typed_s = Phase.WAITING, 0.0
 
     def start(self) -> None:
@@ -150,7 +152,8 @@ class KeyOperator(Operator):
 
 LINE_EVERY_s = 0.2  # a person reads no faster
 BAR = 20  # characters
-WARN_N, STOP_N = ScoreLimits.mean_press_N, ScoreLimits.peak_press_N  # above them a score has excess force
+# above them a score has excess force
+WARN_N, STOP_N = ScoreLimits.mean_press_N, ScoreLimits.peak_press_N
 
 
 class LiveView:
@@ -177,7 +180,9 @@ class LiveView:
 
     def show_note(self, phase: Phase, note: str | None) -> None:
         """Show the phase, and the note typed so far, where nothing else is shown; on a terminal, when they change."""
-        mode = phase.value if note is None else f"note (Enter ends it, Escape drops it): {note[-60:]}_"
+        mode = (
+            phase.value if note is None else f"note (Enter ends it, Escape drops it): {note[-60:]}_"
+        )
         if self._moves and mode != self._mode:
             self._mode = mode
             self._write(f"\r\x1b[K{mode}")

@@ -20,7 +20,8 @@ class FingerTouch(Picture):
     """One finger's newest sample; ``image`` is (480, 640) uint8, the marker image as the sensor sees it."""
 
     reference: np.ndarray  # the same in free air; one array for the whole episode
-    raw: np.ndarray | None = None  # (H, W, 3) uint8 frame or (16, 3) counts, upright; None: no raw signal
+    # (H, W, 3) uint8 frame or (16, 3) counts, upright; None: no raw signal
+    raw: np.ndarray | None = None
     # of taxels only: the newest scans (size, 16, 3), oldest first, the oldest repeated where there were fewer
     window: np.ndarray | None = None
     window_times_s: np.ndarray | None = None  # (size,) when each was taken
@@ -34,7 +35,8 @@ class Observation:
     axes: np.ndarray  # (5,) measured x, y, z, yaw, width as in ``keys.AXES``
     cameras: dict[str, Picture]
     fingers: dict[Finger, FingerTouch]
-    measured: dict[str, np.ndarray] = field(default_factory=dict)  # columns, as ``RigFacts.measured`` says
+    # columns, as ``RigFacts.measured`` says
+    measured: dict[str, np.ndarray] = field(default_factory=dict)
     # (3,) of the world on the hand since the references were taken, base frame; on a robot an estimate
     force_N: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
@@ -52,10 +54,13 @@ class RigFacts:
     fps: int  # ticks per second
     sensors: dict[Finger, str]  # registry name by finger
     cameras: dict[str, Shape]  # (rows, columns, 3) by scene camera
-    raw_frames: dict[Finger, Shape] = field(default_factory=dict)  # raw camera frames to be kept; no taxels
+    # raw camera frames to be kept; no taxels
+    raw_frames: dict[Finger, Shape] = field(default_factory=dict)
     windows: dict[Finger, int] = field(default_factory=dict)  # taxel scans kept per tick, by finger
-    measured: dict[str, dict[str, Any]] = field(default_factory=dict)  # LeRobot feature of each further column
-    paced: bool = True  # whether ticks keep to the wall clock; False runs as fast as the scene steps
+    # LeRobot feature of each further column
+    measured: dict[str, dict[str, Any]] = field(default_factory=dict)
+    # whether ticks keep to the wall clock; False runs as fast as the scene steps
+    paced: bool = True
     # whether it is the scene: ``measured`` holds the true pad wrenches, and it steps only inside an episode
     simulated: bool = False
 

@@ -27,12 +27,14 @@ from uniforce_vtla.sensors import get_sensor
 COLUMNS = {
     "q": [f"q{n}_rad" for n in range(1, 8)],
     "dq": [f"dq{n}_rad_s" for n in range(1, 8)],
-    "wrench": ["fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm"],  # robot's estimate, base frame, not tared
+    # robot's estimate, base frame, not tared
+    "wrench": ["fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm"],
     "hand": ["width_m", "is_grasped"],
     "link": ["success_rate", "arm_age_s", "hand_age_s"],
 }
 GARBAGE_OVER_s = 1.0
-GARBAGE_MOST = 5  # bad pieces in that time: a few are a bad plug; a driver drops each, so nothing else shows them
+# bad pieces in that time: a few are a bad plug; a driver drops each, so nothing else shows them
+GARBAGE_MOST = 5
 
 
 class RobotRig(Rig):
@@ -63,7 +65,9 @@ class RobotRig(Rig):
             name=robot.name,
             fps=round(robot.config.fps),
             sensors={finger: config.sensor for finger, config in devices.items()},
-            cameras={n: (c.height, c.width, 3) for n, c in robot.config.cameras.items() if n not in worn},
+            cameras={
+                n: (c.height, c.width, 3) for n, c in robot.config.cameras.items() if n not in worn
+            },
             raw_frames={f: c.raw_shape for f, c in devices.items() if keep_raw and f not in taxels},
             windows={finger: window for finger in FINGERS if finger in taxels},
             measured={measured_key(name): vector_column(names) for name, names in COLUMNS.items()},
@@ -108,8 +112,12 @@ class RobotRig(Rig):
             "hand": [hand.width_m, hand.is_grasped],
             "link": [arm.success_rate, now_s - arm.time_s, now_s - hand.time_s],
         }
-        measured = {measured_key(name): np.asarray(column, np.float32) for name, column in columns.items()}
-        return Observation(self.now_s(), axes, cameras, fingers, measured, arm.wrench_N[:3] - self._rest_N)
+        measured = {
+            measured_key(name): np.asarray(column, np.float32) for name, column in columns.items()
+        }
+        return Observation(
+            self.now_s(), axes, cameras, fingers, measured, arm.wrench_N[:3] - self._rest_N
+        )
 
     def act(self, action: np.ndarray) -> np.ndarray:
         """Send five absolute targets through the guards."""
@@ -170,14 +178,22 @@ class GarbageWatch:
         came = bad - self._seen[0][1]
         if came > GARBAGE_MOST:
             wanted = f"≤ {GARBAGE_MOST} bad pieces in {GARBAGE_OVER_s:g} s"
-            raise SensorError(expected(self._name, wanted, came, "Check cable, power and what else is on the bus."))
+            raise SensorError(
+                expected(
+                    self._name, wanted, came, "Check cable, power and what else is on the bus."
+                )
+            )
 
 
 def _finger(cameras: Mapping[str, Camera], finger: Finger) -> TactileFinger:
     name = tactile_name(finger)
     device = cameras.get(name)
     if not isinstance(device, TactileFinger) or device.config.finger != finger:
-        came = "none" if device is None else f"{type(device).__name__} for {getattr(device, 'config', None)}"
+        came = (
+            "none"
+            if device is None
+            else f"{type(device).__name__} for {getattr(device, 'config', None)}"
+        )
         do = f"List it in the robot's cameras, with finger={finger}."
         raise ContractError(expected(name, "a uniforce_tactile or uniforce_uskin camera", came, do))
     return device
@@ -190,4 +206,9 @@ def _window(device: UniforceUskin, size: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _summary(device: SampledCamera) -> dict[str, Any]:
     rate_hz, settings = round(device.rate_hz, 2), device.settings_read_back
-    return {"rate_hz": rate_hz, **asdict(device.counts), "reconnects": device.reconnects, "settings": settings}
+    return {
+        "rate_hz": rate_hz,
+        **asdict(device.counts),
+        "reconnects": device.reconnects,
+        "settings": settings,
+    }

@@ -17,7 +17,13 @@ from uniforce_vtla.contracts import FINGERS, MARKER_IMAGE_SHAPE, TAXEL_SHAPE, Fi
 from uniforce_vtla.errors import ContractError, expected
 
 TAXEL_NUMBERS = int(np.prod(TAXEL_SHAPE))
-RECORDERS_OWN = {keys.SUCCESS, keys.OUTCOME, keys.SEED, keys.CAUSE, *(keys.sensor_key(finger) for finger in FINGERS)}
+RECORDERS_OWN = {
+    keys.SUCCESS,
+    keys.OUTCOME,
+    keys.SEED,
+    keys.CAUSE,
+    *(keys.sensor_key(finger) for finger in FINGERS),
+}
 
 
 def further_columns(facts: RigFacts) -> dict[str, dict[str, Any]]:
@@ -30,7 +36,10 @@ def further_columns(facts: RigFacts) -> dict[str, dict[str, Any]]:
     for camera in facts.cameras:
         columns[keys.time_key(camera)] = scalar_column("float64")
         columns[keys.age_key(camera)] = scalar_column("float32")
-    columns |= {keys.index_key(source): scalar_column("int64") for source in (*facts.cameras, *facts.sensors)}
+    columns |= {
+        keys.index_key(source): scalar_column("int64")
+        for source in (*facts.cameras, *facts.sensors)
+    }
     for finger, size in facts.windows.items():
         columns[keys.counts_key(finger)] = flat_column(TAXEL_NUMBERS, "int32")
         columns[keys.window_key(finger)] = flat_column(size * TAXEL_NUMBERS, "int32")
@@ -44,7 +53,11 @@ def rig_features(facts: RigFacts) -> dict[str, dict[str, Any]]:
 
 
 def make_row(
-    seen: Observation, requested: np.ndarray, sent: np.ndarray, stamps_s: tuple[float, ...], begun_s: float
+    seen: Observation,
+    requested: np.ndarray,
+    sent: np.ndarray,
+    stamps_s: tuple[float, ...],
+    begun_s: float,
 ) -> dict[str, Any]:
     """Return a row for ``EpisodeRecorder.add``.
 
@@ -74,7 +87,10 @@ def raw_frames(seen: Observation) -> dict[Finger, np.ndarray]:
 
 
 def _touch(finger: Finger, touch: FingerTouch, begun_s: float) -> dict[str, np.ndarray]:
-    row = {keys.tactile_key(finger): touch.image, keys.tactile_key(finger, reference=True): touch.reference}
+    row = {
+        keys.tactile_key(finger): touch.image,
+        keys.tactile_key(finger, reference=True): touch.reference,
+    }
     if touch.raw is None or touch.window is None or touch.window_times_s is None:
         return row
     return row | {
@@ -92,7 +108,11 @@ class RowSlots:
 
     def __init__(self, facts: RigFacts, count: int, context: SpawnContext) -> None:
         features = rig_features(facts)
-        form = {key: _form(key, feature) for key, feature in features.items() if key not in RECORDERS_OWN}
+        form = {
+            key: _form(key, feature)
+            for key, feature in features.items()
+            if key not in RECORDERS_OWN
+        }
         form |= {_raw(finger): ("u1", shape) for finger, shape in facts.raw_frames.items()}
         self._dtype = np.dtype([(key, *kind) for key, kind in form.items()], align=True)
         self._memory = context.RawArray(ctypes.c_uint8, self._dtype.itemsize * count)
@@ -111,7 +131,9 @@ class RowSlots:
         places = self._slot(slot)
         odd = sorted(whole.keys() ^ places.keys())
         if odd:
-            raise ContractError(expected("frame", "the dataset's columns", f"others: {odd}", "See rows.py."))
+            raise ContractError(
+                expected("frame", "the dataset's columns", f"others: {odd}", "See rows.py.")
+            )
         for key, place in places.items():
             value = np.asarray(whole[key])
             if value.shape != place.shape or value.dtype != place.dtype:

@@ -21,13 +21,16 @@ FAULT, DISK_FULL, INTERRUPTED = 3, 4, 130  # exit codes
 class SessionSettings:
     """Settings of a recording session."""
 
-    episodes: int = 50  # wanted in the dataset, those of earlier sessions included; aborted ones don't count
-    prompts: tuple[str, ...] = ()  # instructions, one per episode in turn; empty takes the rig's own
+    # wanted in the dataset, those of earlier sessions included; aborted ones don't count
+    episodes: int = 50
+    # instructions, one per episode in turn; empty takes the rig's own
+    prompts: tuple[str, ...] = ()
     episode_s: float = 60.0  # time limit
     drive_between: bool = True  # whether the teleoperator moves the robot between episodes
     unwell_s: float = 10.0  # how long an unattended session waits for sensors before it gives up
     keep_aborted: bool = True  # whether what was recorded until a fault is stored, labelled
-    late_share: float = 0.1  # of its ticks that an episode may miss; one that missed more is ``aborted:late``
+    # of its ticks that an episode may miss; one that missed more is ``aborted:late``
+    late_share: float = 0.1
     settings: dict[str, Any] = field(default_factory=dict)  # of the whole command, for the cards
     # of robot and teleoperator or of the scene, by dotted name: a dataset's later sessions have to have them alike
     rig: dict[str, Any] = field(default_factory=dict)
@@ -36,14 +39,17 @@ class SessionSettings:
     def __post_init__(self) -> None:
         if not 0 <= self.late_share <= 1:  # NaN is not, either
             wanted = "a share from 0 to 1"
-            raise errors.ContractError(errors.expected("late_share", wanted, self.late_share, "Give one."))
+            raise errors.ContractError(
+                errors.expected("late_share", wanted, self.late_share, "Give one.")
+            )
 
 
 @dataclass(frozen=True)
 class SessionEnd:
     """How a session ended."""
 
-    exit_code: int  # 0 all wanted episodes are there or the operator quit, or one of the constants above
+    # 0 all wanted episodes are there or the operator quit, or one of the constants above
+    exit_code: int
     message: str  # why, in words
     endings: tuple[Ending, ...] = ()  # of every attempt of this session, in order
 
@@ -95,7 +101,9 @@ class RecordingSession:
             return False
         prompts, own = self._settings.prompts, self._parts.rig.prompt
         if not prompts and own is None:
-            raise errors.ContractError(errors.expected("prompts", "an instruction", "none", "Give at least one."))
+            raise errors.ContractError(
+                errors.expected("prompts", "an instruction", "none", "Give at least one.")
+            )
         prompt = prompts[self._judged % len(prompts)] if prompts else str(own)
         begun = datetime.now(UTC).isoformat(timespec="milliseconds")
         self._parts.view.begin(f"episode {self._judged + 1}/{self._settings.episodes}: {prompt}")
@@ -191,7 +199,8 @@ class RecordingSession:
     def _judge(self, ending: Ending) -> Ending:
         """Return the ending with an outcome: the rig's where it knows better than a person, else the operator's."""
         if ending.cause == "teleop" and self._parts.interrupts.count:
-            return replace(ending, cause="interrupt")  # a terminal that hangs up takes its keys along
+            # a terminal that hangs up takes its keys along
+            return replace(ending, cause="interrupt")
         if ending.how not in ("open", "judged"):
             return ending
         verdict = self._parts.rig.verdict()
@@ -220,8 +229,11 @@ class RecordingSession:
                 self._say(f"not stored: {ending.label}")
                 return
             card |= self._card(ending)
-            recorder.save(ending.clean, ending.outcome, self._seed, ending.cause, card, self._settings.rig)
-        except (errors.DatasetError, errors.ContractError) as error:  # the latter: a row the storing process refused
+            recorder.save(
+                ending.clean, ending.outcome, self._seed, ending.cause, card, self._settings.rig
+            )
+        # the latter: a row the storing process refused
+        except (errors.DatasetError, errors.ContractError) as error:
             self._say(f"not stored: {error}")
             raise _end(error) from error
         self._judged += ending.how == "judged"

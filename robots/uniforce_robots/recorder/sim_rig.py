@@ -51,7 +51,9 @@ class SimRig(Rig):
         self._seen, _ = self.env.reset(seed=seed)
         self._step, self.is_done = 0, False
         pixels = self._seen["pixels"]
-        self._references = {f: pixels[tactile_name(f, reference=True)][..., 0].copy() for f in FINGERS}
+        self._references = {
+            f: pixels[tactile_name(f, reference=True)][..., 0].copy() for f in FINGERS
+        }
 
     def observe(self) -> Observation:
         """Return the scene as it is after the last step."""
@@ -62,7 +64,9 @@ class SimRig(Rig):
             axes=self._seen["agent_pos"],
             cameras={name: Picture(pixels[name], step, now_s) for name in CAMERAS},
             fingers={f: FingerTouch(images[f], step, now_s, self._references[f]) for f in FINGERS},
-            measured={truth_wrench_key(f): w.astype(np.float32) for f, w in self.env.true_wrench().items()},
+            measured={
+                truth_wrench_key(f): w.astype(np.float32) for f, w in self.env.true_wrench().items()
+            },
             force_N=np.array([0.0, 0.0, self.env.sim.press_N]),
         )
 

@@ -31,7 +31,9 @@ class Steering:
             self._wants_feedback = all(axis in teleop.feedback_features for axis in AXES)
         if missing:
             do = "Take one of ours (teleop=keyboard, spacemouse, gello, hand_guide), or wrap it."
-            raise ContractError(expected(f"teleop {self.name}", f"actions {AXES}", f"{missing} missing", do))
+            raise ContractError(
+                expected(f"teleop {self.name}", f"actions {AXES}", f"{missing} missing", do)
+            )
 
     def connect(self) -> None:
         """Open the device; raises TeleoperatorError."""
@@ -82,4 +84,6 @@ class Steering:
             raise
         except Exception as error:
             came = f"{type(error).__name__}: {error}"
-            raise TeleoperatorError(expected(self.name, "an answer", came, "Check the device."), "other") from error
+            raise TeleoperatorError(
+                expected(self.name, "an answer", came, "Check the device."), "other"
+            ) from error

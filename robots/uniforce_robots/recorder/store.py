@@ -24,11 +24,18 @@ from uniforce_robots.recorder.faults import handled
 from uniforce_robots.recorder.rig import RigFacts
 from uniforce_robots.recorder.rows import RECORDERS_OWN, RowSlots, further_columns, rig_features
 from uniforce_vtla.contracts import Finger
-from uniforce_vtla.errors import DatasetError, DiskFullError, DroppedFrameError, UniForceError, expected
+from uniforce_vtla.errors import (
+    DatasetError,
+    DiskFullError,
+    DroppedFrameError,
+    UniForceError,
+    expected,
+)
 from uniforce_vtla.options import absolute
 
 log = logging.getLogger(__name__)
-LOCK_WAIT_s = 20.0  # a session that was killed leaves a storing process that finishes its orders first
+# a session that was killed leaves a storing process that finishes its orders first
+LOCK_WAIT_s = 20.0
 QUEUE_FRAMES = 60  # that may wait per video: 2 s of a busy computer
 SLOTS = 30  # rows on the way: a second of a busy child, some 4 MB each
 START_s = 120.0  # imports of LeRobot and torch on a starved machine
@@ -84,14 +91,16 @@ class StoreProcess:
 
     def __init__(self, facts: RigFacts, settings: StoreSettings) -> None:
         context = multiprocessing.get_context("spawn")  # never fork: threads of cameras and clients
-        claim(settings.root)  # a folder that can't be one is refused at once, not after the child's imports
+        # a folder that can't be one is refused at once, not after the child's imports
+        claim(settings.root)
         self.features = rig_features(facts)
         self.num_frames = 0
         self._slot_s = 0.0 if facts.paced else SLOT_s
         self._slots = RowSlots(facts, SLOTS, context)
         self._unanswered = 1  # the first answer comes by itself, when the child is ready
         self._rows = 0  # sent so far; answers come in order, so slots are free in order
-        self._stored: tuple[int, int] | None = None  # episodes, frames; None until the child is ready
+        # episodes, frames; None until the child is ready
+        self._stored: tuple[int, int] | None = None
         self._pipe, other = context.Pipe()
         given = (other, self._slots, facts, settings)
         self._process = context.Process(target=serve, args=given, name="store", daemon=True)
@@ -111,7 +120,9 @@ class StoreProcess:
         """Frames of all saved episodes."""
         return self._known()[1]
 
-    def add(self, row: Mapping[str, Any], task: str, raw: Mapping[Finger, np.ndarray] | None = None) -> None:
+    def add(
+        self, row: Mapping[str, Any], task: str, raw: Mapping[Finger, np.ndarray] | None = None
+    ) -> None:
         """Hand a row over; see ``EpisodeRecorder.add``.
 
         Raises DroppedFrameError: the child is a second behind; DatasetError, ContractError: an earlier row could not be
@@ -200,7 +211,9 @@ class StoreProcess:
     def _take_answer(self, timeout_s: float = 0.0) -> None:
         if not self._has_answer(timeout_s):
             do = "The disk hangs? Saved episodes are whole."
-            raise StoreGoneError(expected("storing", f"an answer within {timeout_s:g} s", "none", do))
+            raise StoreGoneError(
+                expected("storing", f"an answer within {timeout_s:g} s", "none", do)
+            )
         try:
             error, stored = self._pipe.recv()
         except (EOFError, OSError) as ended:
@@ -244,8 +257,13 @@ def serve(pipe: Connection, slots: RowSlots, facts: RigFacts, settings: StoreSet
 
 def _warm_up(recorder: EpisodeRecorder, facts: RigFacts) -> None:
     """Record a few black frames and forget them, so that the first real ones are as fast as the others."""
-    kinds = {k: (f["shape"], f["dtype"]) for k, f in recorder.features.items() if k not in RECORDERS_OWN}
-    row = {k: np.zeros(shape, "uint8" if kind == "video" else kind) for k, (shape, kind) in kinds.items()}
+    kinds = {
+        k: (f["shape"], f["dtype"]) for k, f in recorder.features.items() if k not in RECORDERS_OWN
+    }
+    row = {
+        k: np.zeros(shape, "uint8" if kind == "video" else kind)
+        for k, (shape, kind) in kinds.items()
+    }
     raw = {finger: np.zeros(shape, np.uint8) for finger, shape in facts.raw_frames.items()}
     for _ in range(WARM_UP_FRAMES):
         recorder.add(row, "warm-up", raw)

@@ -72,4 +72,6 @@ class Ticker:
             return TickStats(count, missed=self._missed)
         span_s = self._times[-1] - self._times[0] - self._paused_s
         p50, p99, most = np.percentile(np.array(self._late_s) * 1000, (50, 99, 100)).tolist()
-        return TickStats(count, (count - 1) / span_s if span_s > 0 else 0.0, p50, p99, most, self._missed)
+        return TickStats(
+            count, (count - 1) / span_s if span_s > 0 else 0.0, p50, p99, most, self._missed
+        )

@@ -46,7 +46,10 @@ def first_node(source: str) -> str:
         return ""
     device = (node / "device").resolve()
     firsts = [other.parent for other in SYS_VIDEO.glob("*/index") if int(other.read_text()) == 0]
-    return next((f"/dev/{first.name}" for first in firsts if (first / "device").resolve() == device), "another one")
+    return next(
+        (f"/dev/{first.name}" for first in firsts if (first / "device").resolve() == device),
+        "another one",
+    )
 
 
 class FrameSource(SampleSource):
@@ -71,7 +74,9 @@ class FrameSource(SampleSource):
 class CameraSource(FrameSource):
     """A camera behind V4L2; ``factory`` makes captures, tests script failures with it."""
 
-    def __init__(self, config: CapturedCameraConfig, factory: CaptureFactory = open_capture) -> None:
+    def __init__(
+        self, config: CapturedCameraConfig, factory: CaptureFactory = open_capture
+    ) -> None:
         super().__init__(config)
         self._factory = factory
         self._failed = 0
@@ -90,7 +95,9 @@ class CameraSource(FrameSource):
         for name, _, value in wanted:
             if name != "buffer" and abs(is_now[name] - value) > TOLERANCE:  # few report the buffer
                 do = "Set one it offers (`v4l2-ctl --list-formats-ext --list-ctrls`); exposure and gain may be null."
-                raise WrongSensorError(expected(f"{self.name}, {name}", f"{value:g}", f"{is_now[name]:g}", do))
+                raise WrongSensorError(
+                    expected(f"{self.name}, {name}", f"{value:g}", f"{is_now[name]:g}", do)
+                )
         self.settings_read_back = is_now
 
     def read(self) -> list[Stamped]:
@@ -108,7 +115,11 @@ class CameraSource(FrameSource):
 
     def _advice(self, otherwise: str) -> str:
         first = first_node(self._config.source)
-        return f"It is a camera's metadata node, or another later one: give source={first}." if first else otherwise
+        return (
+            f"It is a camera's metadata node, or another later one: give source={first}."
+            if first
+            else otherwise
+        )
 
 
 def settings_in_order(config: CapturedCameraConfig) -> list[tuple[str, int, float]]:

@@ -25,13 +25,16 @@ FULL_SCALE = 65_535
 class Orientation:
     """Mirror first (left and right change places), then turn; ContractError: no angle of one turn."""
 
-    rotation_deg: float = 0  # counter-clockwise as the marker image shows it, from 0 to below 360; taxels by quarters
+    # counter-clockwise as the marker image shows it, from 0 to below 360; taxels by quarters
+    rotation_deg: float = 0
     flip: bool = False  # mirrored; for taxels whose columns run the other way, never for a camera
 
     def __post_init__(self) -> None:
         if not 0 <= self.rotation_deg < 360:
             do = "Give degrees, counter-clockwise."
-            raise ContractError(expected("rotation_deg", "from 0 to below 360", self.rotation_deg, do))
+            raise ContractError(
+                expected("rotation_deg", "from 0 to below 360", self.rotation_deg, do)
+            )
 
     def upright(self, raw: np.ndarray) -> np.ndarray:
         """Return (16, 3) uint16 counts, or a camera frame (H, W, 3), as if mounted straight."""
@@ -49,7 +52,8 @@ class Orientation:
             grid = grid[:, ::-1].copy()
             grid[..., 0] = FULL_SCALE - grid[..., 0]
         for _ in range(round(self.rotation_deg / 90)):
-            grid = np.rot90(grid, -1).copy()  # rows run upwards: rot90's clockwise is the image's other way
+            # rows run upwards: rot90's clockwise is the image's other way
+            grid = np.rot90(grid, -1).copy()
             grid[..., 0], grid[..., 1] = FULL_SCALE - grid[..., 1], grid[..., 0].copy()
         return grid.reshape(TAXEL_SHAPE)
 
@@ -60,7 +64,9 @@ class Orientation:
             return np.ascontiguousarray(np.rot90(turned, round(self.rotation_deg / 90)))
         height, width = frame.shape[:2]
         turn = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), self.rotation_deg, 1.0)
-        return cv2.warpAffine(np.ascontiguousarray(turned), turn, (width, height), borderMode=cv2.BORDER_REPLICATE)
+        return cv2.warpAffine(
+            np.ascontiguousarray(turned), turn, (width, height), borderMode=cv2.BORDER_REPLICATE
+        )
 
 
 SIDEWAYS = (90, 270)  # rotations that make rows of columns
@@ -79,7 +85,8 @@ FRAMES_PER_S = 30  # of a camera at most, for that: a stream's real rate isn't k
 class SampledCameraConfig(CameraConfig):
     """Settings of every camera that is read in the background."""
 
-    fps: int | None = 30  # camera frames per second; for taxels the robot loop's, their own rate is measured
+    # camera frames per second; for taxels the robot loop's, their own rate is measured
+    fps: int | None = 30
     source: str = ""  # where it is
     max_age_ms: float = 200.0  # an older sample is refused; 6 frames at 30 fps
     connect_ms: float = 5000.0  # the first sample must come within
@@ -109,17 +116,21 @@ class CapturedCameraConfig(SampledCameraConfig):
     ``source`` is a device number, /dev/v4l/by-path/… (two C270s have no serial numbers), or http://…
     """
 
-    capture_width: int | None = None  # px asked of the camera; null takes what comes, as a stream needs
+    # px asked of the camera; null takes what comes, as a stream needs
+    capture_width: int | None = None
     capture_height: int | None = None
     fourcc: str | None = "MJPG"  # null leaves the camera's own
-    exposure_100us: float | None = None  # locked exposure, 100 µs units; null leaves the camera's automatic
+    # locked exposure, 100 µs units; null leaves the camera's automatic
+    exposure_100us: float | None = None
     white_balance_K: float | None = None  # locked; null leaves it
     gain: float | None = None  # locked; null leaves it
 
     def __post_init__(self) -> None:
         super().__post_init__()
         # within a second
-        Range(2, max(2, min(self.fps or FRAMES_PER_S, FRAMES_PER_S))).check("frozen_after", self.frozen_after)
+        Range(2, max(2, min(self.fps or FRAMES_PER_S, FRAMES_PER_S))).check(
+            "frozen_after", self.frozen_after
+        )
 
     @property
     def label(self) -> str:
@@ -141,7 +152,8 @@ class TactileFingerConfig(SampledCameraConfig):
 
     finger: str = "left"  # left | right: which one it is mounted on; nothing is mirrored here
     check_identity: bool = True  # refuse another sensor than the configured one when connecting
-    reference_on_connect: bool = True  # take the free-air reference when connecting; needs open fingers
+    # take the free-air reference when connecting; needs open fingers
+    reference_on_connect: bool = True
     reference_samples: int = 10  # samples it is the median of; touched while they come = refused
     sensor: str = ""  # registry name
 
@@ -177,7 +189,9 @@ class UniforceTactileCameraConfig(TactileFingerConfig, CapturedCameraConfig):
         super().__post_init__()
         if self.spec.signal != "camera":
             raise ContractError(
-                expected("sensor", "a camera sensor", self.sensor, "A patch of taxels is uniforce_uskin.")
+                expected(
+                    "sensor", "a camera sensor", self.sensor, "A patch of taxels is uniforce_uskin."
+                )
             )
         require_one_of("delivers", self.delivers, ("markers", "raw"))
         if self.delivers == "raw":
@@ -209,10 +223,12 @@ class UniforceUskinConfig(TactileFingerConfig):
     controller: int = 0  # microcontroller id in the low bits of the CAN ids
     server_sensor: str = "1"  # which sensor of the server's message
     flip: bool = False  # columns run the other way
-    resting_level: str = ""  # .npy of (16, 3) free-air counts: shows a steady touch at the reference
+    # .npy of (16, 3) free-air counts: shows a steady touch at the reference
+    resting_level: str = ""
     max_age_ms: float = 100.0
     reference_samples: int = 50
-    frozen_after: int = 25  # scans, 0.3 s at the slowest rate seen; live taxels move by a few counts at rest
+    # scans, 0.3 s at the slowest rate seen; live taxels move by a few counts at rest
+    frozen_after: int = 25
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -220,7 +236,9 @@ class UniforceUskinConfig(TactileFingerConfig):
             do = "No driver of it is here: give its raw signal to Canonicalizer."
             raise ContractError(expected("sensor", "a patch of 4×4 taxels", self.sensor, do))
         require_one_of("link", self.link, ("slcan", "server"))
-        require_one_of("rotation_deg", self.rotation_deg, TURNS, "A grid of taxels turns by quarters.")
+        require_one_of(
+            "rotation_deg", self.rotation_deg, TURNS, "A grid of taxels turns by quarters."
+        )
 
 
 @CameraConfig.register_subclass("uniforce_scene")

@@ -28,7 +28,13 @@ from uniforce_robots.sensors.config_uniforce import (
 from uniforce_robots.sensors.faults import WrongSensorError
 from uniforce_robots.sensors.lossy_recording import refuse_lossy_recording
 from uniforce_robots.sensors.mjpeg import StreamSource
-from uniforce_robots.sensors.reader import ReaderLimits, Sample, SampleReader, SampleSource, SourceCounts
+from uniforce_robots.sensors.reader import (
+    ReaderLimits,
+    Sample,
+    SampleReader,
+    SampleSource,
+    SourceCounts,
+)
 from uniforce_robots.sensors.uskin_server import ServerUSkin
 from uniforce_robots.sensors.uskin_slcan import SlcanUSkin
 from uniforce_vtla.array_file import read_array
@@ -49,7 +55,9 @@ class SampledCamera(Camera):
         super().__init__(config)
         self.config: Any = config
         self._source = source
-        self._reader = SampleReader(source, ReaderLimits(self.capacity, config.frozen_after, config.connect_ms))
+        self._reader = SampleReader(
+            source, ReaderLimits(self.capacity, config.frozen_after, config.connect_ms)
+        )
         self._orientation = config.orientation
         self._last_index = -1
 
@@ -225,7 +233,9 @@ class TactileFinger(SampledCamera):
 class UniforceTactileCamera(TactileFinger):
     """GelSight and TacTip: a gel or dome behind a USB camera, which ``factory`` opens (tests script one)."""
 
-    def __init__(self, config: UniforceTactileCameraConfig, factory: CaptureFactory = open_capture) -> None:
+    def __init__(
+        self, config: UniforceTactileCameraConfig, factory: CaptureFactory = open_capture
+    ) -> None:
         super().__init__(config, make_frame_source(config, factory))
 
     def _on_connect(self) -> None:
@@ -240,7 +250,9 @@ class UniforceTactileCamera(TactileFinger):
         return upright if self.config.delivers == "raw" else super()._image(upright)
 
     def _median(self, samples: list[np.ndarray]) -> np.ndarray:
-        return capture_camera_reference(samples, [self._canonicalizer.markers(frame) for frame in samples])
+        return capture_camera_reference(
+            samples, [self._canonicalizer.markers(frame) for frame in samples]
+        )
 
 
 class UniforceUskin(TactileFinger):
@@ -254,14 +266,18 @@ class UniforceUskin(TactileFinger):
     def __init__(self, config: UniforceUskinConfig, source: SampleSource | None = None) -> None:
         if source is None and config.link == "slcan":
             source = SlcanUSkin(config.source, config.label, config.controller)
-        super().__init__(config, source or ServerUSkin(config.source, config.server_sensor, config.label))
+        super().__init__(
+            config, source or ServerUSkin(config.source, config.server_sensor, config.label)
+        )
 
     def _median(self, samples: list[np.ndarray]) -> np.ndarray:
         level = self.config.resting_level
         if level and not Path(level).is_file():
             do = "Save one with numpy.save, or leave it empty."
             raise ContractError(expected("resting_level", "a .npy file", level, do))
-        return capture_taxel_reference(samples, resting_level=read_array(Path(level)) if level else None)
+        return capture_taxel_reference(
+            samples, resting_level=read_array(Path(level)) if level else None
+        )
 
 
 def _as_rgb(image: np.ndarray) -> np.ndarray:
@@ -271,7 +287,9 @@ def _as_rgb(image: np.ndarray) -> np.ndarray:
 class UniforceSceneCamera(SampledCamera):
     """A camera that looks at the scene; delivers (height, width, 3) uint8 RGB; ``factory`` opens it."""
 
-    def __init__(self, config: UniforceSceneCameraConfig, factory: CaptureFactory = open_capture) -> None:
+    def __init__(
+        self, config: UniforceSceneCameraConfig, factory: CaptureFactory = open_capture
+    ) -> None:
         super().__init__(config, make_frame_source(config, factory))
 
     def _image(self, upright: np.ndarray) -> np.ndarray:
@@ -281,7 +299,9 @@ class UniforceSceneCamera(SampledCamera):
         width, height, turned = self.width, self.height, super()._upright(sample)
         if width is None or height is None or turned.raw.shape[:2] == (height, width):
             return turned
-        small = cv2.resize(middle(turned.raw, width / height), (width, height), interpolation=cv2.INTER_AREA)
+        small = cv2.resize(
+            middle(turned.raw, width / height), (width, height), interpolation=cv2.INTER_AREA
+        )
         return replace(turned, raw=small)
 
 

@@ -26,7 +26,8 @@ def refuse_lossy_recording(label: str, only_markers: bool) -> None:
         return
     encoder = settings.rgb_encoder
     exact = encoder.vcodec == "h264" and encoder.crf == 0 and not encoder.extra_options
-    if only_markers and exact and not settings.streaming_encoding:  # a late streaming encoder leaves frames out
+    # a late streaming encoder leaves frames out
+    if only_markers and exact and not settings.streaming_encoding:
         return
     came = f"{encoder.vcodec} crf {encoder.crf}, streaming_encoding={settings.streaming_encoding}"
     flags = f"{LOSSLESS}, or --dataset.video=false" if only_markers else "--dataset.video=false"

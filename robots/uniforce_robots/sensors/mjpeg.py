@@ -84,19 +84,26 @@ class MultipartJpeg:
         kind = fields.get(b"content-type", b"")
         boundary = _BOUNDARY.search(kind)
         if not kind.lower().startswith(b"multipart/") or boundary is None:
-            raise self._error("multipart/x-mixed-replace with a boundary", kind[:60].decode("latin-1"))
-        self._boundary = b"--" + boundary[1].removeprefix(b"--")  # some servers put the dashes into the name
+            raise self._error(
+                "multipart/x-mixed-replace with a boundary", kind[:60].decode("latin-1")
+            )
+        # some servers put the dashes into the name
+        self._boundary = b"--" + boundary[1].removeprefix(b"--")
 
     def _begin_part(self, first: bytes, fields: dict[bytes, bytes]) -> None:
         if not first.startswith(self._boundary):
             raise self._error("a boundary", repr(first[:40]))
         length = fields.get(b"content-length", b"none")
         if not re.fullmatch(rb"[0-9]{1,10}", length) or int(length) > MAX_JPEG_BYTES:
-            raise self._error(f"a Content-Length of at most {MAX_JPEG_BYTES} bytes", length[:40].decode("latin-1"))
+            raise self._error(
+                f"a Content-Length of at most {MAX_JPEG_BYTES} bytes", length[:40].decode("latin-1")
+            )
         self._length = int(length)
 
     def _error(self, wanted: str, came: str) -> ProtocolError:
-        return ProtocolError(expected(self._name, wanted, came, "Is this the address of an MJPEG stream?"))
+        return ProtocolError(
+            expected(self._name, wanted, came, "Is this the address of an MJPEG stream?")
+        )
 
 
 class StreamSource(FrameSource):
@@ -158,7 +165,9 @@ def _request(url: str) -> socket.socket:
         if parts.scheme != "http" or not host:
             raise ValueError("no http address")
     except ValueError as error:  # also a port that is no number, or half a bracket
-        raise LostSensorError(expected("camera address", "http://host:port/path", url, do)) from error
+        raise LostSensorError(
+            expected("camera address", "http://host:port/path", url, do)
+        ) from error
     target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
     pair = f"{unquote(parts.username or '')}:{unquote(parts.password or '')}".encode()
     login = f"Authorization: Basic {base64.b64encode(pair).decode()}\r\n" if parts.username else ""

@@ -35,7 +35,9 @@ class PlainCamera:
     def __init__(self, name: str, camera: Camera) -> None:
         if not hasattr(camera, "latest_timestamp"):
             do = "Use uniforce_scene, opencv, intelrealsense or zmq."
-            raise ContractError(expected(name, "a camera with latest_timestamp", type(camera).__name__, do))
+            raise ContractError(
+                expected(name, "a camera with latest_timestamp", type(camera).__name__, do)
+            )
         self._name, self._camera = name, camera
         self._index, self._time_s, self._repeats = -1, float("nan"), 0
         self._last: np.ndarray = np.zeros(0)
@@ -54,7 +56,9 @@ class PlainCamera:
             self._last = thinned
         if self._repeats >= FROZEN_AFTER:
             came = f"the same content {self._repeats + 1} times in a row"
-            raise FrozenSensorError(expected(self._name, "changing frames", came, "Replug the camera."))
+            raise FrozenSensorError(
+                expected(self._name, "changing frames", came, "Replug the camera.")
+            )
         return Picture(image, self._index, time_s)
 
     def _newest(self) -> tuple[np.ndarray, float]:
@@ -70,8 +74,12 @@ class PlainCamera:
         except TimeoutError as error:
             raise StaleSensorError(expected(self._name, "a fresh frame", error, DO)) from error
         except Exception as error:  # foreign code, which may raise anything
-            raise LostSensorError(expected(self._name, "a running camera", repr(error), DO)) from error
-        raise StaleSensorError(expected(self._name, "a frame that holds still", "none", "Lower its rate."))
+            raise LostSensorError(
+                expected(self._name, "a running camera", repr(error), DO)
+            ) from error
+        raise StaleSensorError(
+            expected(self._name, "a frame that holds still", "none", "Lower its rate.")
+        )
 
     def _checked(self, image: Any) -> np.ndarray:
         shape, kind = getattr(image, "shape", None), getattr(image, "dtype", None)

@@ -55,7 +55,8 @@ class SampleSource(ABC):
 
     def __init__(self, name: str) -> None:
         self.name, self.counts = name, SourceCounts()
-        self.settings_read_back: dict[str, float] = {}  # what a camera's driver said each setting was
+        # what a camera's driver said each setting was
+        self.settings_read_back: dict[str, float] = {}
         self._closing = ExitStack()
         self._behind_since_s = float("inf")
 
@@ -170,14 +171,18 @@ class SampleReader:
                 return
             if self._has_thread:
                 do = "Replug the device, then try again."
-                raise faults.LostSensorError(expected(self.name, "a driver that returns", "one that hangs", do))
+                raise faults.LostSensorError(
+                    expected(self.name, "a driver that returns", "one that hangs", do)
+                )
             self._fault, self._repeats, before = None, 0, self._received - 1
             with self._translated():
                 self._source.open()
             self._last_sample_ns = now_ns()
             self._stop = threading.Event()
             name = f"reader of {self.name}"
-            self._thread = threading.Thread(target=self._run, args=(self._stop,), name=name, daemon=True)
+            self._thread = threading.Thread(
+                target=self._run, args=(self._stop,), name=name, daemon=True
+            )
             self._thread.start()
         with ExitStack() as undo:
             undo.callback(self.stop)  # a half-connected device would keep its port
@@ -192,7 +197,9 @@ class SampleReader:
             if self._thread is not None:
                 self._thread.join(JOIN_S)
             if self._has_thread:
-                log.warning("%s: its driver doesn't return; it is closed as soon as it does", self.name)
+                log.warning(
+                    "%s: its driver doesn't return; it is closed as soon as it does", self.name
+                )
             else:
                 self._thread = None
 
@@ -213,11 +220,16 @@ class SampleReader:
         with self._changed:
             wait_s = (max_age_ms if wait_ms is None else wait_ms) / 1e3
             in_time = self._changed.wait_for(lambda: self._received - 1 > index, wait_s)
-            (stamp_ns, raw), newest = self._kept[-1] if in_time else (0, np.empty(0)), self._received - 1
+            (stamp_ns, raw), newest = (
+                self._kept[-1] if in_time else (0, np.empty(0)),
+                self._received - 1,
+            )
         self._check_alive()
         do = "Stop pressing; check cable, USB load and the sensor's rate."
         if not in_time:
-            raise faults.StaleSensorError(expected(self.name, f"a sample within {max_age_ms:g} ms", "none", do))
+            raise faults.StaleSensorError(
+                expected(self.name, f"a sample within {max_age_ms:g} ms", "none", do)
+            )
         age_ms = (now_ns() - stamp_ns) / NS_PER_MS
         if age_ms > max_age_ms:
             wanted, came = f"a sample younger than {max_age_ms:g} ms", f"{age_ms:.0f} ms"
@@ -232,7 +244,9 @@ class SampleReader:
         Raises ContractError: a size outside 1 … capacity; SensorError: as ``newest``.
         """
         if not 1 <= size <= self._limits.capacity:
-            raise ContractError(expected("window", f"1 … {self._limits.capacity} samples", size, "Ask for fewer."))
+            raise ContractError(
+                expected("window", f"1 … {self._limits.capacity} samples", size, "Ask for fewer.")
+            )
         self.newest(max_age_ms)
         with self._changed:
             kept = list(self._kept)[-size:]
@@ -269,7 +283,9 @@ class SampleReader:
             raise
         except Exception as error:
             came = f"{type(error).__name__}: {error}"
-            raise faults.LostSensorError(expected(self.name, "a working driver", came, "Replug the device.")) from error
+            raise faults.LostSensorError(
+                expected(self.name, "a working driver", came, "Replug the device.")
+            ) from error
 
     def _read_or_reopen(self, stop: threading.Event) -> None:
         try:
@@ -278,7 +294,9 @@ class SampleReader:
             silent_s = (now_ns() - self._last_sample_ns) / NS_PER_S
             if silent_s > self._limits.silent_s:
                 do = "Opening it anew; check power, cable and bus."
-                raise faults.StaleSensorError(expected(self.name, "samples", f"none for {silent_s:.1f} s", do))
+                raise faults.StaleSensorError(
+                    expected(self.name, "samples", f"none for {silent_s:.1f} s", do)
+                )
         except SensorError as error:
             if self._fault is None:  # once per loss, not once per attempt
                 log.warning("%s: %s", self.name, error)
@@ -310,7 +328,9 @@ class SampleReader:
                 before = self._kept[-1].raw if self._kept else sample.raw
                 if form != (before.dtype, before.shape):
                     do = "Keep one setting per connection."
-                    raise faults.WrongSensorError(expected("sample", (before.dtype, before.shape), form, do))
+                    raise faults.WrongSensorError(
+                        expected("sample", (before.dtype, before.shape), form, do)
+                    )
                 self._kept.append(sample)
                 self._received += 1
                 self._changed.notify_all()
@@ -321,11 +341,15 @@ class SampleReader:
     def _check_alive(self) -> None:
         if not self.is_running:
             came = "not connected" if self._thread is None else "one that ends"
-            raise faults.LostSensorError(expected(self.name, "a running reader", came, "Call connect()."))
+            raise faults.LostSensorError(
+                expected(self.name, "a running reader", came, "Call connect().")
+            )
         fault = self._fault
         if fault is not None:
             text = str(fault)  # a socket knows its address, not whose finger it serves
             raise type(fault)(text if self.name in text else f"{self.name}: {text}") from fault
         if self._limits.frozen_after and self._repeats >= self._limits.frozen_after:
             came = f"the same content {self._repeats + 1} times in a row"
-            raise faults.FrozenSensorError(expected(self.name, "changing samples", came, "Replug the sensor."))
+            raise faults.FrozenSensorError(
+                expected(self.name, "changing samples", came, "Replug the sensor.")
+            )

@@ -49,7 +49,9 @@ class XelaMessages:
     def __init__(self, host: str, port: int, name: str) -> None:
         self._name = name
         self._parts: list[bytes] = []
-        self.protocol = ClientProtocol(parse_uri(f"ws://{host}:{port}/"), max_size=MAX_MESSAGE_BYTES)
+        self.protocol = ClientProtocol(
+            parse_uri(f"ws://{host}:{port}/"), max_size=MAX_MESSAGE_BYTES
+        )
         self.protocol.send_request(self.protocol.connect())
 
     def feed(self, chunk: bytes) -> list[str]:
@@ -60,7 +62,9 @@ class XelaMessages:
         self.protocol.receive_data(chunk) if chunk else self.protocol.receive_eof()
         error = self.protocol.handshake_exc or self.protocol.parser_exc
         if error is not None and not isinstance(error, EOFError):
-            raise faults.ProtocolError(expected(self._name, "a WebSocket server (RFC 6455)", error, IS_IT)) from error
+            raise faults.ProtocolError(
+                expected(self._name, "a WebSocket server (RFC 6455)", error, IS_IT)
+            ) from error
         frames = [event for event in self.protocol.events_received() if isinstance(event, Frame)]
         texts = [self._assembled(frame) for frame in frames if frame.opcode in DATA_OPCODES]
         return [text for text in texts if text is not None]
@@ -103,7 +107,9 @@ class ServerUSkin(SampleSource):
         deadline_s = time.monotonic() + CONNECT_S
         while self._messages.protocol.state is State.CONNECTING:
             if time.monotonic() > deadline_s:
-                raise faults.ProtocolError(expected(self.name, "a WebSocket handshake", "none in time", IS_IT))
+                raise faults.ProtocolError(
+                    expected(self.name, "a WebSocket handshake", "none in time", IS_IT)
+                )
             self._early += self._receive(CONNECT_S)[0]
 
     def _leave(self) -> None:
@@ -156,7 +162,8 @@ class ServerUSkin(SampleSource):
         try:
             number, scan = read_message(text, self._sensor, self.name)
         except faults.ProtocolError:
-            self.counts.bad += 1  # one garbled message; if none makes sense, the reader finds the sensor stale
+            # one garbled message; if none makes sense, the reader finds the sensor stale
+            self.counts.bad += 1
             return None
         if scan is None or (number is not None and number == self._number):
             return None  # a greeting, or the same scan again
@@ -186,8 +193,12 @@ def read_message(text: str, sensor: str, name: str) -> tuple[int | None, np.ndar
         return None, None
     entry = message.get(sensor)
     if not isinstance(entry, dict):
-        there = sorted(key for key, value in message.items() if key.isdigit() and isinstance(value, dict))
-        raise faults.WrongSensorError(expected(name, f"sensor {sensor}", there, "Set server_sensor to one of them."))
+        there = sorted(
+            key for key, value in message.items() if key.isdigit() and isinstance(value, dict)
+        )
+        raise faults.WrongSensorError(
+            expected(name, f"sensor {sensor}", there, "Set server_sensor to one of them.")
+        )
     number = message.get("message")
     return number if type(number) is int else None, _counts(entry.get("data"), f"{name}, data")
 
@@ -204,9 +215,13 @@ def _refuse_simulation(message: dict[str, Any], name: str) -> None:
 def _counts(data: object, what: str) -> np.ndarray:
     words = data.split(",") if isinstance(data, str) else data
     if not isinstance(words, list):
-        raise faults.ProtocolError(expected(what, "48 words", type(data).__name__, "Is the sensor running?"))
+        raise faults.ProtocolError(
+            expected(what, "48 words", type(data).__name__, "Is the sensor running?")
+        )
     if len(words) != WORDS:
-        raise faults.WrongSensorError(expected(what, f"{WORDS} words", len(words), "Is it a 4×4 patch?"))
+        raise faults.WrongSensorError(
+            expected(what, f"{WORDS} words", len(words), "Is it a 4×4 patch?")
+        )
     return np.array([_word(word, what) for word in words], np.uint16).reshape(TAXEL_SHAPE)
 
 
@@ -222,5 +237,7 @@ def _word(word: object, what: str) -> int:
 def _split(address: str) -> tuple[str, int]:
     host, _, port = address.removeprefix("ws://").rstrip("/").partition(":")
     if not host or (port and not (port.isascii() and port.isdigit() and 0 < int(port) <= 65_535)):
-        raise ContractError(expected("xela_server", "host or host:port", address, f"E.g. 192.168.0.5:{PORT}."))
+        raise ContractError(
+            expected("xela_server", "host or host:port", address, f"E.g. 192.168.0.5:{PORT}.")
+        )
     return host, int(port) if port else PORT

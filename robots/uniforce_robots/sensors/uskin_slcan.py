@@ -53,9 +53,13 @@ class SlcanScans:
 
     def __init__(self, controller: int = 0) -> None:
         if not 0 <= controller <= 15:
-            raise ContractError(expected("controller", "0 … 15", controller, "Read it off `candump`."))
+            raise ContractError(
+                expected("controller", "0 … 15", controller, "Read it off `candump`.")
+            )
         self.counts = SourceCounts()  # scans delivered, scans broken, lines that made no sense
-        self._taxel_of = {(n // 4) << 8 | (n % 4) << 4 | controller: n for n in range(TAXEL_SHAPE[0])}
+        self._taxel_of = {
+            (n // 4) << 8 | (n % 4) << 4 | controller: n for n in range(TAXEL_SHAPE[0])
+        }
         self._scan = np.zeros(TAXEL_SHAPE, np.uint16)
         self.forget()
 
@@ -111,7 +115,8 @@ class SlcanUSkin(SampleSource):
             undo.callback(self._stop)
             self._serial.reset_input_buffer()
             for command in OPENING:
-                self._early = self._command(command)  # the channel streams from its last acknowledgement on
+                # the channel streams from its last acknowledgement on
+                self._early = self._command(command)
         except (*_BROKEN, ValueError) as error:
             raise LostSensorError(expected(self.name, "a serial port", error, do)) from error
 
@@ -131,9 +136,13 @@ class SlcanUSkin(SampleSource):
 
     def _receive(self) -> bytes:
         try:
-            chunk, self._early = self._early + self._serial.read(max(1, self._serial.in_waiting)), b""
+            chunk, self._early = (
+                self._early + self._serial.read(max(1, self._serial.in_waiting)),
+                b"",
+            )
             return chunk
-        except (*_BROKEN, TypeError) as error:  # TypeError: pyserial's descriptor vanished while it read
+        # TypeError: pyserial's descriptor vanished while it read
+        except (*_BROKEN, TypeError) as error:
             do = "Was it unplugged? It is reopened once it is back."
             raise LostSensorError(expected(self.name, "a readable port", error, do)) from error
 
@@ -151,5 +160,8 @@ class SlcanUSkin(SampleSource):
                 return b"\r".join([*lines[lines.index(b"") + 1 :], tail])
             if _BELL in chunk:
                 return b""
-        what, do = f"{self.name}, command {command.decode()}", "Is this the SLCAN adapter, at 3 Mbaud?"
+        what, do = (
+            f"{self.name}, command {command.decode()}",
+            "Is this the SLCAN adapter, at 3 Mbaud?",
+        )
         raise ProtocolError(expected(what, "an acknowledgement", came, do))

@@ -69,7 +69,9 @@ class StandInServer:
 
     faults: ClassVar[tuple[str, ...]]
 
-    def __init__(self, plug: PseudoTerminal | Sockets, address: str, config: Any, rate_hz: float) -> None:
+    def __init__(
+        self, plug: PseudoTerminal | Sockets, address: str, config: Any, rate_hz: float
+    ) -> None:
         require_one_of("fault", config.fault, ("none", *self.faults))
         self.plug, self.address, self.config, self.fault = plug, address, config, config.fault
         self.pace, self.rng = Pace(rate_hz), np.random.default_rng(config.seed)
@@ -83,7 +85,9 @@ class StandInServer:
         try:
             while not self._input.ended:
                 reading, writing = self.plug.waits_for()
-                ready, _, _ = select.select([*reading, *self._input.files], writing, [], self.pace.wait_s())
+                ready, _, _ = select.select(
+                    [*reading, *self._input.files], writing, [], self.pace.wait_s()
+                )
                 if 0 in ready:
                     self._obey()
                 if received := self.plug.receive(ready):

@@ -53,7 +53,9 @@ class MjpegStandIn(StandInServer):
         self._jpegs = [encode(frame) for frame in frames]
         self._small = encode(cv2.resize(frames[0], (320, 240)))
         self._server = Sockets(("127.0.0.1", config.port), lambda client: WELCOME)
-        super().__init__(self._server, "http://{}:{}/stream".format(*self._server.where), config, config.rate_hz)
+        super().__init__(
+            self._server, "http://{}:{}/stream".format(*self._server.where), config, config.rate_hz
+        )
 
     def beat(self) -> None:
         """Send a frame; the cycle begins, in free air, with the first client."""

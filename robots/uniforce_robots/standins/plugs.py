@@ -72,7 +72,9 @@ class Sockets:
     ``where`` is (host, port), 0 for any free port; or a path, for packets: one read is one message, as with hidraw.
     """
 
-    def __init__(self, where: tuple[str, int] | str, welcome: Callable[[socket.socket], bytes]) -> None:
+    def __init__(
+        self, where: tuple[str, int] | str, welcome: Callable[[socket.socket], bytes]
+    ) -> None:
         self.where, self._welcome = where, welcome
         self.sent = 0
         self.clients: dict[socket.socket, list[bytes]] = {}  # and what waits to be sent to them
@@ -88,7 +90,8 @@ class Sockets:
             self._listener.bind(self.where)
             self._listener.listen(1)
         else:
-            self._listener = socket.create_server(self.where)  # sets SO_REUSEADDR: the same port again
+            # sets SO_REUSEADDR: the same port again
+            self._listener = socket.create_server(self.where)
             # clients inherit it; without, 40 ms wait for an acknowledgement
             self._listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self.where = self._listener.getsockname()

@@ -72,5 +72,7 @@ class StandIn:
         if not line.startswith(f"{word} ".encode()):
             self.process.kill()
             do = "Run it by hand to see why."
-            raise SensorError(expected(f"stand-in {self.name}", f"'{word} …'", repr(line.decode()), do))
+            raise SensorError(
+                expected(f"stand-in {self.name}", f"'{word} …'", repr(line.decode()), do)
+            )
         return line.decode().removeprefix(f"{word} ").strip()

@@ -12,7 +12,8 @@ from uniforce_vtla.contact import TactileSimulator, free_air, gap_maps
 from uniforce_vtla.contracts import QUARTERS, ContactState
 from uniforce_vtla.errors import ContractError, expected, require_one_of
 
-KEY_STATES = 48  # contact states per press that are simulated; taxel scans between them are interpolated
+# contact states per press that are simulated; taxel scans between them are interpolated
+KEY_STATES = 48
 TAXEL_NOISE_COUNTS = 2.0  # of real patches at rest: 1 to 5
 
 
@@ -24,7 +25,8 @@ class Scene:
     press_s: float = 2.0  # then a press that comes and goes; 0 = never
     peak_N: float = 8.0  # its strongest normal force
     shear_N: tuple[float, float] = (1.0, 0.0)  # x and y at the peak, image axes
-    where: str = "centre"  # centre | top-left | top-right | bottom-left | bottom-right, in the marker image
+    # centre | top-left | top-right | bottom-left | bottom-right, in the marker image
+    where: str = "centre"
     hold: bool = False  # pressed from the start and for ever
     seed: int = 0  # of unit and noise
 
@@ -45,7 +47,8 @@ def taxel_cycle(scene: Scene, rate_hz: float) -> np.ndarray:
     simulator.raw_frames(free_air(1))
     share = scene.load_share(rate_hz)
     keys = np.linspace(0, 1, KEY_STATES)
-    counts = simulator.raw_frames(_contacts(simulator, scene, keys)).astype(np.float64)  # (K, 16, 3)
+    # (K, 16, 3)
+    counts = simulator.raw_frames(_contacts(simulator, scene, keys)).astype(np.float64)
     counts[0] = simulator.raw_reference()
     smooth = interp1d(keys, counts, axis=0)(share)
     noise = np.random.default_rng(scene.seed).normal(0, TAXEL_NOISE_COUNTS, smooth.shape)
@@ -59,7 +62,9 @@ def frame_cycle(sensor: str, scene: Scene, rate_hz: float) -> np.ndarray:
     """
     simulator = TactileSimulator(sensor, seed=scene.seed)
     if simulator.spec.signal != "camera":
-        raise ContractError(expected("sensor", "a camera sensor", sensor, "Use the slcan or xela stand-in."))
+        raise ContractError(
+            expected("sensor", "a camera sensor", sensor, "Use the slcan or xela stand-in.")
+        )
     return simulator.raw_frames(_contacts(simulator, scene, scene.load_share(rate_hz)))
 
 
@@ -67,7 +72,9 @@ def _contacts(simulator: TactileSimulator, scene: Scene, share: np.ndarray) -> C
     """Return one contact per entry of ``share`` (B,): free air where it is 0."""
     require_one_of("where", scene.where, ("centre", *QUARTERS), "Name a place on the pad.")
     row, _, column = scene.where.partition("-")
-    place = np.array([{"left": -1, "right": 1}.get(column, 0), {"top": -1, "bottom": 1}.get(row, 0)])
+    place = np.array(
+        [{"left": -1, "right": 1}.get(column, 0), {"top": -1, "bottom": 1}.get(row, 0)]
+    )
     centre_mm = place * np.asarray(simulator.spec.pad_size_mm) / 4
     B = len(share)
     gap = gap_maps(["sphere"] * B, np.tile(centre_mm, (B, 1)), np.zeros(B), np.ones(B))

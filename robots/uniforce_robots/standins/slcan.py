@@ -36,7 +36,18 @@ def scan_lines(cycle: np.ndarray, controller: int) -> list[list[bytes]]:
 class SlcanStandIn(StandInServer):
     """The adapter: answers commands, and streams scans while its channel is open."""
 
-    faults = ("bel", "garbage", "split", "missing", "duplicate", "stall", "freeze", "unplug", "refuse", "mute")
+    faults = (
+        "bel",
+        "garbage",
+        "split",
+        "missing",
+        "duplicate",
+        "stall",
+        "freeze",
+        "unplug",
+        "refuse",
+        "mute",
+    )
 
     def __init__(self, config: SlcanConfig) -> None:
         self._lines = scan_lines(taxel_cycle(config, config.rate_hz), config.controller)

@@ -22,10 +22,12 @@ from uniforce_robots.teleop.integrator import TargetIntegrator
 from uniforce_vtla.errors import SensorError, TeleoperatorError, expected
 from uniforce_vtla.keys import AXES
 
-GAP_S = 0.15  # without a call, after which the robot may have come to rest: its watchdog waits 0.2 s
+# without a call, after which the robot may have come to rest: its watchdog waits 0.2 s
+GAP_S = 0.15
 # m, rad and m of width that a device with a pose of its own may stand from the robot at the start
 START = 0.05, 0.3, 0.03
-FEEDBACK_AGE_S = 0.2  # an older measured pose is not where the robot is; its own watchdog has the same
+# an older measured pose is not where the robot is; its own watchdog has the same
+FEEDBACK_AGE_S = 0.2
 
 
 def checked_axes(axes: Mapping[str, Any] | np.ndarray, what: str) -> np.ndarray:
@@ -34,15 +36,23 @@ def checked_axes(axes: Mapping[str, Any] | np.ndarray, what: str) -> np.ndarray:
         values = [axes[axis] for axis in AXES] if isinstance(axes, Mapping) else axes
         array = np.asarray(values, dtype=np.float64)
     except (KeyError, TypeError, ValueError) as error:
-        raise TeleoperatorError(expected(what, AXES, repr(error), "Give all five."), "garbage") from error
+        raise TeleoperatorError(
+            expected(what, AXES, repr(error), "Give all five."), "garbage"
+        ) from error
     if array.shape != (len(AXES),) or not np.isfinite(array).all():
-        raise TeleoperatorError(expected(what, f"{AXES}, finite", array.tolist(), "Check it."), "garbage")
+        raise TeleoperatorError(
+            expected(what, f"{AXES}, finite", array.tolist(), "Check it."), "garbage"
+        )
     return array
 
 
 def gap_sizes(gap: np.ndarray) -> tuple[float, float, float]:
     """Return m, rad and m of width of a difference (5,) of poses."""
-    return float(np.linalg.norm(gap[:3])), abs(shortest_turn(0.0, float(gap[3]))), abs(float(gap[4]))
+    return (
+        float(np.linalg.norm(gap[:3])),
+        abs(shortest_turn(0.0, float(gap[3]))),
+        abs(float(gap[4])),
+    )
 
 
 def require_near(name: str, target: np.ndarray, measured: np.ndarray) -> None:
@@ -51,14 +61,18 @@ def require_near(name: str, target: np.ndarray, measured: np.ndarray) -> None:
     if np.greater(gaps, START).any():
         wanted = "within {:.3f} m, {:.2f} rad, {:.3f} m of width of the robot".format(*START)
         came = "{:.3f} m, {:.2f} rad, {:.3f} m away".format(*gaps)
-        raise TeleoperatorError(expected(name, wanted, came, "Bring them together, then start."), "far")
+        raise TeleoperatorError(
+            expected(name, wanted, came, "Bring them together, then start."), "far"
+        )
 
 
 class UniforceTeleoperator(Teleoperator):
     """A LeRobot teleoperator whose actions are absolute targets of ``keys.AXES``, robot base frame."""
 
-    wants_gains: ClassVar[Gains | None] = None  # stiffness the robot needs meanwhile; None for the robot's own
-    device: Any = None  # what is read, with ``start``, ``stop``, ``is_running``, and ``reconnects`` if it can be lost
+    # stiffness the robot needs meanwhile; None for the robot's own
+    wants_gains: ClassVar[Gains | None] = None
+    # what is read, with ``start``, ``stop``, ``is_running``, and ``reconnects`` if it can be lost
+    device: Any = None
     is_calibrated = True  # there is nothing to calibrate
     action_features = feedback_features = dict.fromkeys(AXES, float)  # target and measured axes
 
@@ -70,7 +84,8 @@ class UniforceTeleoperator(Teleoperator):
         self._measured: np.ndarray | None = None
         self._measured_s = self._last_s = 0.0
         self._is_started = False
-        self._must_rest = False  # what is pushed now was pushed before a gap: it steers once it was let go
+        # what is pushed now was pushed before a gap: it steers once it was let go
+        self._must_rest = False
         self._lost = 0  # losses before the start
         self._fault: TeleoperatorError | None = None
 
@@ -82,7 +97,9 @@ class UniforceTeleoperator(Teleoperator):
     def connect(self, calibrate: bool = True) -> None:
         """Open the device; TeleoperatorError: connected already, not there, or a library it needs is missing."""
         if self.is_connected:
-            raise TeleoperatorError(expected(self.name, "to be unconnected", "a second connect", "Disconnect first."))
+            raise TeleoperatorError(
+                expected(self.name, "to be unconnected", "a second connect", "Disconnect first.")
+            )
         with _translated():
             self._open()
 
@@ -109,7 +126,9 @@ class UniforceTeleoperator(Teleoperator):
             is_at_rest = not self.is_deflected()
         if not is_at_rest:
             do = "Let go of it, then start."
-            raise TeleoperatorError(expected(self.name, "a device at rest", "a deflected one", do), "far")
+            raise TeleoperatorError(
+                expected(self.name, "a device at rest", "a deflected one", do), "far"
+            )
         self._is_started = True
 
     def send_feedback(self, feedback: dict[str, Any]) -> None:
@@ -126,7 +145,9 @@ class UniforceTeleoperator(Teleoperator):
             raise self._fault
         if not self._is_started:
             do = "Call start_from(measured) first; uniforce record does. LeRobot's own commands don't."
-            raise TeleoperatorError(expected(self.name, "a started episode", "none", do), "not_started")
+            raise TeleoperatorError(
+                expected(self.name, "a started episode", "none", do), "not_started"
+            )
         now = self.clock()
         elapsed_s, self._last_s = now - self._last_s, now
         try:
@@ -188,12 +209,16 @@ class UniforceTeleoperator(Teleoperator):
     def _refuse_lost(self) -> None:
         if self._losses != self._lost:
             came, do = "one that was lost and came back", "Start again."
-            raise TeleoperatorError(expected(self.name, "a device that stays", came, do), "connection")
+            raise TeleoperatorError(
+                expected(self.name, "a device that stays", came, do), "connection"
+            )
 
     def _check_connected(self) -> None:
         if not self.is_connected:
             do = "Call connect()."
-            raise TeleoperatorError(expected(self.name, "a connected device", "none", do), "not_connected")
+            raise TeleoperatorError(
+                expected(self.name, "a connected device", "none", do), "not_connected"
+            )
 
 
 @contextmanager
@@ -203,5 +228,7 @@ def _translated() -> Iterator[None]:
         yield
     except SensorError as error:
         kinds = {StaleSensorError: "stale", ProtocolError: "garbage"}
-        fault = next((fault for kind, fault in kinds.items() if isinstance(error, kind)), "connection")
+        fault = next(
+            (fault for kind, fault in kinds.items() if isinstance(error, kind)), "connection"
+        )
         raise TeleoperatorError(str(error), fault) from error

@@ -32,7 +32,8 @@ JUMP_rad = 0.35  # a joint that turns further between two readings has slipped o
 MOVED = 0.01, 0.05, 0.005  # m, rad and m of width, beyond which it was moved since the start
 # A GELLO that lies still repeats itself: that is no fault.
 LIMITS = ReaderLimits(capacity=64, frozen_after=0, first_ms=2000.0, silent_s=1.0)
-_BROKEN = (OSError, termios.error, TypeError)  # TypeError: pyserial's descriptor vanished while it read
+# TypeError: pyserial's descriptor vanished while it read
+_BROKEN = (OSError, termios.error, TypeError)
 
 
 @TeleoperatorConfig.register_subclass("uniforce_gello")
@@ -40,13 +41,17 @@ _BROKEN = (OSError, termios.error, TypeError)  # TypeError: pyserial's descripto
 class UniforceGelloConfig(SteeringConfig):
     """A GELLO: a small arm of Dynamixel motors with the Franka's proportions."""
 
-    limits: TargetLimits = field(default_factory=lambda: TargetLimits(speed=(0.2, 0.2, 0.2, 1.2, 0.1)))
+    limits: TargetLimits = field(
+        default_factory=lambda: TargetLimits(speed=(0.2, 0.2, 0.2, 1.2, 0.1))
+    )
     port: str = ""  # serial port, e.g. /dev/serial/by-id/usb-FTDI_…
     baud: int = 57_600  # as the motors come; GELLO builds often set 1_000_000
-    ids: tuple[int, ...] = (1, 2, 3, 4, 5, 6, 7, 8)  # of the motors: seven joints and the gripper's trigger
+    # of the motors: seven joints and the gripper's trigger
+    ids: tuple[int, ...] = (1, 2, 3, 4, 5, 6, 7, 8)
     signs: tuple[int, ...] = (1, 1, 1, 1, 1, 1, 1)  # joint = sign × (motor − offset)
     offsets_rad: tuple[float, ...] = (0.0,) * 7  # ``gello.offsets`` finds them from a held posture
-    trigger_rad: tuple[float, float] = (0.0, 0.7)  # motor angle of the trigger when open and when pulled
+    # motor angle of the trigger when open and when pulled
+    trigger_rad: tuple[float, float] = (0.0, 0.7)
     width_m: tuple[float, float] = (0.08, 0.0)  # of the fingers when open and when pulled
     flange_to_tool_m: float = float(HAND_TO_FLANGE[2, 3])  # the point between the finger tips
 
@@ -84,18 +89,24 @@ class GelloBus(SampleSource):
             from dynamixel_sdk import GroupSyncRead, PacketHandler, PortHandler
         except ImportError as error:
             do = 'Install it: pip install "lerobot[dynamixel]".'
-            raise TeleoperatorError(expected(self.name, "dynamixel-sdk", error, do), "missing") from error
+            raise TeleoperatorError(
+                expected(self.name, "dynamixel-sdk", error, do), "missing"
+            ) from error
         self._failed_in_a_row = 0
         self._handler = PortHandler(self._port)
         undo.callback(self._stop)
         do = "Check the cable, permissions (group dialout), and that no other program holds it."
         try:
             if not self._handler.setBaudRate(self._baud):
-                raise LostSensorError(expected(self.name, "a baud rate of the motors", self._baud, do))
+                raise LostSensorError(
+                    expected(self.name, "a baud rate of the motors", self._baud, do)
+                )
             self._handler.ser.timeout, self._handler.ser.exclusive = READ_TIMEOUT_S, True
         except (*_BROKEN, ValueError) as error:
             raise LostSensorError(expected(self.name, "a serial port", error, do)) from error
-        self._group = GroupSyncRead(self._handler, PacketHandler(2.0), PRESENT_POSITION, POSITION_BYTES)
+        self._group = GroupSyncRead(
+            self._handler, PacketHandler(2.0), PRESENT_POSITION, POSITION_BYTES
+        )
         for motor in self._ids:
             self._group.addParam(motor)
 
@@ -113,7 +124,9 @@ class GelloBus(SampleSource):
             self._handler.ser.reset_input_buffer()  # late answers belong to the last question
             result = self._group.txRxPacket()
         except _BROKEN as error:
-            raise LostSensorError(expected(self.name, "a working port", error, "Was it unplugged?")) from error
+            raise LostSensorError(
+                expected(self.name, "a working port", error, "Was it unplugged?")
+            ) from error
         if any(len(answers[motor]) != POSITION_BYTES for motor in self._ids):
             self._count_failure(result, [motor for motor in self._ids if not answers[motor]])
             return []
@@ -131,7 +144,9 @@ class GelloBus(SampleSource):
         if self._failed_in_a_row < FAILED_IN_A_ROW:
             return
         if is_silent and len(missing) == len(self._ids):
-            raise LostSensorError(expected(self.name, "answers", "none", "Is it powered, and is the baud rate right?"))
+            raise LostSensorError(
+                expected(self.name, "answers", "none", "Is it powered, and is the baud rate right?")
+            )
         do = "Check the chain's cables from the first missing motor on."
         wanted, came = f"answers of motors {list(self._ids)}", f"none whole from {missing}"
         raise ProtocolError(expected(self.name, wanted, came, do))
@@ -185,5 +200,7 @@ class UniforceGello(UniforceTeleoperator):
 
     def _joints_and_trigger(self) -> tuple[np.ndarray, float]:
         motors = self.device.newest(STALE_MS).raw
-        q: np.ndarray = np.array(self.config.signs) * (motors[:JOINTS] - np.array(self.config.offsets_rad))
+        q: np.ndarray = np.array(self.config.signs) * (
+            motors[:JOINTS] - np.array(self.config.offsets_rad)
+        )
         return q, float(motors[JOINTS])

@@ -25,7 +25,8 @@ class TargetLimits:
 
     # per second; the robot's own guards allow 0.25 m/s, a person wants less near contact
     speed: tuple[float, ...] = (0.10, 0.10, 0.10, 0.6, 0.06)
-    low: tuple[float, ...] = GuardLimits.low  # the robot's own box; a start outside widens it: the start is no jump
+    # the robot's own box; a start outside widens it: the start is no jump
+    low: tuple[float, ...] = GuardLimits.low
     high: tuple[float, ...] = GuardLimits.high
     # How far each axis may lead the measured pose, so that a target pushed into a table does not run on and take
     # seconds to come back. 20 mm is just above the arm's clip of 18 mm, beyond which nothing grows.
@@ -37,14 +38,19 @@ class TargetLimits:
                 do = "Give one finite number per axis."
                 raise ContractError(expected(f"limits.{name}", f"{len(AXES)} numbers", row, do))
         if np.any(np.greater_equal(self.low, self.high)) or min(*self.speed, *self.leash) < 0:
-            raise ContractError(expected("target limits", "low < high, speed and leash ≥ 0", vars(self), "Mend them."))
+            raise ContractError(
+                expected(
+                    "target limits", "low < high, speed and leash ≥ 0", vars(self), "Mend them."
+                )
+            )
 
 
 @dataclass(kw_only=True)
 class SteeringConfig(TeleoperatorConfig):
     """Settings of every device that moves a target."""
 
-    limits: TargetLimits = field(default_factory=TargetLimits)  # how far and fast the target may move
+    # how far and fast the target may move
+    limits: TargetLimits = field(default_factory=TargetLimits)
 
 
 class TargetIntegrator:
@@ -66,7 +72,9 @@ class TargetIntegrator:
         self._low: np.ndarray = np.minimum(self.limits.low, self._target)
         self._high: np.ndarray = np.maximum(self.limits.high, self._target)
 
-    def advance(self, rates: np.ndarray, elapsed_s: float, measured: np.ndarray | None = None) -> np.ndarray:
+    def advance(
+        self, rates: np.ndarray, elapsed_s: float, measured: np.ndarray | None = None
+    ) -> np.ndarray:
         """Move the target by ``rates`` and return it.
 
         Args:
@@ -76,7 +84,9 @@ class TargetIntegrator:
         """
         return self._move(np.clip(rates, -1, 1) * self._reach(elapsed_s), measured)
 
-    def towards(self, goal: np.ndarray, elapsed_s: float, measured: np.ndarray | None = None) -> np.ndarray:
+    def towards(
+        self, goal: np.ndarray, elapsed_s: float, measured: np.ndarray | None = None
+    ) -> np.ndarray:
         """Move the target towards an absolute goal (5,), turning the shorter way, no faster than the limits.
 
         The three positions keep their direction, so that a fast hand draws the same line, only later.

@@ -45,7 +45,9 @@ class TerminalKeys:
     text_begins: str | None = None
     is_text = False
 
-    def __init__(self, meanings: Mapping[str, tuple[int, int]], clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, meanings: Mapping[str, tuple[int, int]], clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._meanings, self.clock = dict(meanings), clock
         self._others: deque[str] = deque(maxlen=OTHERS_KEPT)
         self._until_s = dict.fromkeys(self._meanings, 0.0)  # when each key counts as let go
@@ -61,7 +63,9 @@ class TerminalKeys:
         """Read keys from this terminal until ``stop``; TeleoperatorError where standard input is none."""
         if not sys.stdin.isatty():
             do = "Run it in a terminal, not behind a pipe or in a notebook."
-            raise TeleoperatorError(expected("keyboard", "a terminal", "another input", do), "connection")
+            raise TeleoperatorError(
+                expected("keyboard", "a terminal", "another input", do), "connection"
+            )
         self._listener = TerminalKeyListener(self.press)
         self._listener.start()
 
@@ -69,7 +73,8 @@ class TerminalKeys:
         """Give the terminal back. Safe to call twice."""
         listener, self._listener = self._listener, None
         if listener is not None:
-            with contextlib.suppress(termios.error):  # the terminal hung up: nothing left to restore
+            # the terminal hung up: nothing left to restore
+            with contextlib.suppress(termios.error):
                 listener.stop()
 
     def press(self, key: str) -> None:
@@ -109,9 +114,13 @@ class TerminalKeys:
 def _refuse_hung_up() -> None:
     poll = select.poll()
     poll.register(sys.stdin.fileno(), 0)
-    if any(event & (select.POLLHUP | select.POLLERR | select.POLLNVAL) for _, event in poll.poll(0)):
+    if any(
+        event & (select.POLLHUP | select.POLLERR | select.POLLNVAL) for _, event in poll.poll(0)
+    ):
         do = "Start the program again."
-        raise TeleoperatorError(expected("keyboard", "a terminal", "one that hung up", do), "connection")
+        raise TeleoperatorError(
+            expected("keyboard", "a terminal", "one that hung up", do), "connection"
+        )
 
 
 @TeleoperatorConfig.register_subclass("uniforce_keyboard")

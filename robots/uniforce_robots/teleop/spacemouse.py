@@ -29,15 +29,20 @@ log = logging.getLogger(__name__)
 
 SYS_HIDRAW = Path("/sys/class/hidraw")
 # Vendor and product as the kernel writes them: Logitech's SpaceNavigator, 3Dconnexion's family.
-VENDORS = {"0000046D": {"0000C626", "0000C627", "0000C628", "0000C629", "0000C62B"}, "0000256F": None}
-MULTI_AXIS = bytes((5, 1, 9, 8))  # of a report descriptor: page "generic desktop", usage "multi-axis controller"
+VENDORS = {
+    "0000046D": {"0000C626", "0000C627", "0000C628", "0000C629", "0000C62B"},
+    "0000256F": None,
+}
+# of a report descriptor: page "generic desktop", usage "multi-axis controller"
+MULTI_AXIS = bytes((5, 1, 9, 8))
 MOVE_S = 15.0  # for a person to move the cap that is meant
 REPORT_BYTES = 64
 READ_TIMEOUT_S = 0.05
 BAD_IN_A_ROW = 20  # a third of a second of nothing but nonsense
 DO_PLUG = "Plug it in; give yourself read permission on /dev/hidraw* by a udev rule."
 FOREVER_MS = 1e12  # a cap at rest is silent until it is touched
-SILENT_S = 0.25  # a deflected cap so long without a report is a dead one; wireless ones send at some 60 Hz
+# a deflected cap so long without a report is a dead one; wireless ones send at some 60 Hz
+SILENT_S = 0.25
 # A cap at rest sends nothing, and one held still the same: neither silence nor repetition is a fault of the device.
 LIMITS = ReaderLimits(capacity=64, frozen_after=0, first_ms=2000.0, silent_s=float("inf"))
 AXES, BUTTONS = 6, 2  # more buttons exist on some models and mean nothing here
@@ -53,10 +58,14 @@ _THREE, _SIX = struct.Struct("<3h"), struct.Struct("<6h")
 class UniforceSpaceMouseConfig(SteeringConfig):
     """A 3Dconnexion SpaceMouse; the limits hold at full deflection."""
 
-    device: str = ""  # e.g. /dev/hidraw3, or a local packet socket; empty looks for the only one plugged in
-    deadband: float = 0.08  # share of full deflection that is rest; a cap never comes back to zero exactly
-    signs: tuple[int, int, int, int] = (1, -1, -1, -1)  # of right, forward, up, counter-clockwise in counts
-    operator_yaw_rad: float = 0.0  # which way "forward" is in the base frame; 0: the operator looks along +x
+    # e.g. /dev/hidraw3, or a local packet socket; empty looks for the only one plugged in
+    device: str = ""
+    # share of full deflection that is rest; a cap never comes back to zero exactly
+    deadband: float = 0.08
+    # of right, forward, up, counter-clockwise in counts
+    signs: tuple[int, int, int, int] = (1, -1, -1, -1)
+    # which way "forward" is in the base frame; 0: the operator looks along +x
+    operator_yaw_rad: float = 0.0
 
     def __post_init__(self) -> None:
         Range(0, 0.9).check("deadband", self.deadband)
@@ -107,7 +116,11 @@ class SpaceMouseSource(SampleSource):
 
     def __init__(self, device: str = "") -> None:
         super().__init__(f"spacemouse ({device or 'any'})")
-        self._device, self.state, self._unknown = device, np.zeros(AXES + BUTTONS), np.array(UNKNOWN)
+        self._device, self.state, self._unknown = (
+            device,
+            np.zeros(AXES + BUTTONS),
+            np.array(UNKNOWN),
+        )
         self._fd, self._heard_s, self._bad_in_a_row = -1, 0.0, 0
         self._place = ""  # USB socket and interface of the one that was moved
 
@@ -118,13 +131,18 @@ class SpaceMouseSource(SampleSource):
         """
         path = self._device or self._only_one()
         facts = _facts(_node(path))
-        if facts and not _is_spacemouse(_node(path)):  # numbers of hidraw nodes change with every boot
+        # numbers of hidraw nodes change with every boot
+        if facts and not _is_spacemouse(_node(path)):
             do = "Leave device empty, or name the SpaceMouse's own node."
-            raise WrongSensorError(expected(self.name, "a SpaceMouse", facts.get("HID_NAME", path), do))
+            raise WrongSensorError(
+                expected(self.name, "a SpaceMouse", facts.get("HID_NAME", path), do)
+            )
         try:
             self._fd = _open(path)
         except OSError as error:
-            raise LostSensorError(expected(self.name, "a device to read", error, DO_PLUG)) from error
+            raise LostSensorError(
+                expected(self.name, "a device to read", error, DO_PLUG)
+            ) from error
         undo.callback(os.close, self._fd)
         self.state[:], self._unknown[:] = 0, UNKNOWN
         self._heard_s, self._bad_in_a_row = time.monotonic(), 0
@@ -143,7 +161,9 @@ class SpaceMouseSource(SampleSource):
     def _moved(self, paths: list[str]) -> str:
         """Return the node that reports while a person moves the cap."""
         facts = {path: _facts(_node(path)) for path in paths}
-        listed = ", ".join(f"{path} ({f.get('HID_NAME')}, {f.get('HID_PHYS')})" for path, f in facts.items())
+        listed = ", ".join(
+            f"{path} ({f.get('HID_NAME')}, {f.get('HID_PHYS')})" for path, f in facts.items()
+        )
         log.warning("%s: move the cap within %g s, to choose of %s", self.name, MOVE_S, listed)
         nodes, reasons = [], ["it wasn't moved"]
         with ExitStack() as closing:
@@ -162,7 +182,9 @@ class SpaceMouseSource(SampleSource):
                     if node.state.any():
                         return node._device
         do = "Name the one that is the SpaceMouse, device=/dev/hidrawN."
-        raise LostSensorError(expected(self.name, f"a moved cap at one of {listed}", reasons[-1], do))
+        raise LostSensorError(
+            expected(self.name, f"a moved cap at one of {listed}", reasons[-1], do)
+        )
 
     def read(self) -> list[Stamped]:
         """Return the newest state if something came, or silence said something, and all of it is known."""
@@ -176,11 +198,14 @@ class SpaceMouseSource(SampleSource):
     def _take_next(self) -> bool:
         """Take the next report; return whether it was understood."""
         try:
-            report = os.read(self._fd, REPORT_BYTES)  # hidraw and packet sockets: one read is one report
+            # hidraw and packet sockets: one read is one report
+            report = os.read(self._fd, REPORT_BYTES)
             if not report:
                 raise OSError("its end")
         except OSError as error:
-            raise LostSensorError(expected(self.name, "a readable device", error, "Was it unplugged?")) from error
+            raise LostSensorError(
+                expected(self.name, "a readable device", error, "Was it unplugged?")
+            ) from error
         understood = self.feed(report)
         if understood:
             self._heard_s = time.monotonic()
@@ -252,5 +277,7 @@ class UniforceSpaceMouse(UniforceTeleoperator):
         silent_s = sample.age_ms / 1e3
         if beyond.any() and silent_s > SILENT_S:
             came = f"none for {silent_s:.2f} s with the cap deflected"
-            raise TeleoperatorError(expected(self.name, "reports", came, "Replug it, or its receiver."), "stale")
+            raise TeleoperatorError(
+                expected(self.name, "reports", came, "Replug it, or its receiver."), "stale"
+            )
         return np.array([*(np.sign(share) * beyond), *sample.raw[6:]])

@@ -44,7 +44,8 @@ def test_labels_of_targets_are_never_read(name, table, tiny, predictions) -> Non
 def test_resnet_learns_its_own_sensor(table: Table) -> None:
     source, unseen = table.training["gelsight"], table.frozen["gelsight"]
     predict = fit_resnet(source, RESNET, seed=0)
-    assert min(score(unseen.force_N, predict(pictures(unseen)))["r2"]) > 0.3  # the mean predictor is at 0
+    # the mean predictor is at 0
+    assert min(score(unseen.force_N, predict(pictures(unseen)))["r2"]) > 0.3
 
 
 def test_end_to_end_loss_falls_and_repeats(table: Table) -> None:
@@ -57,7 +58,9 @@ def test_end_to_end_loss_falls_and_repeats(table: Table) -> None:
     assert np.mean(runs[0][-5:]) < 0.8 * np.mean(runs[0][:5])
 
 
-def test_fine_tuning_starts_from_the_tokenizer_and_leaves_it_alone(table: Table, tiny: TokenizerConfig) -> None:
+def test_fine_tuning_starts_from_the_tokenizer_and_leaves_it_alone(
+    table: Table, tiny: TokenizerConfig
+) -> None:
     tokenizer = Tokenizer.random(tiny)
     before = {k: v.clone() for k, v in tokenizer.model.state_dict().items()}
     encoder = TokenizerEncoder(tokenizer)
@@ -70,17 +73,28 @@ def test_fine_tuning_starts_from_the_tokenizer_and_leaves_it_alone(table: Table,
 
 
 def test_fine_tuning_improves_on_the_frozen_head(table: Table, tiny: TokenizerConfig) -> None:
-    source, tokenizer, unseen = table.training["gelsight"], Tokenizer.random(tiny), table.frozen["gelsight"]
+    source, tokenizer, unseen = (
+        table.training["gelsight"],
+        Tokenizer.random(tiny),
+        table.frozen["gelsight"],
+    )
     r2 = []
     for steps in (1, 80):
-        training = EndToEndConfig(steps=steps, frames_per_step=32, learning_rate=1e-3, encoder_rate=1.0)
+        training = EndToEndConfig(
+            steps=steps, frames_per_step=32, learning_rate=1e-3, encoder_rate=1.0
+        )
         predict = fit_finetuned(source, tokenizer, table.head, training, seed=0)
         r2.append(np.mean(score(unseen.force_N, predict(pictures(unseen)))["r2"]))
     assert r2[1] > r2[0] and r2[1] > 0.3
 
 
 def t3(depth: int) -> T3Encoder:
-    sizes = {"hidden_size": 96, "intermediate_size": 384, "num_attention_heads": 2, "num_hidden_layers": 1 + depth}
+    sizes = {
+        "hidden_size": 96,
+        "intermediate_size": 384,
+        "num_attention_heads": 2,
+        "num_hidden_layers": 1 + depth,
+    }
     return T3Encoder(ViTConfig(image_size=64, patch_size=8, **sizes))
 
 
@@ -112,7 +126,9 @@ def test_our_flops_are_those_of_the_current_frame_alone(tiny: TokenizerConfig) -
     embed = P * (64 * 16 + 16 * D) + P * (9 * 4 * D + D * D)
     posterior = P * D * 12
     assert facts["flops_per_frame"] == 2 * (2 * block + embed + posterior)
-    assert facts["params"] == sum(p.numel() for p in Tokenizer.random(tiny).model.encoder.parameters())
+    assert facts["params"] == sum(
+        p.numel() for p in Tokenizer.random(tiny).model.encoder.parameters()
+    )
 
 
 def test_turns_alternate_after_a_warm_up() -> None:

@@ -9,7 +9,15 @@ from outside_family import outside
 
 from benchmarks.finite_elements.sets import FE_CONTACTS, FE_DEV
 from benchmarks.probes.hard_sets import HETERO_HARD, HETERO_HARD_TRAINING, draw_hard, hetero_sensors
-from benchmarks.probes.labelled_set import FROZEN, HEAD_TRAINING, SENSORS, cached, draw_labelled, set_facts, within
+from benchmarks.probes.labelled_set import (
+    FROZEN,
+    HEAD_TRAINING,
+    SENSORS,
+    cached,
+    draw_labelled,
+    set_facts,
+    within,
+)
 from benchmarks.probes.report_sets import REPORT_SETS
 from benchmarks.probes.zero_shot import check_frozen, score, summary, transfer_name
 from uniforce_vtla.contact.indenters import SEEN, UNSEEN
@@ -67,7 +75,9 @@ def test_committed_table_belongs_to_the_frozen_set_and_meets_its_form(name: str)
     for row in table["rows"].values():
         for source, target in permutations(SENSORS, 2):
             assert len(row[transfer_name(source, target)]["r2"]) == 3
-    assert summary(table["rows"]["UniForce"])["mean"] == pytest.approx(table["summary"]["UniForce"]["mean"])
+    assert summary(table["rows"]["UniForce"])["mean"] == pytest.approx(
+        table["summary"]["UniForce"]["mean"]
+    )
 
 
 BRIEF = replace(HETERO_HARD, sequences=2, length=4)
@@ -76,11 +86,15 @@ BRIEF = replace(HETERO_HARD, sequences=2, length=4)
 def test_seeds_and_indenters_of_training_and_frozen_sets_differ() -> None:
     sets = (HETERO_HARD, HETERO_HARD_TRAINING, FROZEN, HEAD_TRAINING, FE_DEV, FE_CONTACTS)
     assert len({s.seed for s in sets}) == len(sets)
-    assert set(HETERO_HARD.indenters) == set(UNSEEN) and set(HETERO_HARD_TRAINING.indenters) == set(SEEN)
+    assert set(HETERO_HARD.indenters) == set(UNSEEN) and set(HETERO_HARD_TRAINING.indenters) == set(
+        SEEN
+    )
 
 
 def test_no_held_out_sensor_is_in_the_pretraining_family() -> None:
-    assert any(line.startswith("visible: marker_shape") for line in outside(hetero_sensors()["gelsight_d"]))
+    assert any(
+        line.startswith("visible: marker_shape") for line in outside(hetero_sensors()["gelsight_d"])
+    )
     for sensor in hidden_sensors().values():
         if sensor.spec.signal == "camera":
             found = outside(sensor)
@@ -119,7 +133,11 @@ def test_a_cached_set_is_drawn_once(tmp_path: Path) -> None:
         return draw_hard(BRIEF, hetero_sensors()["uskin"], 16)
 
     first, second = (cached(tmp_path, BRIEF, "uskin", 16, draw) for _ in range(2))
-    assert len(calls) == 1 and first.digest == second.digest and np.array_equal(first.frames, second.frames)
+    assert (
+        len(calls) == 1
+        and first.digest == second.digest
+        and np.array_equal(first.frames, second.frames)
+    )
     cached(tmp_path, replace(BRIEF, seed=9), "uskin", 16, draw)
     assert len(calls) == 2
 

@@ -26,7 +26,9 @@ class MarkerTrial:
 @pytest.fixture(scope="session")
 def marker_trials() -> tuple[MarkerTrial, ...]:
     """One trial per sensor and indenter, sphere (seen) and wave (unseen); frame 0 is the reference itself."""
-    return tuple(_marker_trial(s, i) for s in ("gelsight", "tactip", "uskin") for i in ("sphere", "wave"))
+    return tuple(
+        _marker_trial(s, i) for s in ("gelsight", "tactip", "uskin") for i in ("sphere", "wave")
+    )
 
 
 @pytest.fixture
@@ -48,7 +50,8 @@ def write_genforce_trial(root: Path, trial: MarkerTrial, name: str = "1") -> Non
         else:
             np.save(images / f"{index:04d}.npy", np.packbits(frame.ravel() > 0))
     (images / "last.csv").write_text("0001,0003,0004,0005\n")
-    recorded = trial.force_N.astype(np.float64) * (1, 1, -1)  # the rig's Fz is negative in compression
+    # the rig's Fz is negative in compression
+    recorded = trial.force_N.astype(np.float64) * (1, 1, -1)
     table = pd.DataFrame(np.hstack([recorded, np.full((len(recorded), 3), 9.0)]), columns=COLUMNS)
     table.to_csv(forces / "ft.csv", index=False)
 

@@ -34,13 +34,18 @@ def grasps(tmp_path: Path) -> Path:
     (first / "slip.txt").touch()
     trial(tmp_path / "base_data_for_training" / "mug" / "exp_num_1", WIDE_FRAMES, 40)
     shutil.copytree(first, tmp_path / "bag_nuts" / "exp_num_1")
-    shutil.copytree(first, tmp_path / "base_data" / "base_data_for_training" / "bag_of_nuts" / "exp_num_7")
+    shutil.copytree(
+        first, tmp_path / "base_data" / "base_data_for_training" / "bag_of_nuts" / "exp_num_7"
+    )
     return tmp_path
 
 
 def test_a_trial_that_stands_three_times_is_read_once_by_its_objects_name(grasps: Path) -> None:
     nuts, mug = read_grasps(grasps)
-    assert (nuts.object_name, nuts.name) == ("bag_of_nuts", "base_data_for_training/bag_of_nuts/exp_num_1")
+    assert (nuts.object_name, nuts.name) == (
+        "bag_of_nuts",
+        "base_data_for_training/bag_of_nuts/exp_num_1",
+    )
     assert (nuts.campaign, mug.campaign) == ("close", "wide")
     assert nuts.slipped and not mug.slipped
     frames = list(film_frames(nuts.films["left"]))
@@ -54,7 +59,9 @@ def test_a_trial_without_one_fingers_film_is_named(grasps: Path) -> None:
         read_grasps(grasps)
 
 
-def test_a_film_that_is_no_film_and_a_folder_without_any_are_named(grasps: Path, tmp_path: Path) -> None:
+def test_a_film_that_is_no_film_and_a_folder_without_any_are_named(
+    grasps: Path, tmp_path: Path
+) -> None:
     broken = grasps / "base_data_for_training" / "mug" / "exp_num_1" / FILMS["left"]
     broken.write_bytes(b"RIFF no film")
     with pytest.raises(DatasetError, match="whole film"):
@@ -66,7 +73,9 @@ def test_a_film_that_is_no_film_and_a_folder_without_any_are_named(grasps: Path,
         read_grasps(empty)
 
 
-def test_a_link_out_of_the_data_set_is_refused(grasps: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_a_link_out_of_the_data_set_is_refused(
+    grasps: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
     outside = tmp_path_factory.mktemp("outside") / "film.avi"
     film(outside, 3, 0)
     inside = grasps / "base_data_for_training" / "mug" / "exp_num_1" / FILMS["left"]

@@ -38,7 +38,9 @@ def edit_forces(release: Path, edit: Callable[[pd.DataFrame], pd.DataFrame]) -> 
 
 
 @pytest.mark.parametrize("below", ["", "dataset/training/hetero"])
-def test_images_and_forces_come_back_exactly(genforce: Path, marker_trials: Any, below: str) -> None:
+def test_images_and_forces_come_back_exactly(
+    genforce: Path, marker_trials: Any, below: str
+) -> None:
     found = {(r.sensor, r.indenter): r for r in read_genforce(genforce / below)}
     assert len(found) == len(marker_trials) == 6
     for trial in marker_trials:
@@ -130,16 +132,25 @@ def linked(release: Path, path: Path) -> None:
 BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "truncated": (lambda r: cut(frame(r)), r"0002\.npy.*whole \.npy"),
     "empty": (lambda r: cut(frame(r), 0), r"0002\.npy.*whole \.npy"),
-    "pickled": (lambda r: save(r, np.array([{"a": 1}], dtype=object)), r"0002\.npy.*Python objects"),
+    "pickled": (
+        lambda r: save(r, np.array([{"a": 1}], dtype=object)),
+        r"0002\.npy.*Python objects",
+    ),
     "an archive": (archive, r"one array.*an archive"),
-    "another size": (lambda r: save(r, np.packbits(np.zeros(240 * 320, bool))), r"38400 packed bytes"),
+    "another size": (
+        lambda r: save(r, np.packbits(np.zeros(240 * 320, bool))),
+        r"38400 packed bytes",
+    ),
     "grey values": (lambda r: save(r, np.full((480, 640), 7, np.uint8)), r"38400 packed bytes"),
     "small jpeg": (lambda r: picture(r, 0, (240, 320)), r"480, 640.*240, 320"),
     "grey jpeg": (lambda r: picture(r, 120), r"black and white"),
     "half a jpeg": (lambda r: cut(frame(r, "uskin"), 5_000), r"truncated"),
     "no csv": (lambda r: force_file(r).unlink(), r"ft\.csv: expected a csv file"),
     "empty csv": (lambda r: cut(force_file(r), 0), r"ft\.csv: expected a csv table"),
-    "few rows": (lambda r: edit_forces(r, lambda table: table[:-1]), r"6 rows, one per image, got 5"),
+    "few rows": (
+        lambda r: edit_forces(r, lambda table: table[:-1]),
+        r"6 rows, one per image, got 5",
+    ),
     "few columns": (lambda r: edit_forces(r, lambda table: table.iloc[:, :2]), r"three columns"),
     "NaN": (lambda r: spoil_a_row(r, np.nan), r"finite forces"),
     "infinite": (lambda r: spoil_a_row(r, np.inf), r"finite forces"),
@@ -200,7 +211,9 @@ IMAGE[10:20, 10:20] = 255
 
 
 def recording(**changes: object) -> LabelledRecording:
-    whole = LabelledRecording("g", "cone", "1", IMAGE, np.stack([IMAGE] * 3), np.zeros((3, 3), np.float32))
+    whole = LabelledRecording(
+        "g", "cone", "1", IMAGE, np.stack([IMAGE] * 3), np.zeros((3, 3), np.float32)
+    )
     return replace(whole, **changes)  # type: ignore[arg-type]
 
 
@@ -235,7 +248,9 @@ def test_axes_are_a_signed_permutation() -> None:
     assert ForceAxes("-y", "+x", "-z").to_image(recorded).tolist() == [[-2.0, 1.0, 3.0]]
 
 
-@pytest.mark.parametrize("axes", [("+x", "+x", "+z"), ("x", "+y", "-z"), ("+x", "+y", "+w"), ("", "", "")])
+@pytest.mark.parametrize(
+    "axes", [("+x", "+x", "+z"), ("x", "+y", "-z"), ("+x", "+y", "+w"), ("", "", "")]
+)
 def test_axes_that_are_none_are_refused(axes: tuple[str, str, str]) -> None:
     with pytest.raises(ContractError, match="force axes"):
         ForceAxes(*axes)

@@ -28,14 +28,21 @@ def recording(trial: Any, frames: int | None = None) -> LabelledRecording:
 def test_windows_of_recordings_of_different_length(marker_trials: Any) -> None:
     long, short = recording(marker_trials[0]), recording(marker_trials[1], 3)
     labelled = to_labelled_set([long, short], SIDE, 2)
-    assert labelled.reference.shape == (4, SIDE, SIDE) and labelled.frames.shape == (4, 2, SIDE, SIDE)
+    assert labelled.reference.shape == (4, SIDE, SIDE) and labelled.frames.shape == (
+        4,
+        2,
+        SIDE,
+        SIDE,
+    )
     assert labelled.descriptor.shape == (4, 2, 6) and labelled.force_N.shape == (4, 2, 3)
     assert labelled.frames.dtype == labelled.reference.dtype == np.uint8
     for row, (source, start) in enumerate([(long, 0), (long, 2), (long, 4), (short, 0)]):
         window = slice(start, start + 2)
         assert np.array_equal(labelled.reference[row], shrink(source.reference[None], SIDE)[0])
         assert np.array_equal(labelled.frames[row], shrink(source.frames[window], SIDE))
-        assert np.array_equal(labelled.descriptor[row], describe(source.reference, source.frames[window]))
+        assert np.array_equal(
+            labelled.descriptor[row], describe(source.reference, source.frames[window])
+        )
         assert np.array_equal(labelled.force_N[row], source.force_N[window])
 
 
@@ -43,11 +50,16 @@ def test_the_digest_names_the_content(marker_trials: Any) -> None:
     whole = recording(marker_trials[0])
     length = 3
     digest = to_labelled_set([whole], SIDE, length).digest
-    assert to_labelled_set([whole], 16, length).digest == digest  # of full-size images, as simulated sets
+    # of full-size images, as simulated sets
+    assert to_labelled_set([whole], 16, length).digest == digest
     image = whole.frames.copy()
     image[1, 100, 100] ^= 255
     other_force = whole.force_N + np.float32(1e-6)
-    for other in (replace(whole, frames=image), replace(whole, force_N=other_force), replace(whole, sensor="g2")):
+    for other in (
+        replace(whole, frames=image),
+        replace(whole, force_N=other_force),
+        replace(whole, sensor="g2"),
+    ):
         assert to_labelled_set([other], SIDE, length).digest != digest
 
 
@@ -63,7 +75,9 @@ def test_sets_of_several_sensors_or_of_nothing_are_refused(marker_trials: Any) -
 
 def test_a_reference_without_markers_is_named(marker_trials: Any) -> None:
     blank = replace(recording(marker_trials[0]), reference=np.zeros((480, 640), np.uint8))
-    with pytest.raises(DatasetError, match=r"gelsight/sphere/1: reference: expected at least 3 markers"):
+    with pytest.raises(
+        DatasetError, match=r"gelsight/sphere/1: reference: expected at least 3 markers"
+    ):
         to_labelled_set([blank], SIDE, 2)
 
 
@@ -100,7 +114,9 @@ def test_simulated_markers_agree_with_our_axes(sensor: str) -> None:
     """Flat pads drag their markers along the shear force they report; a dome's pins follow it less."""
     from benchmarks.probes.labelled_set import force_sequences
 
-    batch = force_sequences(np.random.default_rng(1), sensor, 10, 5, ("sphere",), units=2, transform=None)
+    batch = force_sequences(
+        np.random.default_rng(1), sensor, 10, 5, ("sphere",), units=2, transform=None
+    )
     recordings = [
         LabelledRecording(sensor, "sphere", str(k), *parts)
         for k, parts in enumerate(zip(batch.reference, batch.frames, batch.force_N, strict=True))

@@ -11,7 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
-from uniforce_datasets.readers import PairConfig, PairRecording, read_uniforce_pairs, write_uniforce_pairs
+from uniforce_datasets.readers import (
+    PairConfig,
+    PairRecording,
+    read_uniforce_pairs,
+    write_uniforce_pairs,
+)
 from uniforce_datasets.readers.uniforce_pairs import bordered
 from uniforce_vtla.errors import ContractError, DatasetError
 
@@ -45,7 +50,9 @@ def test_what_is_written_is_read_back(recorded: Path, marker_trials: Any) -> Non
         assert np.array_equal(pairs.left_reference, bordered(marker_trials[0].reference))
         assert np.array_equal(pairs.right_reference, bordered(marker_trials[2].reference))
     assert (folder(recorded) / "collection_log.txt").read_text().count("6 pairs from 000000") == 2
-    assert sorted(p.name for p in (folder(recorded) / "marker" / "tactip" / "moon").iterdir())[:2] == [
+    assert sorted(p.name for p in (folder(recorded) / "marker" / "tactip" / "moon").iterdir())[
+        :2
+    ] == [
         "000000.jpg",
         "000001.jpg",
     ]
@@ -53,7 +60,9 @@ def test_what_is_written_is_read_back(recorded: Path, marker_trials: Any) -> Non
 
 @examples(8)
 @given(seed=st.integers(0, 2**32 - 1), split=st.integers(1, 3), cell=st.sampled_from([1, 3, 8, 40]))
-def test_any_binary_image_survives(tmp_path_factory: pytest.TempPathFactory, seed: int, split: int, cell: int) -> None:
+def test_any_binary_image_survives(
+    tmp_path_factory: pytest.TempPathFactory, seed: int, split: int, cell: int
+) -> None:
     """Blocks of any size, single pixels included, written in two goes."""
     rng = np.random.default_rng(seed)
     coarse = (rng.random((2, 5, 480 // cell + 1, 640 // cell + 1)) > 0.5) * np.uint8(255)
@@ -125,7 +134,10 @@ def linked(root: Path, path: Path) -> None:
 BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "one missing": (lambda r: (side(r) / "000003.jpg").unlink(), "1 on one side only, e.g. 000003"),
     "truncated": (lambda r: cut(side(r) / "000003.jpg"), "truncated"),
-    "size": (lambda r: picture(side(r) / "000003.jpg", 0, 100, 100), r"\(480, 640\), got \(100, 100\)"),
+    "size": (
+        lambda r: picture(side(r) / "000003.jpg", 0, 100, 100),
+        r"\(480, 640\), got \(100, 100\)",
+    ),
     "raw picture": (lambda r: picture(side(r) / "000003.jpg", 128, 480, 640), "black and white"),
     "other sensor": (
         lambda r: side(r).parent.rename(folder(r) / "marker" / "digit"),
@@ -152,7 +164,9 @@ def test_folders_without_pairs_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["../up", "a/b", "", ".hidden", "__x"])
-def test_names_that_are_no_folders_are_refused(tmp_path: Path, marker_trials: Any, name: str) -> None:
+def test_names_that_are_no_folders_are_refused(
+    tmp_path: Path, marker_trials: Any, name: str
+) -> None:
     with pytest.raises(ContractError, match="plain name"):
         write_uniforce_pairs(tmp_path, pairs_of(marker_trials[0], marker_trials[2], name), "p", "d")
     with pytest.raises(ContractError, match="plain name"):

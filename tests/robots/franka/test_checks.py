@@ -41,7 +41,8 @@ REFUSED = {
     "tilts too fast": (0.02, replace(pose(0.002), tilt_rad=np.array([0.1, 0, 0])), pose()),
     "tilted too far": (9.0, replace(pose(0.002), tilt_rad=np.array([0, 0.16, 0])), pose()),
 }
-PLAIN = [name for name in REFUSED if "tilt" not in name]  # the judge of the chain sees no tilted pose at all
+# the judge of the chain sees no tilted pose at all
+PLAIN = [name for name in REFUSED if "tilt" not in name]
 
 
 @pytest.mark.parametrize("name", REFUSED)
@@ -85,7 +86,9 @@ def test_whatever_comes_nothing_wrong_is_sent(caplog: pytest.LogCaptureFixture) 
     with caplog.at_level(logging.CRITICAL):
         found = drive(episodes=1100, seed=7)
     assert found["violations"] == [] and found["sent"] > 100_000
-    assert {"action", "bad_state", "jump", "speed", "force", "guard"} <= set(found["faults"]), "it did attack"
+    assert {"action", "bad_state", "jump", "speed", "force", "guard"} <= set(found["faults"]), (
+        "it did attack"
+    )
 
 
 @pytest.mark.parametrize("yaw", [-3.0, -1.0, 0.0, 0.7, 3.1])
@@ -102,7 +105,9 @@ def test_yaw_of_the_arms_home_is_a_quarter_turn_and_zero_lies_within_joint_7() -
     home = posture(HOME_q_rad).flange_to_base @ HAND_TO_FLANGE
     assert ToolPose.from_ee(home).yaw_rad == pytest.approx(-np.pi / 2)
     q = HOME_q_rad - np.array([0, 0, 0, 0, 0, 0, np.pi / 2])
-    assert ToolPose.from_ee(posture(q).flange_to_base @ HAND_TO_FLANGE).yaw_rad == pytest.approx(0, abs=1e-9)
+    assert ToolPose.from_ee(posture(q).flange_to_base @ HAND_TO_FLANGE).yaw_rad == pytest.approx(
+        0, abs=1e-9
+    )
 
 
 def test_turns_take_the_shorter_way() -> None:
@@ -123,7 +128,9 @@ def test_the_closing_axis_is_the_stiff_one_however_the_hand_is_turned(yaw: float
     assert not K[:3, 3:].any()
 
 
-START = ArmState(5.0, 5.0, np.zeros(7), np.zeros(7), np.eye(4) + np.diag([0.0] * 4), np.zeros(6), "move", 1.0)
+START = ArmState(
+    5.0, 5.0, np.zeros(7), np.zeros(7), np.eye(4) + np.diag([0.0] * 4), np.zeros(6), "move", 1.0
+)
 
 
 def moved(state: ArmState, after_s: float, by_m: float = 0.0, **changes: Any) -> ArmState:
@@ -146,10 +153,15 @@ def fault(*states: ArmState) -> str:
 C, S = np.cos(0.3), np.sin(0.3)
 TURNED = np.array([[C, -S, 0, 0], [S, C, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
 JUMPS = {"by_m": 0.1}, {"q_rad": START.q_rad + 0.3}, {"ee_to_base": TURNED}
-WRONG = [  # readings in order, and the fault of the last one; the attack on the chain tries what else there is
+# readings in order, and the fault of the last one; the attack on the chain tries what else there is
+WRONG = [
     ([replace(START, ee_to_base=np.diag([1.0, 1.0, 0.5, 1.0]))], "bad_state"),
     ([replace(START, dq_rad_s=np.full(7, 4.0))], "speed"),  # also in the first reading
-    *(([START, moved(START, after_s, **jump)], "jump") for after_s in (0.001, 0.01, 0.5) for jump in JUMPS),
+    *(
+        ([START, moved(START, after_s, **jump)], "jump")
+        for after_s in (0.001, 0.01, 0.5)
+        for jump in JUMPS
+    ),
 ]
 
 
@@ -161,7 +173,9 @@ def test_what_no_robot_can_report(states: list[ArmState], named: str) -> None:
 def test_an_arm_at_full_speed_and_one_that_rests_pass() -> None:
     fast = [START]
     for _ in range(100):
-        fast.append(moved(fast[-1], 0.01, 0.017, dq_rad_s=np.full(7, 2.0), q_rad=fast[-1].q_rad + 0.02))
+        fast.append(
+            moved(fast[-1], 0.01, 0.017, dq_rad_s=np.full(7, 2.0), q_rad=fast[-1].q_rad + 0.02)
+        )
     assert fault(*fast) == ""
     assert fault(*[START] * 50) == "", "the same reading again is no jump"
 

@@ -80,11 +80,15 @@ def assert_still(fci: StandIn) -> None:
     """Assert that the arm rests a fifth of a second of its own time after now; it brakes within a tenth."""
     begun = fci.do("look")["arm"]["milliseconds"]
     later_ms = begun + 200
-    wait_until(lambda: fci.do("look")["arm"]["milliseconds"] >= later_ms, PATIENCE_s, "a fifth of a second")
+    wait_until(
+        lambda: fci.do("look")["arm"]["milliseconds"] >= later_ms, PATIENCE_s, "a fifth of a second"
+    )
     assert fci.do("look")["arm"]["speed_rad_s"] < 1e-3, "the arm still moves"
 
 
-def test_connecting_moves_nothing_a_target_is_reached_and_stop_rests(arm: Arm, fci: StandIn) -> None:
+def test_connecting_moves_nothing_a_target_is_reached_and_stop_rests(
+    arm: Arm, fci: StandIn
+) -> None:
     state, shown = arm.state(), fci.do("look")["arm"]
     np.testing.assert_allclose(state.ee_to_base[:3, 3], shown["position_m"], atol=1e-4)
     np.testing.assert_allclose(state.ee_to_base[:3, :3], shown["rotation"], atol=1e-4)
@@ -111,7 +115,9 @@ def test_connecting_moves_nothing_a_target_is_reached_and_stop_rests(arm: Arm, f
     assert thresholds[-1]["upper_force_N"] == [40.0] * 6
 
 
-def test_however_far_the_target_the_press_is_stiffness_times_clip(config: UniforceFrankaConfig, fci: StandIn):
+def test_however_far_the_target_the_press_is_stiffness_times_clip(
+    config: UniforceFrankaConfig, fci: StandIn
+):
     config.gains = Gains((400.0, 400.0, 400.0), clip_m=(0.01, 0.01, 0.01))
     arm = Arm(config)
     arm.connect()
@@ -131,7 +137,9 @@ def test_however_far_the_target_the_press_is_stiffness_times_clip(config: Unifor
     arm.close()
 
 
-def test_a_parent_that_falls_silent_leaves_a_spring_that_pulls_at_nothing(arm: Arm, fci: StandIn) -> None:
+def test_a_parent_that_falls_silent_leaves_a_spring_that_pulls_at_nothing(
+    arm: Arm, fci: StandIn
+) -> None:
     fci.do("wall", height_m=float(arm.state().ee_to_base[2, 3]) - 0.001)
     goal = arm.state().ee_to_base
     goal[2, 3] -= 0.015
@@ -147,7 +155,9 @@ def test_a_parent_that_falls_silent_leaves_a_spring_that_pulls_at_nothing(arm: A
     wait_until(lambda: pressed() < 2.0, PATIENCE_s, "a spring that has let go")
 
 
-def test_the_hand_opens_grasps_and_fails_to_one_command_at_a_time(config: UniforceFrankaConfig, fci: StandIn):
+def test_the_hand_opens_grasps_and_fails_to_one_command_at_a_time(
+    config: UniforceFrankaConfig, fci: StandIn
+):
     client = HandClient(config)
     hand = Hand(client, config.gripper)
     hand.start()
@@ -172,22 +182,34 @@ def test_the_hand_opens_grasps_and_fails_to_one_command_at_a_time(config: Unifor
     closed_m = fci.do("look")["hand"]["width_m"]
     assert closed_m > 0.005, "stopped on the way, not closed fully"
     hand.submit(0.08)
-    wait_until(lambda: hand.tick() or fci.do("look")["hand"]["width_m"] > closed_m + 0.01, PATIENCE_s, "a moving hand")
+    wait_until(
+        lambda: hand.tick() or fci.do("look")["hand"]["width_m"] > closed_m + 0.01,
+        PATIENCE_s,
+        "a moving hand",
+    )
     client.close()
     stopped_m = fci.do("look")["hand"]["width_m"]
     assert stopped_m < 0.07, "the fingers stop at the end, not when they have arrived"
     time.sleep(0.1)
     assert fci.do("look")["hand"]["width_m"] == stopped_m
     requests = [r for r in fci.wire() if r["what"] == "request" and r["device"] == "hand"]
-    assert {r["command"] for r in requests if r["busy"]} == {"STOP"}, "nothing else interrupts a command"
+    assert {r["command"] for r in requests if r["busy"]} == {"STOP"}, (
+        "nothing else interrupts a command"
+    )
 
 
-def test_a_parent_that_falls_silent_leaves_fingers_at_rest(config: UniforceFrankaConfig, fci: StandIn) -> None:
+def test_a_parent_that_falls_silent_leaves_fingers_at_rest(
+    config: UniforceFrankaConfig, fci: StandIn
+) -> None:
     client = HandClient(config)
     client.connect()
     client.begin(HandCommand(0.0, 0.02, 10.0))
     wait_until(lambda: fci.do("look")["hand"]["width_m"] < 0.079, PATIENCE_s, "moving fingers")
-    wait_until(lambda: client._child.poll() == {"say": "outcome", "ok": False}, PATIENCE_s, "the end, unasked")
+    wait_until(
+        lambda: client._child.poll() == {"say": "outcome", "ok": False},
+        PATIENCE_s,
+        "the end, unasked",
+    )
     stopped_m = fci.do("look")["hand"]["width_m"]
     assert stopped_m > 0.03
     time.sleep(0.2)
@@ -195,7 +217,9 @@ def test_a_parent_that_falls_silent_leaves_fingers_at_rest(config: UniforceFrank
     client.close()
 
 
-def test_a_program_that_ends_by_a_mistake_leaves_arm_and_fingers_at_rest(fci: StandIn, config) -> None:
+def test_a_program_that_ends_by_a_mistake_leaves_arm_and_fingers_at_rest(
+    fci: StandIn, config
+) -> None:
     program = (
         "import sys; from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig\n"
         "robot = UniforceFranka(UniforceFrankaConfig(address=sys.argv[1], connect_deadline_s=60)); robot.connect()\n"
@@ -242,7 +266,10 @@ def test_the_robot_from_end_to_end(config: UniforceFrankaConfig, fci: StandIn) -
 
 
 def test_another_server_version_is_refused_with_its_own_words(config: UniforceFrankaConfig) -> None:
-    with StandIn(config.address, "--server-version", "9"), pytest.raises(RobotError, match="9") as caught:
+    with (
+        StandIn(config.address, "--server-version", "9"),
+        pytest.raises(RobotError, match="9") as caught,
+    ):
         Arm(config).connect()
     assert caught.value.fault == "version"
 
@@ -266,10 +293,16 @@ def test_ctrl_c_at_the_terminal_leaves_a_child_to_its_parent() -> None:
     child = subprocess.Popen([sys.executable, "-c", program], **pipes, text=True, cwd=CHILDREN)  # type: ignore[call-overload]
     assert child.stdout is not None and '"loaded"' in child.stdout.readline()
     child.send_signal(signal.SIGINT)
-    assert (*child.communicate(timeout=20), child.returncode) == ('{"say": "ended", "orders": null}\n', "", 0)
+    assert (*child.communicate(timeout=20), child.returncode) == (
+        '{"say": "ended", "orders": null}\n',
+        "",
+        0,
+    )
 
 
-def test_a_client_that_is_not_installed_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_client_that_is_not_installed_is_named_with_its_extra(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(RobotError, match=r"\[franka\]") as caught:
         require_installed()
@@ -280,7 +313,10 @@ def test_a_foreign_tool_or_load_is_refused_by_name() -> None:
     turned = HAND_TO_FLANGE @ rotation_z(np.pi / 4)
     turned[2, 3] += 0.06
     require_setup(ArmSetup(HAND_TO_FLANGE, 0.3), load_kg=0.3)
-    wrong = {"60 mm away and turned by 45°": ArmSetup(turned, 0.0), "1 kg": ArmSetup(HAND_TO_FLANGE, 1.0)}
+    wrong = {
+        "60 mm away and turned by 45°": ArmSetup(turned, 0.0),
+        "1 kg": ArmSetup(HAND_TO_FLANGE, 1.0),
+    }
     for words, setup in wrong.items():
         with pytest.raises(RobotError, match=words) as caught:
             require_setup(setup, load_kg=0.0)
@@ -291,7 +327,9 @@ def test_a_kernel_without_real_time_is_told_what_helps() -> None:
     assert advised("libfranka: no realtime capabilities.").endswith("or boot a PREEMPT_RT kernel.")
 
 
-def test_a_connection_that_the_hand_has_closed_is_seen_from_outside_the_client(address: str) -> None:
+def test_a_connection_that_the_hand_has_closed_is_seen_from_outside_the_client(
+    address: str,
+) -> None:
     with ExitStack() as closing:
         server = closing.enter_context(socket.create_server((address, HAND_PORT)))
         closing.enter_context(socket.create_connection((address, HAND_PORT)))

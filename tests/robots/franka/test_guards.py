@@ -68,7 +68,10 @@ def test_outside_the_box_stay_stays_and_only_a_wish_inwards_moves() -> None:
     outside = np.array([0.80, 0.0, 0.30, 0.0, 0.06])
     further, inside = np.array([0.9, 0, 0.3, 0, 0.06]), np.array([0.6, 0, 0.3, 0, 0.06])
     np.testing.assert_allclose([chain(outside, outside, 0.1 * i) for i in range(3)], [outside] * 3)
-    x = [chain(wish, outside, 1 + 0.1 * i)[0] for i, wish in enumerate([further, inside, inside, further])]
+    x = [
+        chain(wish, outside, 1 + 0.1 * i)[0]
+        for i, wish in enumerate([further, inside, inside, further])
+    ]
     assert x[0] == 0.80 and x[1] < 0.79 and all(a >= b for a, b in pairwise(x))
 
 

@@ -20,7 +20,13 @@ def test_a_wrong_name_a_late_hold_and_a_taken_action_are_seen() -> None:
     times = {"hold_s": 0.1, "learnt_s": 0.1, "sent_after": 0, "fingers_m": 0.0}
     right = {"fault": "reflex", "named": "reflex", **times}
     assert is_right(right)
-    changes = [{"named": ""}, {"hold_s": 0.6}, {"learnt_s": 0.6}, {"sent_after": 1}, {"fingers_m": 0.002}]
+    changes = [
+        {"named": ""},
+        {"hold_s": 0.6},
+        {"learnt_s": 0.6},
+        {"sent_after": 1},
+        {"fingers_m": 0.002},
+    ]
     wrong = [right | change for change in changes]
     assert not any(is_right(row) for row in wrong)
     line = summarise([right, *wrong])["reflex"]
@@ -30,5 +36,10 @@ def test_a_wrong_name_a_late_hold_and_a_taken_action_are_seen() -> None:
 def test_a_client_that_hangs_ends_with_the_robot(address: str, tmp_path: Path) -> None:
     row = begun_trial("garbage_state", address, tmp_path)
     assert row.named in RIGHT_NAMES["garbage_state"]
-    left = [word for child in psutil.Process().children() for word in child.cmdline() if "franka/children" in word]
+    left = [
+        word
+        for child in psutil.Process().children()
+        for word in child.cmdline()
+        if "franka/children" in word
+    ]
     assert not left

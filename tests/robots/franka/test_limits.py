@@ -58,8 +58,15 @@ def test_a_setting_that_was_changed_later_is_refused_by_the_robot(tmp_path: Path
 
 
 @settings(deadline=None)
-@given(st.tuples(*[st.floats(0, 3000)] * 3), st.tuples(*[st.floats(0, 0.05)] * 3), st.floats(-np.pi, np.pi), st.data())
-def test_no_gains_pull_harder_than_the_force_limit_however_the_hand_is_turned(stiffness, clip, yaw_rad, data) -> None:
+@given(
+    st.tuples(*[st.floats(0, 3000)] * 3),
+    st.tuples(*[st.floats(0, 0.05)] * 3),
+    st.floats(-np.pi, np.pi),
+    st.data(),
+)
+def test_no_gains_pull_harder_than_the_force_limit_however_the_hand_is_turned(
+    stiffness, clip, yaw_rad, data
+) -> None:
     try:
         gains = Gains(stiffness, clip_m=clip)
     except ContractError:

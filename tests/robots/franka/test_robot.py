@@ -35,13 +35,21 @@ def hand() -> FakeHand:
 
 @pytest.fixture
 def robot(
-    arm: FakeArm, hand: FakeHand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, patient: StreamSettings
+    arm: FakeArm,
+    hand: FakeHand,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    patient: StreamSettings,
 ) -> Iterator[UniforceFranka]:
     monkeypatch.setattr(module, "make_backend", lambda config: (arm, hand))
-    robot = UniforceFranka(UniforceFrankaConfig(id="test", calibration_dir=tmp_path, stream=patient))
+    robot = UniforceFranka(
+        UniforceFrankaConfig(id="test", calibration_dir=tmp_path, stream=patient)
+    )
     yield robot
     robot.disconnect()
-    assert not [t for t in threading.enumerate() if t.name in ("arm-stream", "hand")], "a thread is left"
+    assert not [t for t in threading.enumerate() if t.name in ("arm-stream", "hand")], (
+        "a thread is left"
+    )
 
 
 def action(dx: float = 0.0, width: float = 0.08) -> dict[str, float]:
@@ -61,7 +69,9 @@ def test_features_are_the_five_axes(robot: UniforceFranka) -> None:
     assert robot.name == "uniforce_franka" and robot.is_calibrated and not robot.is_connected
 
 
-def test_observation_and_action_go_through(robot: UniforceFranka, arm: FakeArm, eventually: Callable) -> None:
+def test_observation_and_action_go_through(
+    robot: UniforceFranka, arm: FakeArm, eventually: Callable
+) -> None:
     robot.connect()
     assert robot.get_observation() == pytest.approx(action())
     sent = robot.send_action(action(0.005, 0.03))
@@ -78,7 +88,9 @@ BAD = [  # whatever else a number may not be: the attack on the guards
 
 
 @pytest.mark.parametrize("bad", BAD, ids=str)
-def test_whatever_is_no_action_stops_the_robot_until_it_recovers(moving, arm, eventually, bad) -> None:
+def test_whatever_is_no_action_stops_the_robot_until_it_recovers(
+    moving, arm, eventually, bad
+) -> None:
     with pytest.raises(RobotError) as caught:
         moving.send_action(bad)
     assert caught.value.fault == "action"
@@ -96,8 +108,11 @@ def test_a_dropped_robot_lets_go_and_waits_for_no_thread(
     moving: UniforceFranka, arm: FakeArm, monkeypatch: pytest.MonkeyPatch, eventually: Callable
 ) -> None:
     joined: list[str] = []
-    monkeypatch.setattr(threading.Thread, "join", lambda thread, timeout=None: joined.append(thread.name))
-    moving.__del__()  # by the collector, perhaps inside Thread.start: what joins there waits for itself
+    monkeypatch.setattr(
+        threading.Thread, "join", lambda thread, timeout=None: joined.append(thread.name)
+    )
+    # by the collector, perhaps inside Thread.start: what joins there waits for itself
+    moving.__del__()
     eventually(lambda: bool(arm.stopped_at))
     monkeypatch.undo()
     assert joined == [] and not moving.is_connected
@@ -105,7 +120,12 @@ def test_a_dropped_robot_lets_go_and_waits_for_no_thread(
 
 def test_numbers_of_any_kind_are_taken(robot: UniforceFranka) -> None:
     robot.connect()
-    kinds = {"x.pos": torch.tensor(0.455), "y.pos": np.float32(0), "z.pos": np.array(0.3), "yaw.pos": 0}
+    kinds = {
+        "x.pos": torch.tensor(0.455),
+        "y.pos": np.float32(0),
+        "z.pos": np.array(0.3),
+        "yaw.pos": 0,
+    }
     sent = robot.send_action({**action(), **kinds, "something.pos": 1.0})
     assert sent["x.pos"] == pytest.approx(0.455) and set(sent) == set(AXES)
 
@@ -122,7 +142,9 @@ def test_ctrl_c_in_an_action_lets_the_arm_rest(robot, arm, eventually, monkeypat
     eventually(lambda: abs(arm.targets[-1][1][0, 3] - 0.45) < 1e-9)
 
 
-def test_no_call_of_a_loop_waits_for_a_client_that_blocks(moving: UniforceFranka, arm: FakeArm) -> None:
+def test_no_call_of_a_loop_waits_for_a_client_that_blocks(
+    moving: UniforceFranka, arm: FakeArm
+) -> None:
     arm.blocks_s = 2.0
     time.sleep(0.1)
     begun = time.monotonic()
@@ -132,7 +154,9 @@ def test_no_call_of_a_loop_waits_for_a_client_that_blocks(moving: UniforceFranka
     arm.blocks_s = 0.0
 
 
-def test_a_hand_that_does_not_answer_leaves_nothing_behind(robot: UniforceFranka, arm: FakeArm, hand: FakeHand) -> None:
+def test_a_hand_that_does_not_answer_leaves_nothing_behind(
+    robot: UniforceFranka, arm: FakeArm, hand: FakeHand
+) -> None:
     hand.fault = RobotError("no hand", "connection")
     with pytest.raises(RobotError, match="no hand"):
         robot.connect()
@@ -145,7 +169,12 @@ def test_after_disconnect_nothing_moves(moving: UniforceFranka, arm: FakeArm) ->
     count = len(arm.targets)
     with pytest.raises(RobotError) as caught:
         moving.send_action(action())
-    assert caught.value.fault == "ended" and len(arm.targets) == count and arm.closed and arm.stopped_at
+    assert (
+        caught.value.fault == "ended"
+        and len(arm.targets) == count
+        and arm.closed
+        and arm.stopped_at
+    )
 
 
 def test_connecting_twice_is_refused(robot: UniforceFranka) -> None:
@@ -191,7 +220,9 @@ class Program:
 def test_lerobot_parses_nested_settings_and_builds_it(tmp_path: Path) -> None:
     words = {"type": "uniforce_franka", "calibration_dir": str(tmp_path), "guards.step_m": "0.03"}
     words |= {"gains.clip_m": "[0.01,0.01,0.02]", "gains.stiffness_N_m": "[200,200,200]"}
-    config = draccus.parse(Program, args=[f"--robot.{key}={value}" for key, value in words.items()]).robot
+    config = draccus.parse(
+        Program, args=[f"--robot.{key}={value}" for key, value in words.items()]
+    ).robot
     assert isinstance(config, UniforceFrankaConfig)
     assert config.guards.step_m == 0.03
     assert config.gains == Gains((200, 200, 200), clip_m=(0.01, 0.01, 0.02))
@@ -231,12 +262,24 @@ def camera(robot: UniforceFranka) -> BrokenCamera:
 
 
 ERRORS = {SensorError("frozen"): SensorError, TimeoutError("old"): StaleSensorError}
-ERRORS |= dict.fromkeys((RuntimeError("thread"), ConnectionError("gone"), KeyError("x")), LostSensorError)
-IMAGES = [None, "text", np.zeros((4, 6), np.uint8), np.zeros((4, 6, 3), np.float32), np.zeros((6, 4, 3), np.uint8)]
+ERRORS |= dict.fromkeys(
+    (RuntimeError("thread"), ConnectionError("gone"), KeyError("x")), LostSensorError
+)
+IMAGES = [
+    None,
+    "text",
+    np.zeros((4, 6), np.uint8),
+    np.zeros((4, 6, 3), np.float32),
+    np.zeros((6, 4, 3), np.uint8),
+]
 
 
-@pytest.mark.parametrize("broken, kind", [*ERRORS.items(), *((image, SensorError) for image in IMAGES)])
-def test_a_sensor_that_is_not_well_stops_the_arm_and_is_counted(robot, camera, arm, eventually, broken, kind) -> None:
+@pytest.mark.parametrize(
+    "broken, kind", [*ERRORS.items(), *((image, SensorError) for image in IMAGES)]
+)
+def test_a_sensor_that_is_not_well_stops_the_arm_and_is_counted(
+    robot, camera, arm, eventually, broken, kind
+) -> None:
     robot.connect()
     robot.send_action(action())
     assert robot.get_observation()["front"].shape == (4, 6, 3)
@@ -282,12 +325,22 @@ def test_a_camera_that_cannot_be_connected_is_named(robot, camera, arm) -> None:
     assert arm.closed and not robot.is_connected
 
 
-def test_references_need_an_open_hand(tmp_path: Path, arm: FakeArm, hand: FakeHand, monkeypatch: pytest.MonkeyPatch):
+def test_references_need_an_open_hand(
+    tmp_path: Path, arm: FakeArm, hand: FakeHand, monkeypatch: pytest.MonkeyPatch
+):
     monkeypatch.setattr(module, "make_backend", lambda config: (arm, hand))
-    finger = UniforceTactileCameraConfig(source="http://127.0.0.1:9", finger="left", sensor="gelsight")
-    config = UniforceFrankaConfig(id="test", calibration_dir=tmp_path, cameras={"tactile_left": finger})
+    finger = UniforceTactileCameraConfig(
+        source="http://127.0.0.1:9", finger="left", sensor="gelsight"
+    )
+    config = UniforceFrankaConfig(
+        id="test", calibration_dir=tmp_path, cameras={"tactile_left": finger}
+    )
     robot = UniforceFranka(config)
-    shapes = {name: shape for name, shape in robot.observation_features.items() if isinstance(shape, tuple)}
+    shapes = {
+        name: shape
+        for name, shape in robot.observation_features.items()
+        if isinstance(shape, tuple)
+    }
     assert shapes == {"tactile_left": (480, 640, 3), "tactile_left_ref": (480, 640, 3)}
     hand.width_m = 0.03
     with pytest.raises(SensorError, match="Open the gripper"):

@@ -45,12 +45,17 @@ def away(dz: float, yaw: float = 0.0) -> ToolPose:
 
 def test_a_ramp_is_straight_and_rests_at_both_ends() -> None:
     ramp = Ramp(away(0.0), away(-0.01, 0.2), 10.0, 0.04)
-    z = [round(float(ramp.at(t).position_m[2] - 0.3), 5) for t in (9.0, 10.0, 10.01, 10.02, 10.04, 11.0)]
+    z = [
+        round(float(ramp.at(t).position_m[2] - 0.3), 5)
+        for t in (9.0, 10.0, 10.01, 10.02, 10.04, 11.0)
+    ]
     assert z == [0, 0, -0.0025, -0.005, -0.01, -0.01]
     assert ramp.at(10.02).yaw_rad == pytest.approx(0.1)
 
 
-def test_a_mistake_in_a_backend_lets_the_arm_go_too(arm: FakeArm, stream: ArmStream, eventually: Callable):
+def test_a_mistake_in_a_backend_lets_the_arm_go_too(
+    arm: FakeArm, stream: ArmStream, eventually: Callable
+):
     arm.set_target = lambda pose: 1 / 0  # type: ignore[method-assign]
     stream.submit(away(-0.01))
     eventually(lambda: bool(arm.stopped_at))
@@ -92,7 +97,9 @@ class WatchedHand(Hand):
         self.stops.append("halt")
 
 
-def test_a_hold_the_watchdog_and_every_end_stop_the_hand_and_its_fault_ends_the_stream(arm, started, eventually):
+def test_a_hold_the_watchdog_and_every_end_stop_the_hand_and_its_fault_ends_the_stream(
+    arm, started, eventually
+):
     hand = WatchedHand()
     stream = started(hand, stale_s=0.2)
     stream.hold()
@@ -111,7 +118,9 @@ def tilted(pose: ToolPose, by_rad: float) -> np.ndarray:
     return replace(pose, tilt_rad=np.array([0.6, 0.8, 0.0]) * by_rad).ee_to_base()
 
 
-def test_a_tilted_hand_is_refused_at_the_start_and_in_motion(arm: FakeArm, stream: ArmStream, eventually: Callable):
+def test_a_tilted_hand_is_refused_at_the_start_and_in_motion(
+    arm: FakeArm, stream: ArmStream, eventually: Callable
+):
     stream.submit(away(-0.01))
     eventually(lambda: bool(arm.targets))
     arm.follows = False

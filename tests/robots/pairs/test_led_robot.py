@@ -30,7 +30,9 @@ robot:
 @pytest.fixture
 def config(tmp_path: Path) -> RecordPairsConfig:
     (tmp_path / "rig.yaml").write_text(RIG)
-    return RecordPairsConfig("franka", rig=str(tmp_path / "rig.yaml"), out=str(tmp_path / "pairs"), grip_N=7.0)
+    return RecordPairsConfig(
+        "franka", rig=str(tmp_path / "rig.yaml"), out=str(tmp_path / "pairs"), grip_N=7.0
+    )
 
 
 def test_mounts_and_box_come_from_the_rig(config: RecordPairsConfig) -> None:
@@ -39,7 +41,10 @@ def test_mounts_and_box_come_from_the_rig(config: RecordPairsConfig) -> None:
     assert set(robot.cameras) == {"tactile_left", "tactile_right"}  # nothing else is opened
     assert robot.cameras["tactile_left"].flip and robot.cameras["tactile_right"].rotation_deg == 180  # type: ignore[attr-defined]
     assert all(finger.reference_on_connect for finger in robot.fingers.values())
-    assert (config.left_sensor, config.right_sensor) == ("uskin", "tactip") and robot.gripper.grip_force_N == 7.0
+    assert (config.left_sensor, config.right_sensor) == (
+        "uskin",
+        "tactip",
+    ) and robot.gripper.grip_force_N == 7.0
 
 
 def test_a_grip_of_the_rig_is_not_dropped(config: RecordPairsConfig) -> None:
@@ -78,11 +83,17 @@ def test_a_rig_without_fingers_and_settings_without_use_are_refused(
 def test_a_soft_robot_follows_and_gives_frames(
     config: RecordPairsConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(TerminalKeys, "start", lambda keys: setattr(keys, "_listener", SimpleNamespace(stop=lambda: 0)))
+    monkeypatch.setattr(
+        TerminalKeys,
+        "start",
+        lambda keys: setattr(keys, "_listener", SimpleNamespace(stop=lambda: 0)),
+    )
     monkeypatch.setattr(TerminalKeys, "rates", lambda keys: np.zeros(5))
     fake = FakeRig(tmp_path / "calibration", monkeypatch)
     wanted = []
-    monkeypatch.setattr(build, "make_robot", lambda robot, guide: wanted.append(guide.wants_gains) or fake.robot)
+    monkeypatch.setattr(
+        build, "make_robot", lambda robot, guide: wanted.append(guide.wants_gains) or fake.robot
+    )
     with _robot_rig(config, SimpleNamespace(), 30.0) as rig:  # type: ignore[arg-type]
         assert rig.sensors == {"left": "gelsight", "right": "tactip"}
         assert {image.shape for image in rig.references().values()} == {(480, 640)}

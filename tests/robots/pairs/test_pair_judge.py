@@ -48,11 +48,15 @@ def test_a_strong_lean_is_flagged_and_a_light_one_is_not(calm: GraspSignals) -> 
     for lean, flagged in ((0.9, True), (0.1, False)):
         right = calm.right_N.copy()
         right[LED, 2] *= 1 - lean * 0.9
-        assert bool(PairJudge().judge(replace(calm, right_N=right)).flagged[LED][2:-2].all()) is flagged
+        assert (
+            bool(PairJudge().judge(replace(calm, right_N=right)).flagged[LED][2:-2].all())
+            is flagged
+        )
 
 
 def test_the_grasp_itself_shows_how_normals_compare(calm: GraspSignals) -> None:
-    stiffer = calm.right_N * [1, 1, 1.5]  # one unit reads half as much again, from the first touch on
+    # one unit reads half as much again, from the first touch on
+    stiffer = calm.right_N * [1, 1, 1.5]
     assert not PairJudge().judge(replace(calm, right_N=stiffer)).flagged.any()
 
 
@@ -93,10 +97,14 @@ HELD = np.full(20, 5.0)
 LIMITS = MotionLimits()
 
 
-@pytest.mark.parametrize(("what", "reason"), [("speed", "fast"), ("acceleration", "jerked"), ("grip", "no contact")])
+@pytest.mark.parametrize(
+    ("what", "reason"), [("speed", "fast"), ("acceleration", "jerked"), ("grip", "no contact")]
+)
 def test_each_limit_closes_it_and_says_why(what: str, reason: str) -> None:
     speed, acceleration, grip = STILL.copy(), STILL.copy(), HELD.copy()
-    {"speed": speed, "acceleration": acceleration, "grip": grip}[what][10] = 0.0 if what == "grip" else 2.0
+    {"speed": speed, "acceleration": acceleration, "grip": grip}[what][10] = (
+        0.0 if what == "grip" else 2.0
+    )
     reasons = quasi_static(speed, acceleration, grip, 30.0, LIMITS)
     assert reasons[10] == reason and not any(reasons[:10])
 

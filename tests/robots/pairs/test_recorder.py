@@ -10,7 +10,12 @@ import numpy as np
 import pytest
 
 from benchmarks.pairs.evaluation import precision_recall, score_session
-from benchmarks.pairs.training import ForceTraining, save_finger_force, train_finger_force, training_contacts
+from benchmarks.pairs.training import (
+    ForceTraining,
+    save_finger_force,
+    train_finger_force,
+    training_contacts,
+)
 from uniforce_datasets.readers.uniforce_pairs import read_uniforce_pairs
 from uniforce_robots.fr3 import rotation_z
 from uniforce_robots.pairs.finger_force import FingerForce
@@ -41,7 +46,9 @@ def rehearse(
 def test_it_records_exactly_what_was_asked_for(tmp_path: Path) -> None:
     report, seen = rehearse(tmp_path)
     assert report.outcomes[KEPT] == len(report.kept) == 24
-    assert {pair.indenter for pair in read_uniforce_pairs(tmp_path / "uniforce_pairs")} == set(NAMES)
+    assert {pair.indenter for pair in read_uniforce_pairs(tmp_path / "uniforce_pairs")} == set(
+        NAMES
+    )
     assert seen[-1].have == 12 and seen[-1].indenter == 2 and seen[0].name == "sphere"
     again, _ = rehearse(tmp_path)
     assert not again.kept  # nothing is missing, so nothing is recorded
@@ -59,7 +66,11 @@ def test_a_lost_finger_costs_at_most_a_chunk(tmp_path: Path) -> None:
     with pytest.raises(SensorError):
         rehearse(tmp_path, replace(PLAN, pairs=30), rig)
     with PairStore(tmp_path, "uskin", "tactip", NAMES, 15) as store:
-        assert 0 < store.counts[0] < 30 and store.counts[0] % PLAN.chunk == 0 and store.next_session == 1
+        assert (
+            0 < store.counts[0] < 30
+            and store.counts[0] % PLAN.chunk == 0
+            and store.next_session == 1
+        )
 
 
 def test_a_crowded_cell_takes_no_more(tmp_path: Path) -> None:
@@ -94,7 +105,9 @@ def test_a_reader_is_trained_saved_and_loaded(tmp_path: Path) -> None:
     before = np.abs(FingerForce().read(fields) - forces).mean()
     assert np.abs(model.read(fields) - forces).mean() < 0.6 * before
     save_finger_force(model, "uskin", training, tmp_path / "uskin")
-    assert np.array_equal(FingerForce.from_pretrained("uskin", tmp_path / "uskin").read(fields), model.read(fields))
+    assert np.array_equal(
+        FingerForce.from_pretrained("uskin", tmp_path / "uskin").read(fields), model.read(fields)
+    )
     with pytest.raises(CheckpointError, match="uskin"):
         FingerForce.from_pretrained("tactip", tmp_path / "uskin")
     with pytest.raises(CheckpointError, match="train=true"):
@@ -145,7 +158,11 @@ def test_an_empty_error_is_not_divided_by_nothing() -> None:
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, -np.pi / 2])
 def test_motion_is_read_off_the_poses_in_the_hands_frame(yaw: float) -> None:
-    motion, velocity, acceleration = HandMotion(), np.array([0.1, -0.05, 0.02]), np.array([0.5, 1.0, -0.3])
+    motion, velocity, acceleration = (
+        HandMotion(),
+        np.array([0.1, -0.05, 0.02]),
+        np.array([0.5, 1.0, -0.3]),
+    )
     to_base = rotation_z(yaw)[:3, :3]
     for t in np.arange(10) / 30:
         position = to_base @ (velocity * t + acceleration * t**2 / 2)

@@ -19,7 +19,12 @@ Make = Callable[..., tuple]
 
 
 def opened(root: Path, **changes: object) -> PairStore:
-    settings: dict = {"left_sensor": "gelsight", "right_sensor": "tactip", "indenters": NAMES, "rate_hz": 15}
+    settings: dict = {
+        "left_sensor": "gelsight",
+        "right_sensor": "tactip",
+        "indenters": NAMES,
+        "rate_hz": 15,
+    }
     return PairStore(root, **(settings | changes))
 
 
@@ -36,7 +41,9 @@ def test_both_forms_give_the_images_back(tmp_path: Path, make_chunk: Make) -> No
         assert store.counts.tolist() == [4, 0] and store.coverage[0].force.sum() == 4
     [(left, right)] = layout(tmp_path).values()
     images = {finger: np.stack([pair.frame.images[finger] for pair in pairs]) for finger in FINGERS}
-    assert np.array_equal(left, bordered(images["left"])) and np.array_equal(right, bordered(images["right"]))
+    assert np.array_equal(left, bordered(images["left"])) and np.array_equal(
+        right, bordered(images["right"])
+    )
     source = read_source(tmp_path / "lerobot")
     for finger in FINGERS:
         stored = list(episode_frames(source.episodes[0].videos[tactile_key(finger)], 4, 15))
@@ -61,7 +68,9 @@ def test_it_goes_on_where_it_stopped(tmp_path: Path, make_chunk: Make) -> None:
 
 
 @pytest.mark.parametrize("damage", ["behind", "half a pair", "ahead", "gone"])
-def test_a_layout_a_kill_left_wrong_is_mended_from_the_dataset(tmp_path: Path, make_chunk: Make, damage: str):
+def test_a_layout_a_kill_left_wrong_is_mended_from_the_dataset(
+    tmp_path: Path, make_chunk: Make, damage: str
+):
     with opened(tmp_path) as store:
         store.add(*make_chunk(n=3))
         store.add(*make_chunk(n=3, seed=7))
@@ -69,7 +78,9 @@ def test_a_layout_a_kill_left_wrong_is_mended_from_the_dataset(tmp_path: Path, m
     images = sorted((tmp_path / "uniforce_pairs").rglob("[0-9]*.jpg"))
     last = [image for image in images if image.stem == "000005"]
     behind = [image for image in images if int(image.stem) >= 2]
-    for image in {"gone": images, "behind": behind, "half a pair": images[-1:], "ahead": []}[damage]:
+    for image in {"gone": images, "behind": behind, "half a pair": images[-1:], "ahead": []}[
+        damage
+    ]:
         image.unlink()
     for image in last if damage == "ahead" else []:
         shutil.copy(image, image.with_name("000006.jpg"))

@@ -31,7 +31,9 @@ def gel_frames(sensor: str) -> tuple[np.ndarray, ...]:
     """A still gel with a little camera noise, BGR; no two frames alike."""
     frame = frame_cycle(sensor, Scene(press_s=0.0, rest_s=0.1), 20)[0]
     rng = np.random.default_rng(0)
-    noisy = [np.clip(frame + rng.normal(0, 1.5, frame.shape), 0, 255).astype(np.uint8) for _ in range(3)]
+    noisy = [
+        np.clip(frame + rng.normal(0, 1.5, frame.shape), 0, 255).astype(np.uint8) for _ in range(3)
+    ]
     return tuple(cv2.cvtColor(one, cv2.COLOR_RGB2BGR) for one in noisy)
 
 
@@ -39,7 +41,8 @@ def gel_frames(sensor: str) -> tuple[np.ndarray, ...]:
 def room_frames() -> tuple[np.ndarray, ...]:
     ramp = np.linspace(0, 200, SMALL[1], dtype=np.uint8)
     return tuple(
-        np.ascontiguousarray(np.broadcast_to(np.roll(ramp, n)[None, :, None], (*SMALL, 3))) for n in range(0, 120, 7)
+        np.ascontiguousarray(np.broadcast_to(np.roll(ramp, n)[None, :, None], (*SMALL, 3)))
+        for n in range(0, 120, 7)
     )
 
 
@@ -84,11 +87,17 @@ class FakeRig:
             "tactile_right": FakeCapture(gel_frames("tactip")),
         }
         patient = StreamSettings(state_age_s=1.0)  # a busy machine
-        config = UniforceFrankaConfig(id="test", calibration_dir=folder, cameras=configs, stream=patient)
+        config = UniforceFrankaConfig(
+            id="test", calibration_dir=folder, cameras=configs, stream=patient
+        )
         self.robot = UniforceFranka(config)
         self.robot.cameras = {
             "front": sensors.UniforceSceneCamera(configs["front"], self._factory("front")),
-            **{n: sensors.UniforceTactileCamera(configs[n], self._factory(n)) for n in configs if n != "front"},
+            **{
+                n: sensors.UniforceTactileCamera(configs[n], self._factory(n))
+                for n in configs
+                if n != "front"
+            },
         }
         self.rig = RobotRig(self.robot)
 
@@ -139,7 +148,11 @@ class Sway(Teleoperator):
             raise self.error
         self.calls += 1
         start = self.starts[-1] if self.starts else dict.fromkeys(AXES, 0.0)
-        return {**start, "x.pos": start["x.pos"] + 0.01 * np.sin(self.calls / 5), "width.pos": self.width_m}
+        return {
+            **start,
+            "x.pos": start["x.pos"] + 0.01 * np.sin(self.calls / 5),
+            "width.pos": self.width_m,
+        }
 
 
 def sway(folder: Path) -> Sway:

@@ -9,13 +9,24 @@ from uniforce_cli.record import main
 from uniforce_datasets.cards import read_card
 from uniforce_datasets.lossless import open_dataset
 
-QUICK = ["teleop=recording_test", "level=easy", "operator=unattended", "episode_s=0.2", "real_time=false"]
+QUICK = [
+    "teleop=recording_test",
+    "level=easy",
+    "operator=unattended",
+    "episode_s=0.2",
+    "real_time=false",
+]
 
 
 @pytest.mark.slow
 def test_a_scene_by_hand_and_its_resume(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     root = tmp_path / "data"
-    own = [f"teleop.calibration_dir={tmp_path}", "teleop.id=a", "teleop.width_m=0.07", "reserve_MB=1"]
+    own = [
+        f"teleop.calibration_dir={tmp_path}",
+        "teleop.id=a",
+        "teleop.width_m=0.07",
+        "reserve_MB=1",
+    ]
     assert main([*QUICK, *own, f"root={root}", "episodes=1"]) == 0
     assert "1 of 1 episodes" in capsys.readouterr().out
     assert main([*QUICK, *own, f"resume={root}", "episodes=2", "prompts=[tidy up]"]) == 0
@@ -46,9 +57,15 @@ def test_a_scene_by_hand_and_its_resume(tmp_path: Path, capsys: pytest.CaptureFi
         (["episode_s=9", "prompts=[tidy]"], "prompts, episode_s"),
         (["teleop=recording_test", "keep_failures=false"], "keep_failures"),
         (["robot=franka", "teleop=recording_test", "prompts=[tidy]", "level=easy"], "level"),
-        (["robot=franka", "teleop=recording_test", "prompts=[tidy]", "left_sensor=gelsight"], "left_sensor"),
+        (
+            ["robot=franka", "teleop=recording_test", "prompts=[tidy]", "left_sensor=gelsight"],
+            "left_sensor",
+        ),
         (["teleop=recording_test", "verdict=success"], "got verdict"),
-        (["teleop=recording_test", "operator=unattended", "drive_between=false"], "got drive_between"),
+        (
+            ["teleop=recording_test", "operator=unattended", "drive_between=false"],
+            "got drive_between",
+        ),
     ],
 )
 def test_what_cannot_be_is_refused_with_a_reason(words, reason, tmp_path, capsys) -> None:
@@ -60,7 +77,9 @@ def test_what_cannot_be_is_refused_with_a_reason(words, reason, tmp_path, capsys
 
 @pytest.mark.parametrize("root", ["", ".", "/proc/nothing", "{file}", "{file}/below", "{full}"])
 @pytest.mark.parametrize("words", [["level=easy"], QUICK])
-def test_a_root_that_cannot_be_ends_before_the_first_episode(words, root, tmp_path, capsys, monkeypatch) -> None:
+def test_a_root_that_cannot_be_ends_before_the_first_episode(
+    words, root, tmp_path, capsys, monkeypatch
+) -> None:
     file, full = tmp_path / "file", tmp_path / "full"
     file.write_text("mine")
     full.mkdir()

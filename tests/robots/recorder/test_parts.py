@@ -50,13 +50,17 @@ def test_an_episode_needs_room_and_a_reserve(guard: Callable[[float], DiskGuard]
         guard(99).check()
 
 
-def test_what_was_recorded_is_the_best_estimate(tmp_path: Path, guard: Callable[[float], DiskGuard]) -> None:
+def test_what_was_recorded_is_the_best_estimate(
+    tmp_path: Path, guard: Callable[[float], DiskGuard]
+) -> None:
     (tmp_path / "video.mp4").write_bytes(b"0" * 3 * MB)
     assert guard(9000).estimate_MB(200, 100) == pytest.approx(6.0)
     assert 5 < guard(9000).estimate_MB(900, 0) < 100
 
 
-def fault(kind: Literal["camera", "touch"], device: str, error: errors.SensorError) -> errors.UniForceError:
+def fault(
+    kind: Literal["camera", "touch"], device: str, error: errors.SensorError
+) -> errors.UniForceError:
     with pytest.raises(DeviceError, match=device) as caught, named(kind, device):
         raise error
     return caught.value
@@ -71,7 +75,9 @@ def test_every_fault_has_a_name_that_datasets_know() -> None:
         "dropped_frame": errors.DroppedFrameError("x"),
         "storage": errors.DatasetError("x"),
     }
-    assert {name: cause_of(error) for name, error in faults.items()} == {name: name for name in faults}
+    assert {name: cause_of(error) for name, error in faults.items()} == {
+        name: name for name in faults
+    }
     assert set(faults) <= set(ABORT_CAUSES) and len(set(ABORT_CAUSES)) == len(ABORT_CAUSES)
 
 
@@ -89,12 +95,24 @@ class NoNumber:
         raise ZeroDivisionError
 
 
-RETURNS = (None, "text", {}, [1.0] * 5, *[dict.fromkeys(AXES, v) for v in (None, "left", np.nan, [1, 2], NoNumber())])
+RETURNS = (
+    None,
+    "text",
+    {},
+    [1.0] * 5,
+    *[dict.fromkeys(AXES, v) for v in (None, "left", np.nan, [1, 2], NoNumber())],
+)
 
 
-@pytest.mark.parametrize("method", ["connect", "start_from", "send_feedback", "get_action", "disconnect"])
-@pytest.mark.parametrize("kind", [RuntimeError, KeyError, AttributeError, AssertionError, errors.SensorError])
-def test_a_teleoperator_may_raise_anything(tmp_path: Path, method: str, kind: type[Exception], caplog) -> None:
+@pytest.mark.parametrize(
+    "method", ["connect", "start_from", "send_feedback", "get_action", "disconnect"]
+)
+@pytest.mark.parametrize(
+    "kind", [RuntimeError, KeyError, AttributeError, AssertionError, errors.SensorError]
+)
+def test_a_teleoperator_may_raise_anything(
+    tmp_path: Path, method: str, kind: type[Exception], caplog
+) -> None:
     def broken(*_: object) -> None:
         raise kind("device said nothing")
 
@@ -152,7 +170,11 @@ def test_the_line_shows_force_against_its_limit() -> None:
         view.show(seen(force), 30)
         lines[force] = view.line(seen(force), 30)
     assert "!" not in lines[3.0] and "! " in lines[12.0] and "!!" in lines[16.0]
-    assert "peak 16.0 of 15" in lines[1.0] and "oldest front 50 ms" in lines[1.0] and "1.0 s" in lines[1.0]
+    assert (
+        "peak 16.0 of 15" in lines[1.0]
+        and "oldest front 50 ms" in lines[1.0]
+        and "1.0 s" in lines[1.0]
+    )
     view.begin("next")
     assert view.peak_N == 0
     assert out.getvalue() == "next\n", "without a terminal only lines that stay are written"
@@ -180,7 +202,9 @@ def test_the_mode_stands_on_the_screen() -> None:
     ):
         before = len(out.getvalue())
         view.show_note(phase, note)
-        assert out.getvalue()[before:].endswith(shown) and bool(shown) == (len(out.getvalue()) > before)
+        assert out.getvalue()[before:].endswith(shown) and bool(shown) == (
+            len(out.getvalue()) > before
+        )
     assert view.line(seen(1.0), 30).startswith("running") and "Escape" in out.getvalue()
     out.has_hung_up = True
     view.say("nobody reads it")
@@ -207,7 +231,9 @@ def test_a_little_garbage_is_borne_and_much_is_not() -> None:
             watch.look(10 + step / 30, 38 + step)
 
 
-def typed(operator: KeyOperator, keys: TerminalKeys, *pressed: str, phase: Phase = Phase.RUNNING) -> list[Event]:
+def typed(
+    operator: KeyOperator, keys: TerminalKeys, *pressed: str, phase: Phase = Phase.RUNNING
+) -> list[Event]:
     for key in pressed:
         keys.press(key)
     return operator.poll(phase)
@@ -236,9 +262,15 @@ def test_a_note_holds_the_arm_and_may_hold_command_keys(person: tuple, phase: Ph
     operator.poll(phase)
     assert typed(*person, "T", "Y", "w", phase=phase) == [HELD] and operator.note == "Yw"
     assert not typed(*person, "space", "z", "backspace", "q", "left", phase=Phase.PAUSED)
-    assert typed(*person, "enter", "Q", phase=Phase.PAUSED) == [Event(Command.NOTE, "Yw q"), Event(Command.QUIT)]
+    assert typed(*person, "enter", "Q", phase=Phase.PAUSED) == [
+        Event(Command.NOTE, "Yw q"),
+        Event(Command.QUIT),
+    ]
     assert typed(*person, "t", "enter") == [HELD], "an empty note is none"
-    assert typed(*person, "t", "a", "esc", "x") == [HELD, HELD, Event(Command.DISCARD)] and operator.note is None
+    assert (
+        typed(*person, "t", "a", "esc", "x") == [HELD, HELD, Event(Command.DISCARD)]
+        and operator.note is None
+    )
 
 
 def left(operator: KeyOperator, keys: TerminalKeys) -> Phase:
@@ -253,7 +285,9 @@ def test_no_note_swallows_commands_for_ever(person: tuple, ends: Callable[..., P
     assert not operator.poll(Phase.PAUSED)
     assert operator.poll(ends(*person)) == [Event(Command.NOTE, "a")] and operator.note is None
     keys.press("w")
-    assert typed(*person, "space", phase=Phase.PAUSED) == [Event(Command.GO)] and keys.rates()[0] == 1
+    assert (
+        typed(*person, "space", phase=Phase.PAUSED) == [Event(Command.GO)] and keys.rates()[0] == 1
+    )
 
 
 def test_no_terminal_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -26,7 +26,8 @@ pytestmark = [
         reason="franky is not installed: pip install '.[franka]' to run the real client",
     ),
 ]
-INJECTED = ("arm_reflex", "camera_stops", "uskin_garbage", "uskin_unplugged")  # the first has to be cleared
+# the first has to be cleared
+INJECTED = ("arm_reflex", "camera_stops", "uskin_garbage", "uskin_unplugged")
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +50,8 @@ def test_two_episodes_end_to_end(rig: Rig) -> None:
 
 
 def test_three_kills_cost_no_saved_episode(rig: Rig) -> None:
-    for number in (0, 4, 8):  # all of it mid-tick, the loop mid-save, the storing process in between
+    # all of it mid-tick, the loop mid-save, the storing process in between
+    for number in (0, 4, 8):
         seen = kill9.kill_once(rig, rig.plan.folder / "killed", number)
         assert seen["said_stored"] and not seen["saved_lost"] and not seen["processes_left"], seen
     assert kill9.finish(rig, rig.plan.folder / "killed")["exit_code"] == 0
@@ -59,7 +61,13 @@ def test_faults_hold_the_arm_and_are_labelled(rig: Rig) -> None:
     """One session: a person goes on after each fault."""
     ledger = Ledger(rig.plan.folder / "found")
     rig.new_arm()
-    attended({name: BREAKAGES[name] for name in INJECTED}, rig, ledger, rig.plan.folder / "broken", times=1)
+    attended(
+        {name: BREAKAGES[name] for name in INJECTED},
+        rig,
+        ledger,
+        rig.plan.folder / "broken",
+        times=1,
+    )
     for name in INJECTED:
         assert ledger.read(name)[0]["right_outcome"], (name, ledger.read(name))
 

@@ -40,9 +40,20 @@ def fake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeRig:
 
 
 def go(
-    fake: FakeRig, root: Path, operator: Operator, teleop: Any = None, out: Any = None, **settings: Any
+    fake: FakeRig,
+    root: Path,
+    operator: Operator,
+    teleop: Any = None,
+    out: Any = None,
+    **settings: Any,
 ) -> SessionEnd:
-    plain = {"episodes": 1, "episode_s": SHORT_S, "prompts": ("wipe",), "unwell_s": 1.0, "late_share": 1.0}
+    plain = {
+        "episodes": 1,
+        "episode_s": SHORT_S,
+        "prompts": ("wipe",),
+        "unwell_s": 1.0,
+        "late_share": 1.0,
+    }
     teleop = teleop or sway(root.parent)
     store = StoreSettings(root, "local/test", reserve_MB=1.0)
     wanted = SessionSettings(**(plain | settings))  # type: ignore[arg-type]
@@ -69,13 +80,18 @@ def test_two_episodes_then_one_more(fake: FakeRig, tmp_path: Path) -> None:
 
 def test_what_a_row_holds(fake: FakeRig, tmp_path: Path) -> None:
     go(fake, tmp_path / "data", Unattended("success"))
-    times = tuple(key(source) for key in (keys.time_key, keys.age_key, keys.index_key) for source in ("front", "left"))
+    times = tuple(
+        key(source)
+        for key in (keys.time_key, keys.age_key, keys.index_key)
+        for source in ("front", "left")
+    )
     wanted = (keys.STATE, keys.ACTION, keys.STAMPS, *times)
     wanted += keys.measured_key("wrench"), keys.measured_key("hand")
     columns = read_source(tmp_path / "data").columns(wanted)
     ticks = columns[keys.STAMPS]
     assert (np.diff(ticks, axis=1) >= 0).all() and ticks[0, 0] < 0.1
-    assert (np.diff(ticks[:, 0]) > 0).all()  # how steadily, a busy machine can't say: see docs/recording.md
+    # how steadily, a busy machine can't say: see docs/recording.md
+    assert (np.diff(ticks[:, 0]) > 0).all()
     for source in ("front", "left"):
         age, taken = columns[keys.age_key(source)], columns[keys.time_key(source)]
         assert (age >= 0).all() and age.max() < 0.2
@@ -86,7 +102,9 @@ def test_what_a_row_holds(fake: FakeRig, tmp_path: Path) -> None:
     np.testing.assert_allclose(columns[keys.measured_key("hand")][:, 0], 0.08, atol=1e-6)
 
 
-def test_an_episode_that_missed_many_ticks_is_aborted_and_does_not_count(fake, tmp_path, monkeypatch) -> None:
+def test_an_episode_that_missed_many_ticks_is_aborted_and_does_not_count(
+    fake, tmp_path, monkeypatch
+) -> None:
     teleop = sway(tmp_path)
     quick = teleop.get_action
     monkeypatch.setattr(teleop, "get_action", lambda: time.sleep(2.5 / 30) or quick())
@@ -109,7 +127,9 @@ def labels(root: Path) -> list[str]:
 
 def at(phase: Phase, asked: int, command: Command) -> Callable[[Phase, int], list[Command]]:
     """Begin whenever waiting; say the command once, at that question of that phase."""
-    return lambda now, n: [Command.GO] if now is Phase.WAITING else [command] * (now is phase and n == asked)
+    return lambda now, n: (
+        [Command.GO] if now is Phase.WAITING else [command] * (now is phase and n == asked)
+    )
 
 
 @pytest.mark.parametrize("command", VERDICTS)
@@ -144,7 +164,9 @@ def break_it(fake: FakeRig, teleop: Sway, what: str, how: str) -> None:
 
 
 @pytest.mark.parametrize("name", BREAKS)
-def test_a_fault_ends_the_episode_held_and_labelled(fake: FakeRig, tmp_path: Path, name: str) -> None:
+def test_a_fault_ends_the_episode_held_and_labelled(
+    fake: FakeRig, tmp_path: Path, name: str
+) -> None:
     what, how, cause = BREAKS[name]
     teleop, begun = sway(tmp_path), []
 
@@ -218,7 +240,9 @@ def test_a_pause_ends_once_the_device_is_at_rest(fake: FakeRig, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("interruption", ["fault", "hold", "robot"])
-def test_between_episodes_steering_goes_on_at_a_persons_word(fake, tmp_path: Path, interruption: str) -> None:
+def test_between_episodes_steering_goes_on_at_a_persons_word(
+    fake, tmp_path: Path, interruption: str
+) -> None:
     teleop, calls, out = sway(tmp_path), {}, io.StringIO()
     orders = {10: Command.NOTE, 29: Command.RECOVER, 40: Command.QUIT}
     if interruption == "hold":
@@ -238,14 +262,21 @@ def test_between_episodes_steering_goes_on_at_a_persons_word(fake, tmp_path: Pat
     assert calls[5] == (1, 5), "driven"
     assert calls[8] == calls[28], "plugged in again, but nobody said so"
     assert calls[40] == (2, 11)
-    assert out.getvalue().count("(v clears it and steers again)") == 1 and "not stored: early" in out.getvalue()
+    assert (
+        out.getvalue().count("(v clears it and steers again)") == 1
+        and "not stored: early" in out.getvalue()
+    )
 
 
 @pytest.mark.parametrize("name", ["Open the gripper", "bad_touch"])
-def test_nothing_begins_out_of_free_air_nor_from_a_moving_gel(fake: FakeRig, tmp_path: Path, name: str) -> None:
+def test_nothing_begins_out_of_free_air_nor_from_a_moving_gel(
+    fake: FakeRig, tmp_path: Path, name: str
+) -> None:
     finger = fake.captures["tactile_left"]
     if name == "bad_touch":
-        finger.frames = tuple(np.roll(frame, 12 * n, axis=1) for n, frame in enumerate(finger.frames))
+        finger.frames = tuple(
+            np.roll(frame, 12 * n, axis=1) for n, frame in enumerate(finger.frames)
+        )
     else:
         fake.hand.width_m = 0.03
     end = go(fake, tmp_path / "data", Unattended("success"), unwell_s=0.3)
@@ -265,7 +296,9 @@ def test_an_open_hand_is_asked_for_again(fake: FakeRig, tmp_path: Path) -> None:
     assert end.exit_code == 0 and asked.count(Phase.WAITING) >= 2
 
 
-def test_a_full_disk_stops_at_the_next_tick_and_what_was_saved_stays(fake, tmp_path, monkeypatch) -> None:
+def test_a_full_disk_stops_at_the_next_tick_and_what_was_saved_stays(
+    fake, tmp_path, monkeypatch
+) -> None:
     root = tmp_path / "data"
     go(fake, root, Unattended("success"))
     room = iter([10**12] * 8)
@@ -277,8 +310,12 @@ def test_a_full_disk_stops_at_the_next_tick_and_what_was_saved_stays(fake, tmp_p
     assert end.exit_code == 4 and not end.endings, "no room for another one"
 
 
-@pytest.mark.parametrize("come", ["INT", "TERM", "HUP", "HUP HUP HUP", "TERM HUP", "INT INT", "HUP TERM INT"])
-def test_a_stop_from_outside_ends_the_episode_in_order_unless_somebody_insists(fake, tmp_path, come: str) -> None:
+@pytest.mark.parametrize(
+    "come", ["INT", "TERM", "HUP", "HUP HUP HUP", "TERM HUP", "INT INT", "HUP TERM INT"]
+)
+def test_a_stop_from_outside_ends_the_episode_in_order_unless_somebody_insists(
+    fake, tmp_path, come: str
+) -> None:
     """Whoever reads what is shown may be gone by then."""
     reader, writer = os.pipe()
 
@@ -311,7 +348,9 @@ def test_nohup_goes_on_without_its_terminal(fake: FakeRig, tmp_path: Path) -> No
         signal.signal(signal.SIGHUP, before)
 
 
-def test_a_terminal_that_takes_its_keyboard_along_is_an_interrupt_too(fake: FakeRig, tmp_path: Path) -> None:
+def test_a_terminal_that_takes_its_keyboard_along_is_an_interrupt_too(
+    fake: FakeRig, tmp_path: Path
+) -> None:
     teleop = sway(tmp_path)
 
     def say(phase: Phase, asked: int) -> list[Command]:
@@ -325,7 +364,9 @@ def test_a_terminal_that_takes_its_keyboard_along_is_an_interrupt_too(fake: Fake
     assert labels(tmp_path / "data") == ["aborted:interrupt"]
 
 
-def test_a_row_that_the_store_refuses_late_ends_the_session_in_order(fake, tmp_path, monkeypatch) -> None:
+def test_a_row_that_the_store_refuses_late_ends_the_session_in_order(
+    fake, tmp_path, monkeypatch
+) -> None:
     def refuse(*_: object) -> None:
         raise ContractError("state: expected finite numbers")
 
@@ -334,15 +375,22 @@ def test_a_row_that_the_store_refuses_late_ends_the_session_in_order(fake, tmp_p
     assert end.exit_code == 3 and "finite" in end.message and len(end.endings) == 1
 
 
-def test_another_sensor_than_configured_is_refused_before_anything_moves(fake: FakeRig, tmp_path: Path):
+def test_another_sensor_than_configured_is_refused_before_anything_moves(
+    fake: FakeRig, tmp_path: Path
+):
     captures = fake.captures
-    captures["tactile_left"], captures["tactile_right"] = captures["tactile_right"], captures["tactile_left"]
+    captures["tactile_left"], captures["tactile_right"] = (
+        captures["tactile_right"],
+        captures["tactile_left"],
+    )
     with pytest.raises(WrongSensorError, match="Another sensor answers"):
         go(fake, tmp_path / "data", Unattended("success"))
     assert not fake.arm.targets and not fake.robot.is_connected
 
 
-def test_another_setting_of_the_rig_is_refused_before_the_first_episode(fake: FakeRig, tmp_path: Path) -> None:
+def test_another_setting_of_the_rig_is_refused_before_the_first_episode(
+    fake: FakeRig, tmp_path: Path
+) -> None:
     """Also what the robot itself says once it is connected."""
     root, load_kg = tmp_path / "data", [0.7]
     fake.robot.stored_facts = lambda: {"load_kg": load_kg[0]}  # type: ignore[attr-defined]
@@ -350,10 +398,15 @@ def test_another_setting_of_the_rig_is_refused_before_the_first_episode(fake: Fa
     load_kg[0] = 0.9
     with pytest.raises(ContractError, match=r"robot.gain 1 → 2, robot.stored.load_kg 0.7 → 0.9"):
         go(fake, root, Unattended("success"), episodes=2, rig={"robot.gain": 2})
-    end = go(fake, root, Unattended("success"), episodes=2, rig={"robot.gain": 2}, accept_changes=True)
+    end = go(
+        fake, root, Unattended("success"), episodes=2, rig={"robot.gain": 2}, accept_changes=True
+    )
     assert end.exit_code == 0
     known = [read_card(root, episode)["settings"] for episode in (0, 1)]
-    assert known[0]["rig"] == {"robot.gain": 1, "robot.stored.load_kg": 0.7} and not known[0]["changed"]
+    assert (
+        known[0]["rig"] == {"robot.gain": 1, "robot.stored.load_kg": 0.7}
+        and not known[0]["changed"]
+    )
     assert known[1]["changed"] == {"robot.gain": [1, 2], "robot.stored.load_kg": [0.7, 0.9]}
 
 
@@ -366,10 +419,14 @@ def test_a_scene_is_recorded_like_a_robot(tmp_path: Path) -> None:
     settings = SessionSettings(episodes=2, episode_s=10.0)
     parts = rig, sway(tmp_path), Unattended("success"), store, settings
     end = run_session(*parts, 5, open_store=open_recorder)
-    assert end.exit_code == 0 and [e.label for e in end.endings] == ["failed_grasp"] * 2, "the scene judges"
+    assert end.exit_code == 0 and [e.label for e in end.endings] == ["failed_grasp"] * 2, (
+        "the scene judges"
+    )
     wanted = (keys.STATE, keys.ACTION, keys.SUCCESS, keys.SEED, keys.truth_wrench_key("left"))
     columns = read_source(root).columns(wanted)
-    assert columns[keys.SEED].tolist() == [5] * STEPS + [6] * STEPS and not columns[keys.SUCCESS].any()
+    assert (
+        columns[keys.SEED].tolist() == [5] * STEPS + [6] * STEPS and not columns[keys.SUCCESS].any()
+    )
     assert labels(root) == ["failed_grasp"] * 2
     assert np.abs(columns[keys.ACTION][:, 0] - columns[keys.STATE][:, 0]).max() > 1e-4
     dataset = open_dataset(root, return_uint8=True)

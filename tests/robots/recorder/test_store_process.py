@@ -33,7 +33,9 @@ def row(step: int, facts: RigFacts = FACTS) -> dict[str, np.ndarray]:
     numbers = {k: np.full(f["shape"], step + 1, f["dtype"]) for k, f in plain.items()}
     pictures = {camera_key("front"): np.full((48, 64, 3), 10 * step, np.uint8)}
     pictures |= {tactile_key(finger): dots(step) for finger in FINGERS}
-    return numbers | pictures | {tactile_key(finger, reference=True): REFERENCE for finger in FINGERS}
+    return (
+        numbers | pictures | {tactile_key(finger, reference=True): REFERENCE for finger in FINGERS}
+    )
 
 
 @pytest.fixture
@@ -87,7 +89,9 @@ def test_it_stores_what_the_recorder_itself_would(store: StoreProcess, tmp_path:
 
 
 @pytest.mark.slow
-def test_a_killed_process_is_an_error_and_loses_the_running_episode_only(store: StoreProcess, tmp_path: Path):
+def test_a_killed_process_is_an_error_and_loses_the_running_episode_only(
+    store: StoreProcess, tmp_path: Path
+):
     record(store)
     store.add(row(0), "wipe")
     os.kill(store.pid, signal.SIGKILL)
@@ -101,7 +105,10 @@ def test_a_killed_process_is_an_error_and_loses_the_running_episode_only(store: 
 @pytest.mark.slow
 def test_what_is_wrong_at_the_start_is_raised(tmp_path: Path) -> None:
     settings = StoreSettings(record_synthetic(tmp_path / "other", 1, 2), "local/test")
-    with closing(StoreProcess(FACTS, settings)) as store, pytest.raises(DatasetError, match="features"):
+    with (
+        closing(StoreProcess(FACTS, settings)) as store,
+        pytest.raises(DatasetError, match="features"),
+    ):
         assert store.num_episodes
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(DatasetError, match="empty folder"):

@@ -18,7 +18,9 @@ def wire(stops_s: float, until_s: float = 3.0) -> list[dict]:
         angle = math.pi * min(time_s, stops_s)
         position = [0.3 + 0.02 * math.cos(angle), 0.02 * math.sin(angle), 0.4]
         number = round(500 * time_s)  # its clock runs at half the speed
-        lines.append({"what": "state", "id": number, "time_s": float(time_s), "position_m": position})
+        lines.append(
+            {"what": "state", "id": number, "time_s": float(time_s), "position_m": position}
+        )
     return lines
 
 
@@ -34,7 +36,9 @@ def test_braking_is_no_more_following() -> None:
     end, slide = np.array(lines[-1]["position_m"]), np.array([0, 0.006, 0])
     for line in lines:
         if line["time_s"] >= 1.4:  # slides on, 6 mm in all, as a soft spring lets it
-            line["position_m"] = (end + slide * (1 - math.exp((1.4 - line["time_s"]) / 0.1))).tolist()
+            line["position_m"] = (
+                end + slide * (1 - math.exp((1.4 - line["time_s"]) / 0.1))
+            ).tolist()
     hold = find_hold(lines, fault_s=1.0)
     assert hold is not None and hold["hold_s"] < 0.5 and 0.55 < hold["rest_s"] < 0.65
 
@@ -55,5 +59,7 @@ def test_verdicts() -> None:
     found = {bar["bar"]: bar["verdict"] for bar in bars(result)}
     assert found["camera_stops: right outcome"] == "met" and found["camera_stops: held"] == "missed"
     assert found["mute_at_connect: held"] == "not judged", "two trials are no ten"
-    assert "missed" not in {bar["verdict"] for bar in bars(result | {"runs": {"faults": {"judged": False}}})}
+    assert "missed" not in {
+        bar["verdict"] for bar in bars(result | {"runs": {"faults": {"judged": False}}})
+    }
     json.dumps(result)

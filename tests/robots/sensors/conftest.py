@@ -40,7 +40,9 @@ def outcome(cpu_share: float) -> Callable[..., SensorError]:
                 if isinstance(error, kind):
                     return error
             time.sleep(0.005)
-        pytest.fail(f"no {kind.__name__} within {OUTCOME_S / cpu_share:.1f} s (core share {cpu_share:.2f})")
+        pytest.fail(
+            f"no {kind.__name__} within {OUTCOME_S / cpu_share:.1f} s (core share {cpu_share:.2f})"
+        )
 
     return wait
 
@@ -68,7 +70,14 @@ def fails_and_recovers(outcome: Callable, recovers: Callable) -> Callable[..., N
     ``newest`` gives a sample younger than so many ms, ``wait_newer`` one after an index within so many ms.
     """
 
-    def check(stand_in: StandIn, fault: str, kind: type, newest: Callable, wait_newer: Callable, age_ms: float):
+    def check(
+        stand_in: StandIn,
+        fault: str,
+        kind: type,
+        newest: Callable,
+        wait_newer: Callable,
+        age_ms: float,
+    ):
         for _ in range(TIMES):
             stand_in.inject(fault)
             error = outcome(lambda: newest(age_ms), kind)

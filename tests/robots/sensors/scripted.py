@@ -46,13 +46,20 @@ class ScriptedCapture:
         self.released += 1
 
 
-RETURNS = {"none": None, "text": "frames", "no array": [Stamped(0, "frame")], "other": [Stamped(0, np.zeros(9))]}  # type: ignore[arg-type]
+RETURNS = {
+    "none": None,
+    "text": "frames",
+    "no array": [Stamped(0, "frame")],
+    "other": [Stamped(0, np.zeros(9))],
+}  # type: ignore[arg-type]
 
 
 class ScriptedSource(SampleSource):
     """Gives ``samples`` over and over, one every 3 ms, in the ``mode`` that a test sets while it runs."""
 
-    def __init__(self, samples: Iterable[np.ndarray] = tuple(np.arange(1000).reshape(-1, 1))) -> None:
+    def __init__(
+        self, samples: Iterable[np.ndarray] = tuple(np.arange(1000).reshape(-1, 1))
+    ) -> None:
         super().__init__("scripted")
         self._samples = cycle(samples)
         self._last = next(self._samples)

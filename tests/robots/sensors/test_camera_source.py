@@ -46,16 +46,28 @@ def test_settings_are_asked_in_the_order_drivers_accept(capture: ScriptedCapture
     assert order.index(cv2.CAP_PROP_AUTO_WB) < order.index(cv2.CAP_PROP_WB_TEMPERATURE)
     assert dict(capture.asked)[cv2.CAP_PROP_BUFFERSIZE] == 1
     assert dict(capture.asked)[cv2.CAP_PROP_AUTO_EXPOSURE] == 1  # manual
-    assert source.settings_read_back["width"] == 64 and source.settings_read_back["exposure_100us"] == 100
+    assert (
+        source.settings_read_back["width"] == 64
+        and source.settings_read_back["exposure_100us"] == 100
+    )
     assert len(source.settings_read_back) == len(capture.asked) == 10
 
 
-REFUSED = {cv2.CAP_PROP_FOURCC: "fourcc", cv2.CAP_PROP_FRAME_WIDTH: "width", cv2.CAP_PROP_FPS: "fps"}
-REFUSED |= {cv2.CAP_PROP_AUTO_EXPOSURE: "auto_exposure", cv2.CAP_PROP_WB_TEMPERATURE: "white_balance_K"}
+REFUSED = {
+    cv2.CAP_PROP_FOURCC: "fourcc",
+    cv2.CAP_PROP_FRAME_WIDTH: "width",
+    cv2.CAP_PROP_FPS: "fps",
+}
+REFUSED |= {
+    cv2.CAP_PROP_AUTO_EXPOSURE: "auto_exposure",
+    cv2.CAP_PROP_WB_TEMPERATURE: "white_balance_K",
+}
 
 
 @pytest.mark.parametrize(("prop", "name"), REFUSED.items())
-def test_a_refused_setting_is_an_error_that_names_it(capture: ScriptedCapture, make: Callable, prop: int, name: str):
+def test_a_refused_setting_is_an_error_that_names_it(
+    capture: ScriptedCapture, make: Callable, prop: int, name: str
+):
     capture.refuses = {prop}
     with pytest.raises(WrongSensorError, match=name):
         make().open()
@@ -102,7 +114,9 @@ def test_a_frame_of_another_size(capture: ScriptedCapture, make: Callable):
 
 
 @pytest.mark.parametrize("source", ["1", "/dev/video1", "linked"])
-def test_a_metadata_node_is_named_as_such(capture, tmp_path: Path, monkeypatch, source: str) -> None:
+def test_a_metadata_node_is_named_as_such(
+    capture, tmp_path: Path, monkeypatch, source: str
+) -> None:
     for number, (index, usb) in enumerate(((0, "c270"), (1, "c270"), (0, "c920"))):
         node = tmp_path / f"video{number}"
         node.mkdir()
@@ -111,7 +125,9 @@ def test_a_metadata_node_is_named_as_such(capture, tmp_path: Path, monkeypatch, 
     monkeypatch.setattr(camera_source, "SYS_VIDEO", tmp_path)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "linked").symlink_to("/dev/video1")
-    device = CameraSource(UniforceTactileCameraConfig(source=source, **SIZE), lambda source: capture)
+    device = CameraSource(
+        UniforceTactileCameraConfig(source=source, **SIZE), lambda source: capture
+    )
     capture.opens = False
     with pytest.raises(LostSensorError, match=r"metadata node.*source=/dev/video0"):
         device.open()
@@ -131,11 +147,15 @@ def test_addresses_that_cannot_be(address: str):
 
 def camera(capture: ScriptedCapture, **options: object) -> UniforceSceneCamera:
     plain = {"source": "0", "width": 64, "height": 48, "max_age_ms": 1000.0}
-    return UniforceSceneCamera(UniforceSceneCameraConfig(**(plain | options)), lambda source: capture)  # type: ignore[arg-type]
+    return UniforceSceneCamera(
+        UniforceSceneCameraConfig(**(plain | options)), lambda source: capture
+    )  # type: ignore[arg-type]
 
 
 def test_the_middle_is_cut_out_and_made_smaller() -> None:
-    with camera(ScriptedCapture(), width=24, height=24, capture_width=64, capture_height=48) as device:
+    with camera(
+        ScriptedCapture(), width=24, height=24, capture_width=64, capture_height=48
+    ) as device:
         image = device.read_latest()
         assert image.shape == (24, 24, 3) == device.latest().raw.shape
         assert image.max() < 255, "the left edge isn't in the middle"

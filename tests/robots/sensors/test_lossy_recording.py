@@ -54,10 +54,14 @@ class StillRobot(Robot):
 
     @property
     def observation_features(self) -> dict[str, Any]:
-        return self.action_features | {name: (c.height, c.width, 3) for name, c in self.cameras.items()}
+        return self.action_features | {
+            name: (c.height, c.width, 3) for name, c in self.cameras.items()
+        }
 
     def get_observation(self) -> dict[str, Any]:
-        return dict.fromkeys(AXES, 0.0) | {name: c.read_latest(60_000) for name, c in self.cameras.items()}
+        return dict.fromkeys(AXES, 0.0) | {
+            name: c.read_latest(60_000) for name, c in self.cameras.items()
+        }
 
     def send_action(self, action: dict[str, float]) -> dict[str, float]:
         return action
@@ -76,9 +80,17 @@ def record(mjpeg: StandIn, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> C
             "reference_on_connect: false}"
         )
         devices = ["--robot.type=still_robot", f"--robot.cameras={{tactile_right: {camera}}}"]
-        paths = ["--robot.id=a", f"--robot.calibration_dir={tmp_path}", "--teleop.type=recording_test"]
+        paths = [
+            "--robot.id=a",
+            f"--robot.calibration_dir={tmp_path}",
+            "--teleop.type=recording_test",
+        ]
         paths += [f"--teleop.calibration_dir={tmp_path}", f"--dataset.root={tmp_path / 'data'}"]
-        data = ["--dataset.repo_id=local/touch", "--dataset.single_task=wipe", "--dataset.push_to_hub=false"]
+        data = [
+            "--dataset.repo_id=local/touch",
+            "--dataset.single_task=wipe",
+            "--dataset.push_to_hub=false",
+        ]
         short = ["--dataset.num_episodes=1", "--dataset.episode_time_s=0.5", "--dataset.fps=10"]
         argv = ["lerobot-record", *devices, *paths, *data, *short, "--play_sounds=false", *flags]
         monkeypatch.setattr(sys, "argv", argv)
@@ -99,7 +111,9 @@ def record(mjpeg: StandIn, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> C
         (LOSSLESS.split(), "raw"),
     ],
 )
-def test_a_recording_with_loss_is_refused_before_its_first_episode(record, tmp_path, flags, delivers) -> None:
+def test_a_recording_with_loss_is_refused_before_its_first_episode(
+    record, tmp_path, flags, delivers
+) -> None:
     with pytest.raises(DatasetError, match=r"uniforce record, or add .*--dataset.video=false"):
         record(*flags, delivers=delivers)
     assert {path.name for path in (tmp_path / "data").rglob("*.*")} == {"info.json"}
@@ -111,7 +125,9 @@ def test_the_flags_it_names_store_tactile_video_exactly(record: Callable[..., Pa
     video = next(root.rglob("*.mp4"))
     with av.open(str(video)) as stored:
         frames = [frame.to_ndarray(format="rgb24") for frame in stored.decode(video=0)]
-    assert len(frames) >= 3 and all(np.isin(frame, (0, 255)).all() and frame.any() for frame in frames)
+    assert len(frames) >= 3 and all(
+        np.isin(frame, (0, 255)).all() and frame.any() for frame in frames
+    )
 
 
 @pytest.mark.slow

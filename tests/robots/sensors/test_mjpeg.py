@@ -15,7 +15,9 @@ from uniforce_robots.sensors.faults import ProtocolError
 from uniforce_robots.sensors.mjpeg import MultipartJpeg, StreamSource, decode_bgr
 from uniforce_robots.standins.mjpeg import encode, part
 
-HEADER = b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=uniforceframe\r\n\r\n"
+HEADER = (
+    b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=uniforceframe\r\n\r\n"
+)
 IMAGES = [bytes([0xFF, 0xD8, i]) + b"x" * (50 + i) for i in range(4)]
 STREAM = HEADER + b"".join(part(image) for image in IMAGES) + b"--uniforceframe\r\n"
 
@@ -24,10 +26,14 @@ STREAM = HEADER + b"".join(part(image) for image in IMAGES) + b"--uniforceframe\
 @given(cuts=st.lists(st.integers(0, len(STREAM)), max_size=20))
 def test_how_the_stream_is_cut_makes_no_difference(cuts: list[int]):
     reader, edges = MultipartJpeg("cam"), [0, *sorted(cuts), len(STREAM)]
-    assert [image for a, b in itertools.pairwise(edges) for image in reader.feed(STREAM[a:b])] == IMAGES
+    assert [
+        image for a, b in itertools.pairwise(edges) for image in reader.feed(STREAM[a:b])
+    ] == IMAGES
 
 
-@pytest.mark.parametrize("boundary", [b'"uniforceframe"', b"--uniforceframe", b"uniforceframe; charset=x"])
+@pytest.mark.parametrize(
+    "boundary", [b'"uniforceframe"', b"--uniforceframe", b"uniforceframe; charset=x"]
+)
 def test_boundaries_as_servers_write_them(boundary: bytes):
     data = STREAM.replace(b"boundary=uniforceframe", b"boundary=" + boundary, 1)
     assert len(MultipartJpeg("cam").feed(data)) == 4
@@ -58,7 +64,11 @@ def test_only_a_jpeg_of_sensible_size_is_decoded():
     assert image is not None and image.shape == (48, 64, 3)
     at = jpeg.index(b"\xff\xc0") + 5
     assert decode_bgr(jpeg[:at] + b"\xff\xff\xff\xff" + jpeg[at + 4 :]) is None  # 65,535 px a side
-    assert decode_bgr(b"") is None and decode_bgr(b"\xff\xd8") is None and decode_bgr(b"GIF89a") is None
+    assert (
+        decode_bgr(b"") is None
+        and decode_bgr(b"\xff\xd8") is None
+        and decode_bgr(b"GIF89a") is None
+    )
 
 
 def test_a_login_in_the_address_is_sent_and_never_part_of_the_path() -> None:

@@ -63,7 +63,9 @@ def test_a_window_repeats_the_oldest_sample_instead_of_inventing_zeros(pair):
     kept = reader.since(-1)
     kept = [kept[0]] * (16 - len(kept)) + kept
     stamps_ns, data = reader.window(16, 30_000)
-    assert list(zip(stamps_ns, data[:, 0], strict=True)) == [(stamp_ns, raw[0]) for stamp_ns, raw in kept]
+    assert list(zip(stamps_ns, data[:, 0], strict=True)) == [
+        (stamp_ns, raw[0]) for stamp_ns, raw in kept
+    ]
     with pytest.raises(ContractError, match="window"):
         reader.window(17, 30_000)
 
@@ -93,12 +95,21 @@ def test_waiting_ends_with_the_next_sample(pair):
         ("gone", faults.LostSensorError, "Plug it in"),
         ("silent", faults.StaleSensorError, "scripted"),
         ("frozen", faults.FrozenSensorError, "same content"),
-        ("bug", faults.LostSensorError, "scripted: expected a working driver, got ZeroDivisionError"),
+        (
+            "bug",
+            faults.LostSensorError,
+            "scripted: expected a working driver, got ZeroDivisionError",
+        ),
         ("other", faults.WrongSensorError, "dtype"),
-        *[(returned, faults.LostSensorError, "working driver") for returned in ("none", "text", "no array")],
+        *[
+            (returned, faults.LostSensorError, "working driver")
+            for returned in ("none", "text", "no array")
+        ],
     ],
 )
-def test_each_fault_has_its_error_and_recovers_by_itself(pair, outcome, recovers, mode, kind, says) -> None:
+def test_each_fault_has_its_error_and_recovers_by_itself(
+    pair, outcome, recovers, mode, kind, says
+) -> None:
     source, reader = pair
     for _ in range(10):
         source.mode = mode
@@ -108,7 +119,9 @@ def test_each_fault_has_its_error_and_recovers_by_itself(pair, outcome, recovers
     assert reader.reconnects >= (10 if mode == "gone" else 0)
 
 
-def test_a_driver_that_hangs_gets_no_second_thread(pair, monkeypatch: pytest.MonkeyPatch, outcome, recovers) -> None:
+def test_a_driver_that_hangs_gets_no_second_thread(
+    pair, monkeypatch: pytest.MonkeyPatch, outcome, recovers
+) -> None:
     source, reader = pair
     monkeypatch.setattr("uniforce_robots.sensors.reader.JOIN_S", 0.05)
     source.mode = "hangs"

@@ -51,7 +51,13 @@ def test_a_robot_lists_it_like_any_camera(mjpeg: StandIn):
 
 
 SCENE = {"type": "uniforce_scene", "source": "http://x", "width": 224, "height": 224}
-TACTILE = {"type": "uniforce_tactile", "sensor": "tactip", "finger": "right", "source": "0", "gain": None}
+TACTILE = {
+    "type": "uniforce_tactile",
+    "sensor": "tactip",
+    "finger": "right",
+    "source": "0",
+    "gain": None,
+}
 
 
 @pytest.mark.parametrize("written", [SCENE, TACTILE])
@@ -79,7 +85,9 @@ DEAD |= {"size": faults.WrongSensorError, "stop": faults.LostSensorError}
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("fault", "kind"), DEAD.items())
-def test_a_dead_camera_is_a_typed_error_and_comes_back(mjpeg, camera, fails_and_recovers, fault, kind) -> None:
+def test_a_dead_camera_is_a_typed_error_and_comes_back(
+    mjpeg, camera, fails_and_recovers, fault, kind
+) -> None:
     fails_and_recovers(mjpeg, fault, kind, camera.latest, camera.next_touch, MAX_AGE_MS)
 
 
@@ -111,7 +119,10 @@ def test_a_lost_camera_cannot_be_connected(mjpeg: StandIn):
         UniforceTactileCamera(config(mjpeg.address)).connect()
 
 
-BEYOND = {"max_age_ms": (0, -1.0, 1e9, float("nan"), float("inf")), "frozen_after": (0, 1, 31, 10**9)}
+BEYOND = {
+    "max_age_ms": (0, -1.0, 1e9, float("nan"), float("inf")),
+    "frozen_after": (0, 1, 31, 10**9),
+}
 BEYOND |= {"fps": (0, 10**6), "reference_samples": (0, 1, 10**6), "connect_ms": (1e12,)}
 
 

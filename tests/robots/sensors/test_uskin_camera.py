@@ -46,7 +46,9 @@ def test_device_to_latent():
         expected = Canonicalizer("uskin").pair(camera.reference_raw, touch.raw, "left")
     assert np.array_equal(reference, expected.reference) and np.array_equal(image, expected.current)
     z = tokenizer.encode(reference[None], image[None])
-    assert z.shape == (1, tokenizer.num_patches, tokenizer.config.latent) and bool(z.isfinite().all())
+    assert z.shape == (1, tokenizer.num_patches, tokenizer.config.latent) and bool(
+        z.isfinite().all()
+    )
 
 
 def test_a_reference_is_refused_in_contact():
@@ -60,7 +62,10 @@ def test_a_reference_is_refused_in_contact():
 def test_a_steady_touch_is_refused_against_a_resting_level(tmp_path: Path):
     pressed = np.tile(FREE + np.array([0, 0, 900]), (50, 1, 1)) + np.arange(50)[:, None, None] % 3
     np.save(tmp_path / "rest.npy", FREE)
-    for name, kind, says in (("rest", SensorError, "resting level"), ("absent", ContractError, r"\.npy")):
+    for name, kind, says in (
+        ("rest", SensorError, "resting level"),
+        ("absent", ContractError, r"\.npy"),
+    ):
         resting = config(resting_level=str(tmp_path / f"{name}.npy"))
         with pytest.raises(kind, match=says):
             UniforceUskin(resting, ScriptedSource(pressed.astype(np.uint16))).connect()
@@ -74,7 +79,13 @@ def test_a_window_comes_upright():
 
 
 def test_configs_that_cannot_be():
-    impossible = {"link": "usb", "source": "", "frozen_after": 101, "max_age_ms": 1e9, "reference_samples": 0}
+    impossible = {
+        "link": "usb",
+        "source": "",
+        "frozen_after": 101,
+        "max_age_ms": 1e9,
+        "reference_samples": 0,
+    }
     for options, says in (({name: value}, name) for name, value in impossible.items()):
         with pytest.raises(ContractError, match=says):
             UniforceUskinConfig(**({"link": "slcan", "source": "x"} | options))

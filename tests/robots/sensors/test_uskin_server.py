@@ -16,7 +16,12 @@ from websockets.frames import Opcode
 
 from uniforce_robots.sensors import faults
 from uniforce_robots.sensors.reader import SampleReader
-from uniforce_robots.sensors.uskin_server import MAX_MESSAGE_BYTES, ServerUSkin, XelaMessages, read_message
+from uniforce_robots.sensors.uskin_server import (
+    MAX_MESSAGE_BYTES,
+    ServerUSkin,
+    XelaMessages,
+    read_message,
+)
 from uniforce_robots.standins.process import StandIn
 from uniforce_vtla.errors import ContractError, SensorError
 
@@ -46,7 +51,9 @@ def test_a_dead_or_wrong_server_is_a_typed_error_and_comes_back(
 
 
 @pytest.mark.slow
-def test_a_closed_connection_is_opened_again(xela: StandIn, reader: SampleReader, recovers: Callable):
+def test_a_closed_connection_is_opened_again(
+    xela: StandIn, reader: SampleReader, recovers: Callable
+):
     def back(times: int) -> None:
         if reader.reconnects < times:
             raise SensorError("not yet")
@@ -59,8 +66,12 @@ def test_a_closed_connection_is_opened_again(xela: StandIn, reader: SampleReader
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fault", ["none", "list", "integers", "null", "fragments", "ping", "garbage"])
-def test_every_form_of_message_is_understood(xela: StandIn, reader: SampleReader, costs_no_scan, fault: str):
+@pytest.mark.parametrize(
+    "fault", ["none", "list", "integers", "null", "fragments", "ping", "garbage"]
+)
+def test_every_form_of_message_is_understood(
+    xela: StandIn, reader: SampleReader, costs_no_scan, fault: str
+):
     costs_no_scan(xela, fault, reader)
     assert (reader.counts.bad > 0) == (fault == "garbage") and reader.reconnects == 0
 
@@ -76,9 +87,15 @@ def routine(data: object) -> str:
         ("[" * 100_000, faults.ProtocolError),
         ("[1]", faults.ProtocolError),
         (json.dumps({"type": "routine"}), faults.WrongSensorError),
-        *((routine(data), faults.ProtocolError) for data in (None, ["+1"] * 48, [True] * 48, [65_536] * 48)),
+        *(
+            (routine(data), faults.ProtocolError)
+            for data in (None, ["+1"] * 48, [True] * 48, [65_536] * 48)
+        ),
         (routine("1,2,3"), faults.WrongSensorError),
-        (json.dumps({"message": "Welcome", "server": {"bustype": "SIM"}}), faults.SimulatedSensorError),
+        (
+            json.dumps({"message": "Welcome", "server": {"bustype": "SIM"}}),
+            faults.SimulatedSensorError,
+        ),
     ],
 )
 def test_messages_that_are_no_scan(text: str, kind: type):
@@ -143,7 +160,9 @@ def test_fragments_without_end_stay_bounded():
             messages.feed(frame(Opcode.CONT, b"x" * 60_000, False))
 
 
-@pytest.mark.parametrize("answer", [b"HTTP/1.1 200 OK\r\n\r\n", b"x" * 9000, b"", b"HTTP/1.1 101 S\r\n\r\n"])
+@pytest.mark.parametrize(
+    "answer", [b"HTTP/1.1 200 OK\r\n\r\n", b"x" * 9000, b"", b"HTTP/1.1 101 S\r\n\r\n"]
+)
 def test_what_is_no_websocket_server_is_a_typed_error(answer: bytes):
     with socket.create_server(("127.0.0.1", 0)) as listener:
 

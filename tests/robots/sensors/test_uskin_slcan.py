@@ -13,7 +13,12 @@ from hypothesis import strategies as st
 from properties import examples
 
 from benchmarks.recorder.overhead import measure_rate
-from uniforce_robots.sensors.faults import FrozenSensorError, LostSensorError, ProtocolError, StaleSensorError
+from uniforce_robots.sensors.faults import (
+    FrozenSensorError,
+    LostSensorError,
+    ProtocolError,
+    StaleSensorError,
+)
 from uniforce_robots.sensors.reader import SampleReader
 from uniforce_robots.sensors.uskin_slcan import MAX_TAIL_BYTES, SlcanScans, SlcanUSkin
 from uniforce_robots.standins.process import StandIn
@@ -58,7 +63,9 @@ def test_a_dead_patch_is_a_typed_error_and_comes_back(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", ["bel", "garbage", "split"])
-def test_a_noisy_line_costs_no_scan(slcan: StandIn, reader: SampleReader, costs_no_scan, fault: str):
+def test_a_noisy_line_costs_no_scan(
+    slcan: StandIn, reader: SampleReader, costs_no_scan, fault: str
+):
     costs_no_scan(slcan, fault, reader)
     assert (reader.counts.bad > 0) == (fault == "garbage")
 
@@ -81,7 +88,8 @@ def test_no_port_and_a_port_that_is_none(tmp_path: Path):
 
 def test_a_reader_that_cannot_keep_up_says_so(slcan: StandIn, monkeypatch: pytest.MonkeyPatch):
     """Scans that waited in the kernel would carry stamps that make them look new."""
-    monkeypatch.setattr("uniforce_robots.sensors.uskin_slcan.FULL_BYTES", 1)  # whatever comes is a full read
+    # whatever comes is a full read
+    monkeypatch.setattr("uniforce_robots.sensors.uskin_slcan.FULL_BYTES", 1)
     source = SlcanUSkin(slcan.address)
     source.max_behind_s = 0.05
     source.open()
@@ -170,7 +178,9 @@ def test_how_the_stream_is_cut_makes_no_difference(cuts: list[int]):
 
 
 @examples(60)
-@given(st.lists(st.tuples(st.integers(0, 95), st.sampled_from(["drop", "twice", "noise"])), max_size=6))
+@given(
+    st.lists(st.tuples(st.integers(0, 95), st.sampled_from(["drop", "twice", "noise"])), max_size=6)
+)
 def test_whatever_breaks_taxels_of_two_scans_never_mix(faults: list[tuple[int, str]]):
     lines = [line for scan in LINES for line in scan]
     for at, fault in sorted(faults, reverse=True):
@@ -191,12 +201,17 @@ def test_whatever_breaks_taxels_of_two_scans_never_mix(faults: list[tuple[int, s
 )
 def test_broken_scans_are_counted_and_whole_ones_delivered(broken: list[bytes], lost: int):
     scans = new_scans()
-    assert np.array_equal(scans.feed(b"".join(broken + LINES[1])), CYCLE[1:2]) and scans.counts.lost == lost
+    assert (
+        np.array_equal(scans.feed(b"".join(broken + LINES[1])), CYCLE[1:2])
+        and scans.counts.lost == lost
+    )
 
 
 def test_replies_bells_and_other_nodes_do_no_harm():
     scans = new_scans()
-    extra = b"\r\x07z\rV1013\rF00\rt7FF3010203\rt7208" + b"0" * 16 + b"\rT0000000081122334455667788\r"
+    extra = (
+        b"\r\x07z\rV1013\rF00\rt7FF3010203\rt7208" + b"0" * 16 + b"\rT0000000081122334455667788\r"
+    )
     assert len(scans.feed(extra + b"".join(LINES[0]))) == 1
     assert scans.counts.bad == 0
 
@@ -206,7 +221,9 @@ def test_adapter_time_stamps_are_allowed():
     assert np.array_equal(new_scans().feed(stamped), CYCLE[:1])
 
 
-@pytest.mark.parametrize("line", [b"t00489", b"t0048937E317E1593120G", b"t0048 37E317E1593120F", b"hello"])
+@pytest.mark.parametrize(
+    "line", [b"t00489", b"t0048937E317E1593120G", b"t0048 37E317E1593120F", b"hello"]
+)
 def test_nonsense_is_counted_as_bad(line: bytes):
     scans = new_scans()
     assert not scans.feed(line + b"\r") and scans.counts.bad == 1

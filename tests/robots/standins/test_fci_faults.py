@@ -18,7 +18,8 @@ def fci(address: str) -> Iterator[HostileStandIn]:
 
 def test_an_arm_knows_when_it_moved_last(address: str) -> None:
     service = HostileArm(address, ARM_VERSION, Journal(None))
-    for speed_rad_s, held_ms, moving_ms in ((0.0, 0, None), (0.1, None, 2), (1e-3, 3, 2)):  # the last one creeps
+    # the last one creeps
+    for speed_rad_s, held_ms, moving_ms in ((0.0, 0, None), (0.1, None, 2), (1e-3, 3, 2)):
         service.arm.dq_rad_s = np.array([0.0, speed_rad_s, 0, 0, 0, 0, 0])
         service.arm.refresh()
         service.tick()

@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from uniforce_robots.fr3 import HAND_TO_FLANGE, HOME_q_rad, Q_MAX_rad, Q_MIN_rad, TAU_MAX_Nm, posture
+from uniforce_robots.fr3 import (
+    HAND_TO_FLANGE,
+    HOME_q_rad,
+    Q_MAX_rad,
+    Q_MIN_rad,
+    TAU_MAX_Nm,
+    posture,
+)
 from uniforce_robots.standins.fci.arm import TORQUE_STEP_Nm, broken_rules
 from uniforce_robots.standins.fci.protocol import ErrorBit
 

@@ -31,7 +31,11 @@ DECODERS = [
     partial(p.unpack, p.MOVE, what="Move"),
     partial(p.decode_hand, p.Grasp),
     partial(p.decode_hand, p.HandMove),
-    partial(p.numbers, struct.Struct(p.SETTERS[p.ArmCommand.SET_COLLISION_BEHAVIOR]), what="SetCollisionBehavior"),
+    partial(
+        p.numbers,
+        struct.Struct(p.SETTERS[p.ArmCommand.SET_COLLISION_BEHAVIOR]),
+        what="SetCollisionBehavior",
+    ),
     partial(p.unpack, p.CONNECT, what="Connect"),
     decode_state,
     p.RobotCommand.decode,

@@ -40,7 +40,10 @@ def test_a_second_move_preempts_the_first_and_stop_the_second(fci: StandIn) -> N
         arm.loop(rest, 3)
         second = arm.move()
         answers = [arm.receive() for _ in range(2)]
-        assert [(a.command_id, a.payload) for a in answers] == [(first, PREEMPTED), (second, STARTED)]
+        assert [(a.command_id, a.payload) for a in answers] == [
+            (first, PREEMPTED),
+            (second, STARTED),
+        ]
         arm.loop(rest, 3)
         stop = arm.send(p.ArmCommand.STOP_MOVE)
         answers = [arm.receive() for _ in range(2)]
@@ -88,7 +91,12 @@ def answers(address: str) -> bool:
 
 
 def test_orders_that_make_no_sense_are_refused(fci: StandIn) -> None:
-    for order in ({"what": "fly"}, {"what": "wrench", "newtons": [1]}, {"what": "wall"}, {"what": "fault"}):
+    for order in (
+        {"what": "fly"},
+        {"what": "wrench", "newtons": [1]},
+        {"what": "wall"},
+        {"what": "fault"},
+    ):
         with pytest.raises(ValueError, match="Error"):
             fci.do(**order)
     assert not fci.do("look")["arm"]["errors"]

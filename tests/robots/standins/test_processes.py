@@ -15,7 +15,9 @@ NAMES = ("slcan", "standins.xela", "mjpeg")
 @pytest.mark.parametrize("name", NAMES)
 def test_each_is_ready_obeys_and_ends(name: str):
     with StandIn(name, "press_s=0", "rest_s=0.5") as stand_in:
-        assert stand_in.address.startswith(("/tmp/", "127.0.0.1:", "http://127.0.0.1:")), "this machine only"
+        assert stand_in.address.startswith(("/tmp/", "127.0.0.1:", "http://127.0.0.1:")), (
+            "this machine only"
+        )
         stand_in.inject("stall")
         assert stand_in.stats()["sent"] == 0
         process = stand_in.process

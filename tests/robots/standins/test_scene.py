@@ -21,7 +21,10 @@ def test_a_cycle_begins_in_free_air_and_presses_after():
 
 @pytest.mark.parametrize("where", QUARTERS)
 def test_a_place_is_where_the_marker_image_shows_it(where: str):
-    free, pressed = taxel_cycle(Scene(press_s=0), 2)[0], taxel_cycle(Scene(where=where, hold=True), 2)[0]
+    free, pressed = (
+        taxel_cycle(Scene(press_s=0), 2)[0],
+        taxel_cycle(Scene(where=where, hold=True), 2)[0],
+    )
     pair = Canonicalizer("uskin").pair(free, pressed, "left")
     grown = pair.current.astype(int) - pair.reference
     top, left = where.startswith("top"), where.endswith("left")

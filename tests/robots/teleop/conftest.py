@@ -37,7 +37,9 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[bytes], None
 
 
 @pytest.fixture
-def connected(tmp_path: Path, request: pytest.FixtureRequest, terminal: object) -> Iterator[Callable[[str], Any]]:
+def connected(
+    tmp_path: Path, request: pytest.FixtureRequest, terminal: object
+) -> Iterator[Callable[[str], Any]]:
     """Return a function: registered name → that teleoperator, connected; all are disconnected at the end."""
     import teleop_fakes
 
@@ -89,4 +91,6 @@ def fault_of(until: Callable[..., Any]) -> Callable[[Callable[[], Any]], str]:
 
 @pytest.fixture
 def starts(until: Callable[..., Any], measured: np.ndarray) -> Callable[[Any], None]:
-    return lambda device: until(lambda: fault_or_none(lambda: device.start_from(measured)), lambda f: not f)
+    return lambda device: until(
+        lambda: fault_or_none(lambda: device.start_from(measured)), lambda f: not f
+    )

@@ -16,7 +16,8 @@ def home_axes() -> np.ndarray:
     return np.array([*tool_axes(HOME_q_rad, float(HAND_TO_FLANGE[2, 3])), 0.08])
 
 
-CONFIGS: dict[str, tuple[Any, dict[str, str]]] = {  # name: config, and which setting is the address of which stand-in
+# name: config, and which setting is the address of which stand-in
+CONFIGS: dict[str, tuple[Any, dict[str, str]]] = {
     "uniforce_keyboard": (ours.UniforceKeyboardConfig, {}),
     "uniforce_hand_guide": (ours.UniforceHandGuideConfig, {}),
     "uniforce_spacemouse": (ours.UniforceSpaceMouseConfig, {"device": "spacemouse"}),
@@ -26,5 +27,7 @@ CONFIGS: dict[str, tuple[Any, dict[str, str]]] = {  # name: config, and which se
 
 def make(name: str, request: pytest.FixtureRequest, folder: Path) -> Any:
     config, standins = CONFIGS[name]
-    where = {setting: request.getfixturevalue(standin).address for setting, standin in standins.items()}
+    where = {
+        setting: request.getfixturevalue(standin).address for setting, standin in standins.items()
+    }
     return make_teleoperator_from_config(config(calibration_dir=folder, **where))

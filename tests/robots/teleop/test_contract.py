@@ -15,7 +15,9 @@ import lerobot_policy_pi05_uniforce  # noqa: F401  the one package LeRobot impor
 from uniforce_vtla.errors import TeleoperatorError
 from uniforce_vtla.keys import AXES
 
-NAMES = sorted(name for name in TeleoperatorConfig.get_known_choices() if name.startswith("uniforce_"))
+NAMES = sorted(
+    name for name in TeleoperatorConfig.get_known_choices() if name.startswith("uniforce_")
+)
 LARGEST_STEP = np.array([0.03, 0.03, 0.03, 0.2, 0.03])  # of one call: limits × the longest gap
 
 
@@ -33,7 +35,9 @@ def test_lerobots_own_commands_can_name_it(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_life_of_a_teleoperator(name: str, connected: Callable[[str], Any], measured: np.ndarray) -> None:
+def test_life_of_a_teleoperator(
+    name: str, connected: Callable[[str], Any], measured: np.ndarray
+) -> None:
     threads = set(threading.enumerate())
     device = connected(name)
     assert isinstance(device, Teleoperator) and device.name == name and device.is_connected
@@ -61,7 +65,11 @@ def test_life_of_a_teleoperator(name: str, connected: Callable[[str], Any], meas
     with pytest.raises(TeleoperatorError) as late:
         device.get_action()
     assert late.value.fault == "not_connected"
-    left = [t for t in threading.enumerate() if t not in threads and ("reader" in t.name or t.name == name)]
+    left = [
+        t
+        for t in threading.enumerate()
+        if t not in threads and ("reader" in t.name or t.name == name)
+    ]
     assert not left
     device.connect()
     device.start_from(measured)
@@ -87,22 +95,29 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("name, fault", [(name, fault) for name in FAULTS for fault in FAULTS[name]])
-def test_faults_stay_until_the_next_start(name, fault, connected, measured, fault_of, starts, request) -> None:
+@pytest.mark.parametrize(
+    "name, fault", [(name, fault) for name in FAULTS for fault in FAULTS[name]]
+)
+def test_faults_stay_until_the_next_start(
+    name, fault, connected, measured, fault_of, starts, request
+) -> None:
     device, stand_in = connected(f"uniforce_{name}"), request.getfixturevalue(name)
     device.start_from(measured)
     stand_in.inject(fault)
     assert fault_of(device.get_action) in FAULTS[name][fault]
     stand_in.inject("none")
     time.sleep(0.1)
-    with pytest.raises(TeleoperatorError):  # plugged in again, but no start has allowed the arm to go on
+    # plugged in again, but no start has allowed the arm to go on
+    with pytest.raises(TeleoperatorError):
         device.get_action()
     starts(device)
     assert device.get_action()
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_loss_that_no_tick_saw_is_one_too(name: str, connected: Callable[[str], Any], measured: np.ndarray, starts):
+def test_a_loss_that_no_tick_saw_is_one_too(
+    name: str, connected: Callable[[str], Any], measured: np.ndarray, starts
+):
     device = connected(name)
     device.start_from(measured)
     device.device.reconnects = 1

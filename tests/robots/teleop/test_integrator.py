@@ -43,7 +43,9 @@ def test_a_target_pushed_against_a_robot_that_stays_does_not_run_on(rates: list)
 
 
 @examples(100)
-@given(arrays(np.float64, 5, elements=st.floats(0, 1)), arrays(np.float64, 5, elements=st.floats(0, 1)))
+@given(
+    arrays(np.float64, 5, elements=st.floats(0, 1)), arrays(np.float64, 5, elements=st.floats(0, 1))
+)
 def test_a_goal_in_the_box_is_reached_in_time(from_share: np.ndarray, to_share: np.ndarray) -> None:
     low, high = np.array(LIMITS.low), np.array(LIMITS.high)
     start, goal = low + from_share * (high - low), low + to_share * (high - low)
@@ -75,13 +77,15 @@ def test_a_leash_lets_go_towards_the_robot() -> None:
     integrator = TargetIntegrator()
     start = np.array([0.5, 0, 0.2, 0, 0.05])
     integrator.start_from(start)
-    away = start + np.array([0.1, 0, 0, 0, 0])  # pushed; the target is behind it by more than the leash
+    # pushed; the target is behind it by more than the leash
+    away = start + np.array([0.1, 0, 0, 0, 0])
     assert integrator.advance(np.array([1, 0, 0, 0, 0]), 0.1, away)[0] > start[0]
     assert integrator.advance(np.array([-1, 0, 0, 0, 0]), 0.1, away)[0] >= start[0]
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"speed": (1, 2)}, {"low": (np.nan,) * 5}, {"low": (1.0,) * 5}, {"leash": (-1.0,) * 5}]
+    "wrong",
+    [{"speed": (1, 2)}, {"low": (np.nan,) * 5}, {"low": (1.0,) * 5}, {"leash": (-1.0,) * 5}],
 )
 def test_impossible_limits_are_refused(wrong: dict) -> None:
     with pytest.raises(ContractError):

@@ -36,17 +36,23 @@ def keyboard(connected: Callable[[str], Any], measured: np.ndarray) -> Any:
 
 
 @pytest.mark.parametrize("key", sorted(KEYS))
-def test_each_key_moves_its_axis(keyboard: Any, terminal: Type, until: Callable[..., Any], key: str) -> None:
+def test_each_key_moves_its_axis(
+    keyboard: Any, terminal: Type, until: Callable[..., Any], key: str
+) -> None:
     axis, direction = KEYS[key]
     start = np.array([0.5, 0.0, 0.2, 0.0, 0.04])  # inside the box on every axis
     keyboard.start_from(start)
     terminal(key.encode())
-    moved = until(lambda: np.array(list(keyboard.get_action().values())), lambda now: now[axis] != start[axis])
+    moved = until(
+        lambda: np.array(list(keyboard.get_action().values())), lambda now: now[axis] != start[axis]
+    )
     assert np.sign(moved[axis] - start[axis]) == direction
     assert np.array_equal(np.delete(moved, axis), np.delete(start, axis))
 
 
-def test_one_press_is_one_short_pulse(keyboard: Any, terminal: Type, until: Callable[..., Any]) -> None:
+def test_one_press_is_one_short_pulse(
+    keyboard: Any, terminal: Type, until: Callable[..., Any]
+) -> None:
     terminal(b"w")
     until(lambda: keyboard.keys.rates(), lambda rates: rates.any())
     time.sleep(2 * PULSE_S)
@@ -59,14 +65,18 @@ def test_opposite_keys_cancel(keyboard: Any) -> None:
     assert not keyboard.keys.rates().any()
 
 
-def test_keys_of_a_recorder_are_kept_for_it(keyboard: Any, terminal: Type, until: Callable[..., Any]) -> None:
+def test_keys_of_a_recorder_are_kept_for_it(
+    keyboard: Any, terminal: Type, until: Callable[..., Any]
+) -> None:
     terminal(b"nwr")
     assert until(keyboard.keys.take_others, bool) in (["n"], ["n", "r"])
 
 
 @pytest.mark.parametrize("key", ["o", "O"])
 @pytest.mark.parametrize("name", ["uniforce_keyboard", "uniforce_hand_guide"])
-def test_a_key_held_over_a_start_steers_once_it_was_let_go(name, key, connected: Callable[[str], Any]) -> None:
+def test_a_key_held_over_a_start_steers_once_it_was_let_go(
+    name, key, connected: Callable[[str], Any]
+) -> None:
     device, now = connected(name), [0.0]
     device.clock, start = (lambda: now[0]), np.full(5, 0.04)
 
@@ -98,12 +108,16 @@ def test_a_text_neither_steers_nor_loses_letters(keyboard: Any) -> None:
     assert keys.rates()[0] == -1
 
 
-def test_a_terminal_that_hangs_up_is_a_fault(keyboard: Any, terminal: Type, fault_of: Callable) -> None:
+def test_a_terminal_that_hangs_up_is_a_fault(
+    keyboard: Any, terminal: Type, fault_of: Callable
+) -> None:
     terminal(b"")
     assert fault_of(keyboard.get_action) == "connection"
 
 
-def test_without_a_terminal_there_is_no_keyboard(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_terminal_there_is_no_keyboard(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with (tmp_path / "piped").open("w+") as piped:
         monkeypatch.setattr("sys.stdin", piped)
         device = ours.UniforceKeyboard(ours.UniforceKeyboardConfig(calibration_dir=tmp_path))
@@ -180,7 +194,9 @@ def test_it_refuses_to_start_far_from_the_robot(leader: Any, measured: np.ndarra
         leader.get_action()
 
 
-def test_what_is_left_between_them_closes_once_it_is_moved(leader: Any, measured: np.ndarray, monkeypatch) -> None:
+def test_what_is_left_between_them_closes_once_it_is_moved(
+    leader: Any, measured: np.ndarray, monkeypatch
+) -> None:
     pose = measured + np.array([0.02, 0, 0, 0, 0])
     monkeypatch.setattr(leader, "_pose", lambda: pose)
     ticks = itertools.count()
@@ -208,16 +224,22 @@ def test_what_is_harmless_is_lived_with(leader: Any, gello: StandIn, fault: str)
     assert leader.device.counts.samples >= before + 20
 
 
-def test_a_mute_chain_is_no_connection(gello: StandIn, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_mute_chain_is_no_connection(
+    gello: StandIn, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     gello.inject("mute")
     monkeypatch.setattr("uniforce_robots.teleop.gello.LIMITS", replace(LIMITS, first_ms=200.0))
-    device = ours.UniforceGello(ours.UniforceGelloConfig(port=gello.address, calibration_dir=tmp_path))
+    device = ours.UniforceGello(
+        ours.UniforceGelloConfig(port=gello.address, calibration_dir=tmp_path)
+    )
     with pytest.raises(TeleoperatorError):
         device.connect()
     assert not device.is_connected
 
 
-def test_a_missing_library_is_named_with_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_library_is_named_with_its_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "dynamixel_sdk", None)
     device = ours.UniforceGello(ours.UniforceGelloConfig(port="x", calibration_dir=tmp_path))
     with pytest.raises(TeleoperatorError, match=r"lerobot\[dynamixel\]") as error:
@@ -235,14 +257,15 @@ def test_a_chain_needs_seven_joints_and_a_trigger(tmp_path: Path) -> None:
     arrays(np.int64, 7, elements=st.sampled_from([-1, 1])),
     arrays(np.float64, 7, elements=st.floats(-0.3, 0.3)),
 )
-def test_offsets_come_out_of_an_inexactly_held_posture(quarters: np.ndarray, signs: np.ndarray, slack: np.ndarray):
+def test_offsets_come_out_of_an_inexactly_held_posture(
+    quarters: np.ndarray, signs: np.ndarray, slack: np.ndarray
+):
     mounted = quarters * np.pi / 2
     motors = mounted + signs * (HOME_q_rad + slack)
     assert np.allclose(offsets(motors, signs, HOME_q_rad), mounted)
 
 
 def test_without_its_sdk_everything_else_is_there() -> None:
-    absent = (
-        "import sys; sys.modules['dynamixel_sdk'] = None; import uniforce_robots.teleop, lerobot_policy_pi05_uniforce"
-    )
+    absent = "import sys; sys.modules['dynamixel_sdk'] = None; "
+    absent += "import uniforce_robots.teleop, lerobot_policy_pi05_uniforce"
     subprocess.run([sys.executable, "-c", absent], check=True)

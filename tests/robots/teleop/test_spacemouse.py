@@ -71,12 +71,16 @@ def test_a_push_moves_and_letting_go_stops(
     assert here["y.pos"] == measured[1] and here["yaw.pos"] == measured[3]
 
 
-def test_the_left_button_closes(mouse: Any, spacemouse: StandIn, measured: np.ndarray, until: Callable):
+def test_the_left_button_closes(
+    mouse: Any, spacemouse: StandIn, measured: np.ndarray, until: Callable
+):
     spacemouse.inject("close")
     until(lambda: mouse.get_action()["width.pos"], lambda width: width < measured[4] - 0.005)
 
 
-def test_a_queue_is_drained_before_it_is_followed(mouse: Any, spacemouse: StandIn, until: Callable) -> None:
+def test_a_queue_is_drained_before_it_is_followed(
+    mouse: Any, spacemouse: StandIn, until: Callable
+) -> None:
     """Forty reports per beat and no question: once the cap is let go, the very next answer is rest."""
     spacemouse.inject("burst")
     time.sleep(0.5)
@@ -101,7 +105,9 @@ def test_no_start_with_a_deflected_cap(
     assert fault_of(lambda: mouse.start_from(measured)) == "far"
 
 
-def test_two_buttons_that_cancel_each_other_are_not_at_rest(measured: np.ndarray, fault_of: Callable[..., str]) -> None:
+def test_two_buttons_that_cancel_each_other_are_not_at_rest(
+    measured: np.ndarray, fault_of: Callable[..., str]
+) -> None:
     """Letting go of one of them would move the fingers, and that is no new wish."""
     pressed = SimpleNamespace(raw=np.array([0.0] * 6 + [1.0, 1.0]), age_ms=0.0)
     mouse = UniforceSpaceMouse(UniforceSpaceMouseConfig())
@@ -109,7 +115,9 @@ def test_two_buttons_that_cancel_each_other_are_not_at_rest(measured: np.ndarray
     assert fault_of(lambda: mouse.start_from(measured)) == "far"
 
 
-def test_a_plug_that_comes_back_with_a_pushed_cap_starts_nothing(mouse, spacemouse, measured, starts, fault_of):
+def test_a_plug_that_comes_back_with_a_pushed_cap_starts_nothing(
+    mouse, spacemouse, measured, starts, fault_of
+):
     spacemouse.inject("unplug")
     assert fault_of(mouse.get_action) == "connection"
     spacemouse.inject("push")
@@ -177,7 +185,9 @@ def test_rest_is_silence_and_half_a_state_is_none(nodes: Nodes) -> None:
     source.close()
 
 
-def test_of_a_receivers_nodes_the_one_that_moves_is_read_then_and_later(nodes: Nodes, monkeypatch) -> None:
+def test_of_a_receivers_nodes_the_one_that_moves_is_read_then_and_later(
+    nodes: Nodes, monkeypatch
+) -> None:
     receiver = "HID_ID=0003:0000256F:0000C652\nHID_NAME=Universal Receiver\nHID_PHYS=usb-3/input"
     ends = nodes(*[f"{receiver}{n}\n" for n in range(3)])
     source = SpaceMouseSource()
@@ -202,10 +212,14 @@ def test_of_a_receivers_nodes_the_one_that_moves_is_read_then_and_later(nodes: N
         (MOUSE, b"\x05\x01\x09\x06", False),  # a keyboard of the same maker
     ],
 )
-def test_a_spacemouse_is_what_the_kernel_says_it_is(facts, descriptor, is_one, nodes: Nodes, tmp_path: Path) -> None:
+def test_a_spacemouse_is_what_the_kernel_says_it_is(
+    facts, descriptor, is_one, nodes: Nodes, tmp_path: Path
+) -> None:
     nodes(facts, descriptor=descriptor)
     (tmp_path / "hidraw1").mkdir()  # says nothing of itself
-    assert find_spacemice() == ["/dev/hidraw0"] * is_one and find_spacemice(tmp_path / "nothing") == []
+    assert (
+        find_spacemice() == ["/dev/hidraw0"] * is_one and find_spacemice(tmp_path / "nothing") == []
+    )
     link = tmp_path / "linked"
     link.symlink_to("/dev/hidraw0")
     for named in () if is_one else ("/dev/hidraw0", str(link)):

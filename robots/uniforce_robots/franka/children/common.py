@@ -10,7 +10,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-REPORT_s = 0.01  # a state for the parent that often, by the host's clock: also when the loop is late
+# a state for the parent that often, by the host's clock: also when the loop is late
+REPORT_s = 0.01
 SILENCE_s = 0.3  # of the parent, after which the target is the measured pose
 MODES = ("other", "idle", "move", "guiding", "reflex", "user_stopped", "recovery")
 STOPPED = {"reflex": "reflex", "user_stopped": "user_stop", "guiding": "guiding"}
@@ -110,7 +111,11 @@ def error_names(state: Any) -> list[str]:
     if mode_of(state) != "reflex":
         return []
     for errors in (state.current_errors, state.last_motion_errors):
-        names = [name for name in dir(errors) if not name.startswith("_") and getattr(errors, name) is True]
+        names = [
+            name
+            for name in dir(errors)
+            if not name.startswith("_") and getattr(errors, name) is True
+        ]
         if names:
             return names
     return []

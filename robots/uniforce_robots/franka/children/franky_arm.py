@@ -126,7 +126,9 @@ def run(client: Any) -> None:
     address, realtime, torque_Nm, force_N = sys.argv[1:5]
     mode = client.RealtimeConfig.Ignore if realtime == "ignore" else client.RealtimeConfig.Enforce
     # 0.05: motions of franky's own, of which we use none, would be slow
-    robot = common.connect(client, "Robot", address, relative_dynamics_factor=0.05, realtime_config=mode)
+    robot = common.connect(
+        client, "Robot", address, relative_dynamics_factor=0.05, realtime_config=mode
+    )
     robot.set_collision_behavior(float(torque_Nm), float(force_N))
     _ = robot.state  # a queued one may be from before
     state = robot.state

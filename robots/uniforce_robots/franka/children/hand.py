@@ -32,7 +32,8 @@ class Loop:
                 self.ordered_s = time.monotonic()
                 self.obey(order)
             if self.future is not None and (self.is_stopping or self.is_alone()):
-                self.stop()  # again and again: one that came before the command was on its way is lost
+                # again and again: one that came before the command was on its way is lost
+                self.stop()
             self.say_outcome()
         end_s = time.monotonic() + END_s
         while self.future is not None and time.monotonic() < end_s:
@@ -82,7 +83,11 @@ class Loop:
         try:
             while True:
                 s = self.gripper.state
-                reading = {"width_m": s.width, "max_width_m": s.max_width, "is_grasped": bool(s.is_grasped)}
+                reading = {
+                    "width_m": s.width,
+                    "max_width_m": s.max_width,
+                    "is_grasped": bool(s.is_grasped),
+                }
                 common.say("state", state={"time_s": time.monotonic(), **reading})
         except common.client_errors(self.client) as error:
             common.say("error", fault="connection", text=str(error))

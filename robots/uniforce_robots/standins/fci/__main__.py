@@ -12,15 +12,25 @@ from uniforce_robots.standins.fci.server import Server
 
 def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     """Return the options of a command line; exits with a message when they make no sense."""
-    parser = argparse.ArgumentParser(prog="python -m uniforce_robots.standins.fci", description=__doc__)
-    parser.add_argument("address", help="loopback address to serve on; the ports are fixed in the clients")
+    parser = argparse.ArgumentParser(
+        prog="python -m uniforce_robots.standins.fci", description=__doc__
+    )
+    parser.add_argument(
+        "address", help="loopback address to serve on; the ports are fixed in the clients"
+    )
     parser.add_argument("--mute", action="store_true", help="accept connections and never answer")
-    parser.add_argument("--server-version", type=int, default=ARM_VERSION, help="what it claims to be")
+    parser.add_argument(
+        "--server-version", type=int, default=ARM_VERSION, help="what it claims to be"
+    )
     parser.add_argument("--log", type=Path, help="write every message to this file as JSON lines")
-    parser.add_argument("--anywhere", action="store_true", help="allow an address that others can reach")
+    parser.add_argument(
+        "--anywhere", action="store_true", help="allow an address that others can reach"
+    )
     options = parser.parse_args(arguments)
     if not (options.anywhere or ipaddress.ip_address(options.address).is_loopback):
-        parser.error(f"{options.address} is not a loopback address; the stand-in has no password (--anywhere)")
+        parser.error(
+            f"{options.address} is not a loopback address; the stand-in has no password (--anywhere)"
+        )
     return options
 
 

@@ -12,9 +12,11 @@ import uniforce_robots.fr3 as fr3
 from uniforce_robots.standins.fci.protocol import STATE_FLOAT_COUNT, STATE_SLICES, ErrorBit
 
 TICK_s = 0.001
-INERTIA_kgm2 = np.array([1.0, 1.0, 0.8, 0.8, 0.25, 0.25, 0.12])  # at each joint, about 3 kg at the hand
+# at each joint, about 3 kg at the hand
+INERTIA_kgm2 = np.array([1.0, 1.0, 0.8, 0.8, 0.25, 0.25, 0.12])
 FRICTION_Nms = np.array([0.5, 0.5, 0.5, 0.5, 0.2, 0.2, 0.1])
-BRAKE_SHARE = 0.9  # of the joint speed left each millisecond when something stops the arm: still after 50 ms
+# of the joint speed left each millisecond when something stops the arm: still after 50 ms
+BRAKE_SHARE = 0.9
 STILL_rad_s = 1e-9
 GUIDING_DAMPING_Nms = 5.0  # a hand that pushes moves the arm, and it stops when the push does
 # The limits are those of the FR3 in Franka's interface specification and in libfranka's rate_limiting.h; how much a
@@ -40,7 +42,8 @@ class Arm:
     q_rad: np.ndarray = field(default_factory=fr3.HOME_q_rad.copy)
     dq_rad_s: np.ndarray = field(default_factory=lambda: np.zeros(fr3.JOINTS))
     tau_Nm: np.ndarray = field(default_factory=lambda: np.zeros(fr3.JOINTS))
-    wrench_N: np.ndarray = field(default_factory=lambda: np.zeros(6))  # from outside; base frame, at the hand
+    # from outside; base frame, at the hand
+    wrench_N: np.ndarray = field(default_factory=lambda: np.zeros(6))
     wall: Wall | None = None
     upper_torque_Nm: np.ndarray = field(default_factory=lambda: np.full(fr3.JOINTS, 20.0))
     upper_force_N: np.ndarray = field(default_factory=lambda: np.full(6, 30.0))
@@ -65,7 +68,9 @@ class Arm:
             depth = self.wall.height_m - self.ee_to_base[2, 3]
             if depth > 0:
                 speed = float(self.twist[2])
-                wrench[2] += max(self.wall.stiffness_N_m * depth - self.wall.damping_Ns_m * speed, 0.0)
+                wrench[2] += max(
+                    self.wall.stiffness_N_m * depth - self.wall.damping_Ns_m * speed, 0.0
+                )
         return wrench
 
     def drive(self, tau_Nm: np.ndarray) -> None:

@@ -12,7 +12,8 @@ from uniforce_robots.standins.fci import protocol as p
 from uniforce_robots.standins.fci.arm import Arm, TICK_s, broken_rules
 from uniforce_robots.standins.fci.link import Journal, Link
 
-PATIENCE_s = 0.02  # of a tick with its client: time passes slower instead of the arm following a stale torque
+# of a tick with its client: time passes slower instead of the arm following a stale torque
+PATIENCE_s = 0.02
 SUCCESS_WINDOW = 100  # commands the success rate is about
 MISSES_ALLOWED = 20  # FCI: as many lost packets in a row end the motion
 STOPPED = (p.RobotMode.REFLEX, p.RobotMode.USER_STOPPED)
@@ -130,7 +131,9 @@ class ArmService:
             return
         if self.journal.is_on:
             tau_Nm = command.tau_J_d.round(4).tolist()
-            self.journal.write("command", id=command.message_id, tau_Nm=tau_Nm, finished=command.finished)
+            self.journal.write(
+                "command", id=command.message_id, tau_Nm=tau_Nm, finished=command.finished
+            )
         if (motion := self.motion) is not None:
             before_Nm = motion.command.tau_J_d if motion.command else 0.0
             motion.broken |= broken_rules(command.tau_J_d, before_Nm)
@@ -173,7 +176,9 @@ class ArmService:
         state = self.state()
         if self.journal.is_on:
             position_m = self.arm.ee_to_base[:3, 3].round(6).tolist()
-            self.journal.write("state", id=state.message_id, mode=self.mode.name, position_m=position_m)
+            self.journal.write(
+                "state", id=state.message_id, mode=self.mode.name, position_m=position_m
+            )
         self.send(state)
 
     def send(self, state: p.RobotState) -> None:
@@ -265,4 +270,9 @@ def urdf() -> str:
     for i, (a, d, alpha) in enumerate(DH.tolist()):
         origin = f"{a} {-d * sin(alpha):.12g} {d * cos(alpha):.12g}"
         parts.append(URDF_JOINT.format(i, i + 1, origin, alpha, *limits[i]))
-    return '<?xml version="1.0"?><robot name="fr3">' + "".join(parts) + URDF_FLANGE.format(FLANGE_m) + "</robot>"
+    return (
+        '<?xml version="1.0"?><robot name="fr3">'
+        + "".join(parts)
+        + URDF_FLANGE.format(FLANGE_m)
+        + "</robot>"
+    )

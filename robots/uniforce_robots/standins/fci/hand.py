@@ -57,7 +57,9 @@ class Hand:
         if self._goal_m is None:
             return None
         step = self._speed_m_s * dt_s
-        goal = max(self._goal_m, self.object_m if self.width_m >= self.object_m - ARRIVED_m else 0.0)
+        goal = max(
+            self._goal_m, self.object_m if self.width_m >= self.object_m - ARRIVED_m else 0.0
+        )
         self.width_m += min(max(goal - self.width_m, -step), step)
         if abs(self.width_m - goal) > ARRIVED_m:
             return None
@@ -85,7 +87,8 @@ class HandService:
     def __init__(self, address: str, journal: Journal) -> None:
         self.link = Link(address, p.HAND_PORT, p.HAND_HEADER, journal)
         self.hand = Hand()
-        self.pending: p.Message | None = None  # what is to be answered when the fingers have arrived
+        # what is to be answered when the fingers have arrived
+        self.pending: p.Message | None = None
         self._states = 0
         self._next_state_s = self.last_tick_s = time.monotonic()
 
@@ -143,7 +146,11 @@ class HandService:
         if now_s >= self._next_state_s:
             self._next_state_s = now_s + 1 / STATE_HZ
             self._states += 1
-            self.send(p.HandState(self._states, self.hand.width_m, MAX_WIDTH_m, self.hand.is_grasped, REST_C))
+            self.send(
+                p.HandState(
+                    self._states, self.hand.width_m, MAX_WIDTH_m, self.hand.is_grasped, REST_C
+                )
+            )
 
     def send(self, state: p.HandState) -> None:
         """Send a state to the client."""

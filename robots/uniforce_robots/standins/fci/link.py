@@ -28,7 +28,9 @@ class Journal:
     def write(self, what: str, **details: object) -> None:
         """Add a line."""
         if self._file is not None:
-            self._file.write(json.dumps({"time_s": time.monotonic(), "what": what, **details}) + "\n")
+            self._file.write(
+                json.dumps({"time_s": time.monotonic(), "what": what, **details}) + "\n"
+            )
 
 
 def read_journal(path: Path, begin: int = 0) -> list[dict]:

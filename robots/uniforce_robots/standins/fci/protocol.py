@@ -23,7 +23,9 @@ class ProtocolError(ValueError):
     """Bytes that are no message of this protocol. Not one of the project's errors: those live beside torch."""
 
     def __init__(self, what: str, wanted: object, came: object) -> None:
-        super().__init__(f"{what}: expected {wanted}, got {came}. Close the connection or drop the datagram.")
+        super().__init__(
+            f"{what}: expected {wanted}, got {came}. Close the connection or drop the datagram."
+        )
 
 
 # TCP requests of the arm and of the hand.
@@ -108,7 +110,11 @@ class Header:
             return None, buffer
         command, command_id, size = self.layout.unpack_from(buffer)
         if not self.layout.size <= size <= MAX_MESSAGE_BYTES:
-            raise ProtocolError(f"{self.device} message size", f"{self.layout.size} to {MAX_MESSAGE_BYTES} bytes", size)
+            raise ProtocolError(
+                f"{self.device} message size",
+                f"{self.layout.size} to {MAX_MESSAGE_BYTES} bytes",
+                size,
+            )
         if len(buffer) < size:
             return None, buffer
         return Message(command, command_id, buffer[self.layout.size : size]), buffer[size:]
@@ -120,7 +126,8 @@ CONNECT = struct.Struct("<HH")  # version, UDP port for the states
 # controller, generator, two deviations m rad rad, asynchronous, speeds rad/s
 MOVE = struct.Struct("<II3d3d?7d")
 SETTERS = {  # layouts of their payloads
-    ArmCommand.SET_COLLISION_BEHAVIOR: "<52d",  # lower, upper: torque 7 7, nominal 7 7, force the same
+    # lower, upper: torque 7 7, nominal 7 7, force the same
+    ArmCommand.SET_COLLISION_BEHAVIOR: "<52d",
     ArmCommand.SET_JOINT_IMPEDANCE: "<7d",
     ArmCommand.SET_CARTESIAN_IMPEDANCE: "<6d",
     ArmCommand.SET_GUIDING_MODE: "<7?",  # x, y, z, roll, pitch, yaw, elbow
@@ -182,7 +189,9 @@ accelerometer_top 18 accelerometer_bottom 18
 _WORDS = _LAYOUT.split()
 _NAMES, _SIZES = _WORDS[::2], [int(size) for size in _WORDS[1::2]]
 _ENDS = np.cumsum(_SIZES).tolist()
-STATE_SLICES = {n: slice(end - size, end) for n, size, end in zip(_NAMES, _SIZES, _ENDS, strict=True)}
+STATE_SLICES = {
+    n: slice(end - size, end) for n, size, end in zip(_NAMES, _SIZES, _ENDS, strict=True)
+}
 STATE_FLOAT_COUNT = _ENDS[-1]  # 320
 STATE = struct.Struct(f"<Q{4 * STATE_FLOAT_COUNT}sBB{ERRORS}s{ERRORS}sBf")  # 1377 bytes
 

@@ -122,7 +122,9 @@ class Server:
         self.arm.arm.refresh()
 
     def _set_wall(self, height_m: float | None, stiffness_N_m: float = 5000.0) -> None:
-        self.arm.arm.wall = None if height_m is None else Wall(float(height_m), float(stiffness_N_m))
+        self.arm.arm.wall = (
+            None if height_m is None else Wall(float(height_m), float(stiffness_N_m))
+        )
         self.arm.arm.refresh()
 
 
