@@ -8,7 +8,6 @@ import sys
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,7 +16,7 @@ from joblib import delayed
 
 from benchmarks.ledger import played, update
 from benchmarks.scene_blocks import BLOCKS
-from benchmarks.stress.readings import ReadsWorn
+from benchmarks.stress.readings import ReadsWorn, shipped_reader
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.episodes import Script, run_script
 from uniforce_cli.boundary import Gripper, Level, command, one_thread, worker_process
@@ -26,10 +25,9 @@ from uniforce_vtla.arguments import choose
 from uniforce_vtla.errors import SensorError
 from uniforce_vtla.evaluation.statistics import wilson
 from uniforce_vtla.options import Count, OutFile, OutFolder, Seed, Text, Workers
-from uniforce_vtla.tokenizer import ForceHead, Tokenizer
+from uniforce_vtla.tokenizer import Tokenizer
 from uniforce_vtla.tokenizer.calibration import Calibration
 
-HEAD = "tactip"  # the demonstrations' kind
 UNITS = (2, 3, 4, 5)  # those that are calibrated, none of them in a demonstration
 GRASPS = 300  # of a label-free calibration
 Fit = Literal["", "grasps", "tool"]
@@ -105,11 +103,6 @@ def calibration(worn: str, fit: Fit, work: Path) -> Calibration:
     return Calibration.load(folder, tokenizer.hash)
 
 
-@cache
-def _models() -> tuple[Tokenizer, ForceHead]:
-    return Tokenizer.from_pretrained(), ForceHead.from_pretrained(HEAD)
-
-
 def play(name: str, level: str, gripper: str, seed: int, turn: int, work: Path) -> Row:
     """Play one episode of a reader; a frame that no canonicalizer takes, or a lost tool, ends it."""
     worker_process()
@@ -120,7 +113,7 @@ def play(name: str, level: str, gripper: str, seed: int, turn: int, work: Path) 
         )
     worn = reader.worn[turn % len(reader.worn)]
     fitted = calibration(worn, reader.fit, work) if reader.fit else None
-    expert = ReadsWorn("right", *_models(), fitted)
+    expert = ReadsWorn("right", *shipped_reader(), fitted)
     return _played(
         name,
         WipeEnv(level, right_sensor=worn, drawn=("right",), gripper=gripper),

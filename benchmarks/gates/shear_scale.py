@@ -9,7 +9,6 @@ import sys
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from joblib import delayed
 
 from benchmarks.ledger import played, update
 from benchmarks.scene_blocks import BLOCKS
-from benchmarks.stress.readings import encode_now
+from benchmarks.stress.readings import encode_now, shipped_reader
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.episodes import walk
 from uniforce_cli.boundary import Gripper, Level, command, one_thread, worker_process
@@ -27,7 +26,6 @@ from uniforce_vtla.arguments import choose
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, SensorError, expected
 from uniforce_vtla.options import Count, OutFile, OutFolder, Seed, Text, Workers
-from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 from uniforce_vtla.tokenizer.calibration import shear_gain
 
 ANCHOR = "tactip"  # worn on the left finger; its head reads both
@@ -70,15 +68,10 @@ class Row:
     refused: int  # frames that no canonicalizer takes
 
 
-@cache
-def _models() -> tuple[Tokenizer, ForceHead]:
-    return Tokenizer.from_pretrained(), ForceHead.from_pretrained(ANCHOR)
-
-
 def play(worn: str, level: str, gripper: str, seed: int) -> Row:
     """Let the expert wipe by the true wrench; read both fingers every few steps."""
     worker_process()
-    tokenizer, head = _models()
+    tokenizer, head = shipped_reader()
     env = WipeEnv(level, left_sensor=ANCHOR, right_sensor=worn, gripper=gripper)
     read_N, truth_N, anchor_N, press_N = [], [], [], []
     refused = 0
@@ -188,7 +181,7 @@ def weighed_gain(worn: str) -> float | None:
     """Return the gain of a simulated weighing through the tool, None where it is refused."""
     try:
         return weigh_sensor(
-            CalibrateCommand(worn, loads_N="3,6,9", through="tool"), _models()[0]
+            CalibrateCommand(worn, loads_N="3,6,9", through="tool"), shipped_reader()[0]
         ).gain
     except (ContractError, SensorError):
         return None

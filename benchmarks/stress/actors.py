@@ -1,13 +1,13 @@
 """Who acts in a cell: a policy, the expert by the true wrench, or the expert by what a worn sensor is read as."""
 
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import Literal
 
 import torch
 
 from benchmarks.stress.disturbed import SCENE_OPERATORS, Disturbance, DisturbedEnv
-from benchmarks.stress.readings import ReadsWorn
+from benchmarks.stress.readings import ReadsWorn, shipped_reader
 from benchmarks.stress.row import Row
 from benchmarks.stress.stock import StockController
 from benchmarks.stress.warning import first_event_s
@@ -21,7 +21,6 @@ from uniforce_vtla.errors import SensorError
 from uniforce_vtla.evaluation.arms import whose_turn
 from uniforce_vtla.evaluation.episode import EpisodeResult
 from uniforce_vtla.evaluation.rollout import roll_out
-from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 
 
 @dataclass(frozen=True)
@@ -134,9 +133,4 @@ def _reads(
     arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int
 ) -> Played:
     env = DisturbedEnv(disturbance, level, right_sensor=words, drawn=("right",))
-    return env, run_script(env, ReadsWorn("right", *_reader()), seed)
-
-
-@cache
-def _reader() -> tuple[Tokenizer, ForceHead]:
-    return Tokenizer.from_pretrained(), ForceHead.from_pretrained()
+    return env, run_script(env, ReadsWorn("right", *shipped_reader()), seed)

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,15 @@ class Readings:
     def features(self) -> dict[str, np.ndarray]:
         """Name → (n, F): the tokenizer's latents and the other features."""
         return {"tokenizer": self.latent.numpy().reshape(len(self.latent), -1), **self.also}
+
+
+@cache
+def shipped_reader() -> tuple[Tokenizer, ForceHead]:
+    """Return the shipped tokenizer and the head of the demonstrations' sensor.
+
+    Workers find it by name: a cached function of a program that runs as ``__main__`` can't be sent to them.
+    """
+    return Tokenizer.from_pretrained(), ForceHead.from_pretrained()
 
 
 def encode_now(env: WipeEnv, finger: Finger, tokenizer: Tokenizer) -> Latent:
