@@ -123,8 +123,14 @@ def record_pairs(root: Path, new: str, anchor: str, mount: Mount) -> Path:
     ("new", "mount"), [("uskin:2", "upright"), ("uskin:2", "mirrored_y"), ("gelsight:2", "turned")]
 )
 def test_a_sensor_mounted_the_wrong_way_is_refused_until_it_is_said(
-    new: str, mount: Mount, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    new: str,
+    mount: Mount,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    # here each frame is a grasp of its own
+    monkeypatch.setattr("uniforce_cli.paired_grasps.STRETCH", 1)
     pairs = record_pairs(tmp_path / "pairs", new, "tactip:1", mount)
     asked = [f"new={new}", "anchor=tactip:1", f"pairs={pairs}", f"out={tmp_path / 'map'}"]
     if mount != "upright":
