@@ -15,8 +15,9 @@ from tqdm import tqdm
 from uniforce_datasets.readers.films import film_frames
 from uniforce_datasets.readers.gelsight_grasps import GraspTrial
 from uniforce_vtla.contracts import FINGERS, Finger
+from uniforce_vtla.errors import SensorError
 from uniforce_vtla.markers import Canonicalizer
-from uniforce_vtla.markers.film_markers import SETTLE, STEP
+from uniforce_vtla.markers.film_markers import read_markers
 from uniforce_vtla.markers.free_frame import Film, FreeFrame, borrowed, pads
 
 SENSOR = "gelsight"
@@ -121,25 +122,21 @@ def _light(frame: np.ndarray) -> np.ndarray:
 
 
 def read_films(trials: Sequence[GraspTrial], finger: Finger, borrow: bool = False) -> Films:
-    """Return each trial's frames of a finger, every fifth once exposure holds, and where its free air is."""
-    frames = [list(film_frames(trial.films[finger]))[SETTLE::STEP] for trial in trials]
-    films = [
-        Film(trial.object_name, markers(of_trial))
-        for trial, of_trial in zip(trials, frames, strict=True)
-    ]
+    """Return each trial's frames of a finger, every fifth once exposure holds, and its free air.
+
+    Raises SensorError: a frame whose markers can't be read; the fingers' frames are paired by number.
+    """
+    frames: list[list[np.ndarray]] = []
+    films: list[Film] = []
+    for trial in trials:
+        every = list(film_frames(trial.films[finger]))
+        seen = read_markers(every, SENSOR)
+        if seen.refused:
+            raise SensorError(f"{trial.films[finger]}: {next(iter(seen.refused.values()))}")
+        frames.append([every[number] for number in seen.numbers])
+        films.append(Film(trial.object_name, seen.centres_px))
     known, free = pads(films)
     return Films(frames, borrowed(films, known, free) if borrow else free)
-
-
-def markers(frames: Iterable[np.ndarray]) -> list[np.ndarray]:
-    """Return the (M, 2) marker centres of each frame in px."""
-    canonicalizer = Canonicalizer(SENSOR, register=False)
-    found: list[np.ndarray] = []
-    for frame in frames:
-        if not found:
-            canonicalizer.set_reference(frame)  # how markers look; not where they are
-        found.append(canonicalizer.markers(frame))
-    return found
 
 
 def in_contact(
@@ -157,15 +154,26 @@ def in_contact(
     ]
     if len(chosen) < FEWEST_FRAMES:
         return None
+    return drawn_grasp(SENSOR, held, group, frames, references, chosen)
+
+
+def drawn_grasp(
+    sensor: str,
+    held: str,
+    group: str,
+    raw: Mapping[Finger, Sequence[np.ndarray] | np.ndarray],
+    references: Mapping[Finger, np.ndarray],
+    chosen: Sequence[int],
+) -> Grasp:
+    """Return the marker images of the chosen raw signals of both fingers, against their references."""
     reference: dict[Finger, np.ndarray] = {}
     current: dict[Finger, np.ndarray] = {}
     for finger in FINGERS:
-        canonicalizer = Canonicalizer(SENSOR)
+        canonicalizer = Canonicalizer(sensor)
         canonicalizer.set_reference(references[finger])
         reference[finger] = canonicalizer.marker_image(references[finger])
-        current[finger] = np.stack(
-            [canonicalizer.marker_image(frames[finger][number]) for number in chosen]
-        )
+        images = [canonicalizer.marker_image(raw[finger][number]) for number in chosen]
+        current[finger] = np.stack(images)  # (T, 480, 640)
     return Grasp(held, group, reference, current)
 
 
@@ -199,23 +207,33 @@ def by_chance(readings: Sequence[Reading]) -> list[Reading]:
     return found
 
 
+def over_objects(
+    held: Sequence[str], statistic: Callable[[np.ndarray], Sequence[float]], seed: int
+) -> np.ndarray:
+    """Return the 95 % interval (2, k) of a statistic by bootstrap over objects.
+
+    Args:
+        held: (n,) object of each trial; all trials of an object are drawn together.
+        statistic: numbers of the trials drawn → k values.
+        seed: of the draws.
+    """
+    objects = sorted(set(held))
+    trials = {name: np.flatnonzero(np.array(held) == name) for name in objects}
+    rng = np.random.default_rng(seed)
+    found = []
+    for _ in range(DRAWS):
+        drawn = rng.choice(objects, len(objects))
+        found.append(statistic(np.concatenate([trials[name] for name in drawn])))
+    return np.percentile(found, [2.5, 97.5], axis=0)
+
+
 def summary(scores: Sequence[Score], seed: int = 0) -> dict[str, object]:
     """Return the median error and r over trials, with 95 % intervals by bootstrap over objects."""
-    objects = sorted({score.held for score in scores})
-    by_object = {held: [score for score in scores if score.held == held] for held in objects}
-    rng = np.random.default_rng(seed)
-    drawn = []
-    for _ in range(DRAWS):
-        again = [score for held in rng.choice(objects, len(objects)) for score in by_object[held]]
-        drawn.append(
-            [
-                np.median([score.relative_error for score in again]),
-                np.median([score.r for score in again]),
-            ]
-        )
-    low, high = np.percentile(drawn, [2.5, 97.5], axis=0)
+    held = [score.held for score in scores]
+    of_trials = np.array([[score.relative_error, score.r] for score in scores])  # (n, 2)
+    low, high = over_objects(held, lambda drawn: np.median(of_trials[drawn], axis=0), seed)
     return {
-        "objects": len(objects),
+        "objects": len(set(held)),
         "trials": len(scores),
         "relative_error": float(np.median([score.relative_error for score in scores])),
         "relative_error_95": [float(low[0]), float(high[0])],

@@ -19,13 +19,13 @@ from tqdm import tqdm
 from benchmarks.ledger import Ledger, update
 from benchmarks.real.grasp_readers import described_reader, latent_reader, simulated_presses
 from benchmarks.real.grasps import (
-    DRAWS,
     SEALED,
     Grasp,
     Reader,
     Score,
     agreement,
     find_grasps,
+    over_objects,
     read_grasp,
     summary,
 )
@@ -117,6 +117,8 @@ def tokenizers(
     work = Path(config.work)
     simulated = PairCache(work / "simulated", SIMULATED)
     objects = sorted({grasp.held for grasp in grasps})
+    images = [shrunk(grasp, shipped.config.side) for grasp in grasps]
+    halves = [half_of(grasp.held, objects) for grasp in grasps]
     found: dict[tuple[str, int, int], Tokenizer] = {}
     for arm, real_units in ARMS.items():
         for seed in range(config.seeds):
@@ -137,8 +139,10 @@ def tokenizers(
                 if half and not real_units:
                     found[arm, seed, half] = found[arm, seed, 0]
                     continue
-                trained_on = [g for g in grasps if half_of(g.held, objects) != half]
-                real = RecordedPairs([shrunk(grasp, shipped.config.side) for grasp in trained_on])
+                trained_on = [
+                    of_grasp for of_grasp, own in zip(images, halves, strict=True) if own != half
+                ]
+                real = RecordedPairs(trained_on)
                 folder = work / f"{arm}_{seed}_{half}".replace(" ", "_")
                 data: Any = MixedPairs(real, simulated, real_units)
                 found[arm, seed, half] = Pretraining(settings, folder, data).run()
@@ -206,17 +210,15 @@ def _mean(of_trial: Sequence[Score]) -> Score:
 
 def difference(scores: Sequence[Score], others: Sequence[Score], seed: int = 0) -> list[float]:
     """Return the 95 % interval of the difference of median relative errors, paired by trial, over objects."""
-    objects = sorted({score.held for score in scores})
-    pairs = list(zip(scores, others, strict=True))
-    rng = np.random.default_rng(seed)
-    found = []
-    for _ in range(DRAWS):
-        drawn = rng.choice(objects, len(objects))
-        again = [pair for held in drawn for pair in pairs if pair[0].held == held]
-        own, other = np.array([[one.relative_error, two.relative_error] for one, two in again]).T
-        found.append(float(np.median(own) - np.median(other)))
-    low, high = np.percentile(found, [2.5, 97.5])
-    return [float(low), float(high)]
+    pairs = zip(scores, others, strict=True)
+    errors = np.array([[own.relative_error, other.relative_error] for own, other in pairs])
+
+    def apart(drawn: np.ndarray) -> list[float]:
+        own, other = np.median(errors[drawn], axis=0)
+        return [own - other]
+
+    interval = over_objects([score.held for score in scores], apart, seed)  # (2, 1)
+    return [float(bound) for bound in interval[:, 0]]
 
 
 @command(PairTrainingCommand)

@@ -9,10 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.real.grasps import BORROWED, FEWEST_FRAMES, Grasp
+from benchmarks.real.grasps import BORROWED, FEWEST_FRAMES, Grasp, drawn_grasp
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import DatasetError, expected
-from uniforce_vtla.markers import Canonicalizer
 from uniforce_vtla.markers.reference import capture_taxel_reference
 
 SENSOR = "uskin"
@@ -58,16 +57,8 @@ def find_uskin_grasps(folder: str | Path) -> Iterator[Grasp]:
         ]
         if len(numbers) < FEWEST_FRAMES:
             continue
-        reference: dict[Finger, np.ndarray] = {}
-        current: dict[Finger, np.ndarray] = {}
-        for finger in FINGERS:
-            canonicalizer = Canonicalizer(SENSOR)
-            canonicalizer.set_reference(references[finger])
-            reference[finger] = canonicalizer.marker_image(references[finger])
-            current[finger] = np.stack(
-                [canonicalizer.marker_image(scans[finger][number]) for number in numbers]
-            )
-        yield Grasp(trial.name, SENSOR if own else f"{SENSOR}{BORROWED}", reference, current)
+        group = SENSOR if own else f"{SENSOR}{BORROWED}"
+        yield drawn_grasp(SENSOR, trial.name, group, scans, references, numbers)
 
 
 def _free_air(path: Path) -> np.ndarray:

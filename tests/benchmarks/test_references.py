@@ -1,4 +1,4 @@
-"""Films made here: patterns are laid on each other, borrowed frames show where a pad sat, and mounts are told."""
+"""Films made here: patterns are laid on each other, borrowed frames show where a pad sat, and mounts are recognised."""
 
 from pathlib import Path
 

@@ -30,7 +30,7 @@ AXES = (0, 1, 2)
 
 @dataclass(frozen=True)
 class Choice:
-    """Which form reads grasps best that it wasn't fitted to, and how well each does.
+    """The form that reads left-out grasps best, and the error of each form.
 
     The error of a grasp is the mean squared difference of the newtons read from both fingers, each axis in units of
     the anchor's variance: shear counts as much as the larger grip, and 1 is as bad as reading the mean.

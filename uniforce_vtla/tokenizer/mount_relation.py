@@ -4,9 +4,10 @@ A load that a held object passes on, such as a push on it, pulls both pads the s
 sensors then read the same shear. A sensor turned by 180° on its mount reads both axes with the other sign, a mirrored
 one reads one axis so.
 
-Which of the two sensors is mounted otherwise, readings of both don't tell. Nor do grasps in which little is carried: an
-object that is only pinched pulls the pads *opposite* ways, as if one were turned. Of 87 real
-grasps that were only lifted and shaken, 7 said "turned" and 10 "mirrored", which no camera is (docs/evidence.md).
+Readings of both don't show which of the two sensors is mounted otherwise. Neither do grasps in
+which little is carried: an object that is only pinched pulls the pads *opposite* ways, as if one
+were turned. Of 87 real grasps that were only lifted and shaken, 7 said "turned" and 10 "mirrored",
+which no camera is (docs/evidence.md).
 """
 
 from dataclasses import dataclass
