@@ -19,7 +19,7 @@ from benchmarks.real.grasp_readers import BATCH
 from benchmarks.real.grasps import SEALED, SEEN, Grasp, find_grasps
 from uniforce_cli.boundary import command, one_thread
 from uniforce_cli.calibrate import Unit
-from uniforce_cli.paired_grasps import pooled_latents, simulated_grasps
+from uniforce_cli.paired_grasps import simulated_grasps
 from uniforce_datasets.readers.gelsight_grasps import read_grasps
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.options import Count, FolderPath, OutFile, Seed, Text, TokenizerFolder, split
@@ -98,9 +98,7 @@ def compare(case: Case) -> dict[str, Any]:
 
 def simulated_case(config: ChoiceCommand, new: str, tokenizer: Tokenizer, head: ForceHead) -> Case:
     """Return simulated grasps of a unit beside the anchor: the second half judges."""
-    found = simulated_grasps(
-        new, config.anchor, 2 * config.grasps, config.seed, pooled_latents(tokenizer)
-    )
+    found = simulated_grasps(new, config.anchor, 2 * config.grasps, config.seed, tokenizer.pooled)
     of_new, of_anchor = (z.as_subclass(torch.Tensor) for z in (found.new, found.anchor))
     numbers = np.array(found.numbers)
     return Case(of_new, of_anchor, numbers, np.where(numbers < config.grasps, -1, 0), head, AXES)
@@ -132,7 +130,8 @@ def real_cases(folder: str, tokenizer: Tokenizer, head: ForceHead) -> dict[str, 
 
 
 def _latents(tokenizer: Tokenizer, grasp: Grasp, finger: Finger) -> torch.Tensor:
-    encode, current = pooled_latents(tokenizer), grasp.current[finger]
+    encode = tokenizer.pooled
+    current = grasp.current[finger]
     parts = [current[first : first + BATCH] for first in range(0, len(current), BATCH)]
     encoded = [
         encode(grasp.reference[finger], part, finger).as_subclass(torch.Tensor) for part in parts

@@ -9,13 +9,25 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from uniforce_vtla.force_sensor import ForceReading, ForceSensor
     from uniforce_vtla.markers import Canonicalizer, to_finger_frame
     from uniforce_vtla.sensors import list_sensors
     from uniforce_vtla.tokenizer import ForceHead, Latent, Tokenizer
 
-__all__ = ["Canonicalizer", "ForceHead", "Latent", "Tokenizer", "list_sensors", "to_finger_frame"]
+__all__ = [
+    "Canonicalizer",
+    "ForceHead",
+    "ForceReading",
+    "ForceSensor",
+    "Latent",
+    "Tokenizer",
+    "list_sensors",
+    "to_finger_frame",
+]
 
 _HOME = {
+    "ForceReading": "force_sensor",
+    "ForceSensor": "force_sensor",
     "Canonicalizer": "markers",
     "to_finger_frame": "markers",
     "list_sensors": "sensors",

@@ -62,11 +62,11 @@ def encode(
     right: bool = False,
 ) -> Latent:
     """Return pooled latents (n, P, L) of full-size images."""
-    small = [
-        shrink(to_nominal_scale(i, sensor.spec), tokenizer.config.side)
-        for i in (reference[None], images)
-    ]
-    return pool_latent(tokenizer.encode(*small, "right" if right else "left"), POOL)  # type: ignore[return-value]
+    side = tokenizer.config.side
+    before = shrink(to_nominal_scale(reference[None], sensor.spec), side)
+    after = shrink(to_nominal_scale(images, sensor.spec), side)
+    z = tokenizer.encode(before, after, "right" if right else "left")
+    return pool_latent(z, POOL)  # type: ignore[return-value]
 
 
 def calibrate_unit(

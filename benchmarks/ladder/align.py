@@ -9,7 +9,7 @@ import torch
 
 from uniforce_cli.boundary import command, one_thread
 from uniforce_cli.calibrate import Unit
-from uniforce_cli.paired_grasps import pooled_latents, simulated_grasps
+from uniforce_cli.paired_grasps import simulated_grasps
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.options import Count, OutFolder, Seed, TokenizerFolder
 from uniforce_vtla.tokenizer import Latent, Tokenizer
@@ -45,7 +45,7 @@ def main(config: AlignCommand) -> None:
     tokenizer = (
         Tokenizer.from_pretrained(config.tokenizer or None) if config.feature == "latent" else None
     )
-    encode = pooled_latents(tokenizer) if tokenizer else described
+    encode = tokenizer.pooled if tokenizer else described
     made_for = tokenizer.hash if tokenizer else config.feature
     grasps = simulated_grasps(config.new, config.anchor, config.grasps, config.seed, encode)
     new, anchor = (z.as_subclass(torch.Tensor) for z in (grasps.new, grasps.anchor))

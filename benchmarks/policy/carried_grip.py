@@ -19,9 +19,8 @@ from tqdm import tqdm
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.episodes import walk
 from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
-from lerobot_policy_pi05_uniforce.touch.grip import carried_grip
+from lerobot_policy_pi05_uniforce.touch.sensors import carried_grip
 from uniforce_cli.boundary import Level, Worn, command, one_thread, worker_process
-from uniforce_cli.paired_grasps import pooled_latents
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import CheckpointError
 from uniforce_vtla.file_hashes import drop_hashes, write_hashes
@@ -55,7 +54,8 @@ def demonstration(
     """Return a scripted demonstration's measured state (T, 5) and what its finger reads (T, 3), N."""
     worker_process()
     tokenizer = Tokenizer.from_pretrained()
-    head, encode = ForceHead.from_pretrained(sensor.partition(":")[0]), pooled_latents(tokenizer)
+    head = ForceHead.from_pretrained(sensor.partition(":")[0])
+    encode = tokenizer.pooled
     worn = {f"{finger}_sensor": sensor}
     env = WipeEnv(level, drawn=(finger,), **worn)  # type: ignore[arg-type]
     states: list[np.ndarray] = []

@@ -15,7 +15,7 @@ from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import SensorError
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 from uniforce_vtla.tokenizer.calibration import Calibration
-from uniforce_vtla.tokenizer.latent import POOL, Latent, pool_latent
+from uniforce_vtla.tokenizer.latent import POOL, Latent
 
 EVERY = 4  # steps between two readings
 GRIPPED_N = 1.0  # the eraser is held
@@ -59,7 +59,7 @@ def encode_pair(
     tokenizer: Tokenizer, reference: np.ndarray, current: np.ndarray, finger: Finger
 ) -> Latent:
     """Return the (1, P, L) pooled latent of (480, 640) uint8 images."""
-    return pool_latent(tokenizer.encode(reference[None], current[None], finger), POOL)  # type: ignore[return-value]
+    return tokenizer.pooled(reference, current, finger)
 
 
 def read_scenes(

@@ -35,7 +35,7 @@ from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.keys import CAMERAS, VIEW_MARKER, camera_key, tactile_key
 from uniforce_vtla.options import absolute
 from uniforce_vtla.results_file import only_writer, write_json
-from uniforce_vtla.tokenizer import Tokenizer, pool_latent
+from uniforce_vtla.tokenizer import Tokenizer
 from uniforce_vtla.tokenizer.plain_touch import descriptors, marker_pairs
 
 
@@ -68,8 +68,8 @@ class PooledTokenizer:
 
     def __call__(self, reference: np.ndarray, current: np.ndarray, finger: Finger) -> np.ndarray:
         """See ``LatentEncoder``."""
-        latent = self._tokenizer.encode(reference[None], current, finger)  # (B, P, latent)
-        return pool_latent(latent, self._grid).flatten(1).numpy()  # (B, K·latent)
+        latent = self._tokenizer.pooled(reference, current, finger, self._grid)
+        return latent.flatten(1).numpy()  # (B, K·latent)
 
 
 logger = logging.getLogger(__name__)

@@ -143,7 +143,7 @@ class PolicyController:
                 wanted[wrench_key(slot).removeprefix("observation.")] = observation[
                     f"wrench_{finger}"
                 ]
-        if self.policy.touch.monitors:
+        if self.policy.touch.is_watched:
             return wanted
         # tactile_FINGER[_ref]
         unread = [name for name in TACTILE_NAMES if name.split("_")[1] not in self.reads]

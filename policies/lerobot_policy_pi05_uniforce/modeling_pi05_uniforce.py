@@ -23,14 +23,11 @@ from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import ENCODED, PI
 from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch, state_size
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE, floor_quantiles
-from lerobot_policy_pi05_uniforce.touch.controls import ControlInput, NewtonInput
+from lerobot_policy_pi05_uniforce.touch.controls import SHAPES, ControlInput
 from lerobot_policy_pi05_uniforce.touch.encoder import ENCODER, check_hash, is_packaged
 from lerobot_policy_pi05_uniforce.touch.felt import Felt
-from lerobot_policy_pi05_uniforce.touch.touch_input import (
-    TouchInput,
-    build_monitors,
-    load_calibrations,
-)
+from lerobot_policy_pi05_uniforce.touch.sensors import PolicySensors
+from lerobot_policy_pi05_uniforce.touch.touch_input import TouchInput
 from lerobot_policy_pi05_uniforce.warm_up import LANGUAGE, WARM_LOOKS, made_up_batch
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.file_hashes import drop_hashes
@@ -106,14 +103,16 @@ class PI05UniforcePolicy(stock.PI05Policy):
             )
 
     def _make_touch_input(self) -> TouchInput:
-        config, encoder = self.config, self.model.tactile_encoder
+        config = self.config
+        frozen = self.model.tactile_encoder
         if config.touch.input not in (*ENCODED, "none"):
             return ControlInput(config)
-        rows = (config.tokens_per_slot, config.latent_size) if encoder else (0, 0)
-        calibrations = load_calibrations(config, rows)
-        monitors = build_monitors(config, calibrations) if encoder else {}
-        latents = TouchInput(config, encoder, rows, calibrations, monitors)
-        return NewtonInput(latents) if config.touch.input == "newtons" else latents
+        if frozen is None:
+            return TouchInput(config, (0, 0))
+        shape = (config.tokens_per_slot, config.latent_size)
+        if config.touch.input == "newtons":
+            shape = SHAPES["newtons"]
+        return TouchInput(config, shape, PolicySensors(config, frozen))
 
     def _take_dataset_facts(self, stats: dict[str, Any] | None, meta: Any) -> None:
         config, tokens = self.config, self.model.force_tokens

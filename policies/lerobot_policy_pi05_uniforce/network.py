@@ -13,7 +13,7 @@ from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import ENCODED, PI
 from lerobot_policy_pi05_uniforce.sampler.fast import FastSampler
 from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, drop_padding
 from lerobot_policy_pi05_uniforce.touch.controls import control_tokens
-from lerobot_policy_pi05_uniforce.touch.encoder import build_encoder
+from lerobot_policy_pi05_uniforce.touch.encoder import build_frozen_touch
 from lerobot_policy_pi05_uniforce.touch.felt import NOTHING, Felt
 from lerobot_policy_pi05_uniforce.touch.tokens import (
     ForceTokens,
@@ -71,7 +71,7 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         self._felt = NOTHING
         self._touch: SuffixTouch | None = None  # at touch.site=suffix
         encodes = bool(config.slots) and config.touch.input in ENCODED
-        self.tactile_encoder = build_encoder(config, empty) if encodes else None
+        self.tactile_encoder = build_frozen_touch(config, empty) if encodes else None
         vlm_width = self.paligemma_with_expert.paligemma.config.text_config.hidden_size
         width = vlm_width if config.touch.site == "prefix" else self.action_in_proj.out_features
         self.force_tokens: Any = self._make_force_tokens(config, width)

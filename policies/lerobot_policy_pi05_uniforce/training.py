@@ -14,7 +14,7 @@ from lerobot.policies.pi05 import modeling_pi05 as stock
 from torch import Tensor, nn
 
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import ENCODED, PI05UniforceConfig
-from lerobot_policy_pi05_uniforce.touch.grip import carried_grip
+from lerobot_policy_pi05_uniforce.touch.sensors import carried_grip
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import ACTION, VIEW_MARKER, descriptor_key, latent_key

@@ -24,7 +24,8 @@ def made_up_batch(config: PI05UniforceConfig, device: torch.device) -> dict[str,
         key, _ = FROM_IMAGES.get(config.touch.input, (wrench_key, None))
         shapes |= {key(slot): (math.prod(SHAPES[config.touch.input]),) for slot in config.slots}
     batch = {name: torch.zeros(1, *shape, device=device) for name, shape in shapes.items()}
-    markers = torch.ones(1, *MARKER_IMAGE_SHAPE, device=device)  # black ones hold no markers
+    markers = torch.zeros(1, *MARKER_IMAGE_SHAPE, device=device)
+    markers[..., ::16, :] = 1.0  # a plain image would hold no markers
     batch |= {name: markers for pair in PAIR_KEYS.values() for name in pair}
     tokens = torch.zeros(1, config.tokenizer_max_length, dtype=torch.int64, device=device)
     return batch | dict(

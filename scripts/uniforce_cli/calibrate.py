@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 from uniforce_cli.boundary import command, one_thread
 from uniforce_cli.paired_grasps import (
-    pooled_latents,
     recorded_grasps,
     recorded_wipes,
     simulated_grasps,
@@ -99,7 +98,7 @@ def calibrate_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibrat
     if config.pairs:
         grasps = recorded_grasps(config.pairs, *sensors, config.tools, tokenizer, config.mounted)
     else:
-        grasps = simulated_grasps(*sensors, config.grasps, config.seed, pooled_latents(tokenizer))
+        grasps = simulated_grasps(*sensors, config.grasps, config.seed, tokenizer.pooled)
     head = ForceHead.from_pretrained(anchor_kind, config.tokenizer or None)
     names = config.new, config.anchor
     return calibrate(
@@ -136,10 +135,8 @@ def weigh_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
 
     loads_N = known_loads(config.loads_N)
     worn, anchor = (wear(words)(config.seed) for words in (config.new, config.anchor))
-    head, encode = (
-        ForceHead.from_pretrained(anchor.kind, config.tokenizer or None),
-        pooled_latents(tokenizer),
-    )
+    head = ForceHead.from_pretrained(anchor.kind, config.tokenizer or None)
+    encode = tokenizer.pooled
     by_tool = config.through == "tool"
     fit = Calibration.through_a_tool if by_tool else Calibration.of_loads
     if not config.rig:

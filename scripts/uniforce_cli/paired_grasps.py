@@ -45,15 +45,6 @@ class Grasps:
     numbers: tuple[int, ...]  # of the grasp that a row is of
 
 
-def pooled_latents(tokenizer: Tokenizer) -> Encode:
-    """Return what encodes a finger's marker images as heads and policies read them, (n, POOL², L)."""
-    from uniforce_vtla.tokenizer.latent import POOL, pool_latent
-
-    return lambda reference, current, finger: pool_latent(
-        tokenizer.encode(reference[None], current, finger), POOL
-    )  # type: ignore[return-value]
-
-
 def simulated_grasps(new: str, anchor: str, count: int, seed: int, encode: Encode) -> Grasps:
     """Grasp in simulation, the new sensor left and the anchor right: half small objects, half tools, at rest."""
     import numpy as np
@@ -119,7 +110,10 @@ def recorded_grasps(
 
     upright = Orientation(*SETTINGS[mounted]).of_frame
     new_name, anchor_name = (words.partition(":")[0] for words in (new, anchor))
-    encode, of_new, of_anchor, classes = pooled_latents(tokenizer), [], [], []
+    encode = tokenizer.pooled
+    of_new: list[Latent] = []
+    of_anchor: list[Latent] = []
+    classes: list[str] = []
     stretches: dict[tuple[str, str, int], int] = {}
     numbers: list[int] = []
     for recording in read_uniforce_pairs(folder):
@@ -162,7 +156,7 @@ def recorded_wipes(
 
     source = check_dataset(folder)
     other: Finger = "left" if finger == "right" else "right"
-    encode = pooled_latents(tokenizer)
+    encode = tokenizer.pooled
     latents: dict[Finger, list[Latent]] = {finger: [], other: []}
     for episode, facts in episode_facts(source):
         worn = {"left": facts.left_sensor, "right": facts.right_sensor}

@@ -491,7 +491,7 @@ def test_the_target_of_a_blocked_arm_does_not_run_away_and_goes_on_at_once_when_
 
 def test_the_controllers_chunks_stay_on_the_leash_of_a_blocked_arm(monkeypatch) -> None:
     controller = PolicyController(shipped_checkpoint(), {"left": "gelsight", "right": "tactip"})
-    controller.policy.touch.monitors.clear()
+    controller.policy.touch.sensors["touch0"].monitor = None
     ahead = torch.zeros(1, 1, 5)
     ahead[..., 1] = 1.0  # y
     fixed_deltas(controller.policy, monkeypatch, ahead)

@@ -9,46 +9,44 @@ from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import (
     PI05UniforceConfig,
     TouchSettings,
 )
-from lerobot_policy_pi05_uniforce.touch.grip import GripHold, Lift, carried_grip, held_grips
+from lerobot_policy_pi05_uniforce.touch.sensors import carried_grip, held_grips
 from uniforce_vtla.errors import ContractError
+from uniforce_vtla.tokenizer.newtons import Lift, Newtons
 
 TABLE_m, CARRIED_m = 0.03, 0.075
 READ_N, HELD_N = 12.0, 8.9
 
 
-def reading(grip_N: float) -> torch.Tensor:
-    return torch.tensor([[[0.3, -2.5, grip_N]]])
+class ReadsItsInput:
+    """A head whose newtons are its latents."""
+
+    def step(self, latent: torch.Tensor, state: None) -> tuple[torch.Tensor, None]:
+        return latent[:, 0], None
 
 
-def state(height_m: float) -> torch.Tensor:
-    return torch.tensor([[0.5, 0.0, height_m, 0.0, 0.03]])
+def given(newtons: Newtons, height_m: float, grip_N: float) -> list[float]:
+    latent = torch.tensor([[[0.3, -2.5, grip_N]]])
+    return newtons(latent, torch.tensor([height_m]))[0].tolist()
 
 
 def test_a_grip_is_as_read_until_the_hand_has_lifted_and_the_stored_one_from_then_on() -> None:
-    hold = GripHold({"touch0": HELD_N})
+    newtons = Newtons(ReadsItsInput(), held_N=HELD_N)  # type: ignore[arg-type]
     # moving about, closing on the table, lifting, and pressing on the board, lower than it carried
     way = [(0.09, 0.0), (TABLE_m, 0.0), (TABLE_m, READ_N), (CARRIED_m, READ_N), (0.04, READ_N)]
-    given = [hold("touch0", reading(grip_N), state(height_m)) for height_m, grip_N in way]
-    assert [float(one[0, 0, 2]) for one in given] == pytest.approx(
-        [0.0, 0.0, READ_N, HELD_N, HELD_N]
-    )
-    assert all(one[0, 0, :2].tolist() == pytest.approx([0.3, -2.5]) for one in given), (
-        "shear is felt"
-    )
+    read_N = [given(newtons, *moment) for moment in way]
+    assert [fz for *_, fz in read_N] == pytest.approx([0.0, 0.0, READ_N, HELD_N, HELD_N])
+    for fx, fy, _ in read_N:
+        assert (fx, fy) == pytest.approx((0.3, -2.5)), "shear is felt"
 
 
 def test_fingers_that_hold_nothing_are_never_said_to_hold() -> None:
-    hold = GripHold({"touch0": HELD_N})
-    for height_m, grip_N in ((TABLE_m, READ_N), (CARRIED_m, READ_N)):
-        hold("touch0", reading(grip_N), state(height_m))
-    assert float(hold("touch0", reading(0.1), state(CARRIED_m))[0, 0, 2]) == pytest.approx(0.1)
-    assert float(hold("touch0", reading(READ_N), state(CARRIED_m))[0, 0, 2]) == pytest.approx(
-        HELD_N
-    )
-    hold.reset()
-    assert float(hold("touch0", reading(READ_N), state(CARRIED_m))[0, 0, 2]) == pytest.approx(
-        READ_N
-    ), "another episode"
+    newtons = Newtons(ReadsItsInput(), held_N=HELD_N)  # type: ignore[arg-type]
+    given(newtons, TABLE_m, READ_N)
+    given(newtons, CARRIED_m, READ_N)
+    assert given(newtons, CARRIED_m, 0.1)[2] == pytest.approx(0.1)
+    assert given(newtons, CARRIED_m, READ_N)[2] == pytest.approx(HELD_N)
+    newtons.reset()
+    assert given(newtons, CARRIED_m, READ_N)[2] == pytest.approx(READ_N), "another episode"
 
 
 def test_each_environment_of_a_batch_lifts_for_itself() -> None:

@@ -21,8 +21,9 @@ from lerobot_policy_pi05_uniforce.controller import (
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
 from lerobot_policy_pi05_uniforce.touch import controls
 from lerobot_policy_pi05_uniforce.touch.felt import Felt
+from lerobot_policy_pi05_uniforce.touch.sensors import load_calibrations, make_monitor
 from lerobot_policy_pi05_uniforce.touch.tokens import SHUT, ForceTokens
-from lerobot_policy_pi05_uniforce.touch.touch_input import build_monitors, load_calibrations
+from lerobot_policy_pi05_uniforce.touch.touch_input import marker_images
 from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError, SensorError
 from uniforce_vtla.keys import descriptor_key, latent_key, marker_pair_key, tactile_key
 from uniforce_vtla.tokenizer.calibration import Agreement, Calibration, LatentMap
@@ -170,7 +171,7 @@ def test_lost_touch_can_be_masked_and_is_logged_once(make_policy, make_batch, ca
 def watched(policy, limit=1e-3):
     """A policy whose right sensor is watched so closely that nothing is healthy."""
     usual = LatentRange("tactip", policy.config.tokenizer_hash, 96, limit, limit)
-    policy.touch.monitors["right"] = HealthMonitor(usual, "right", FREE_LOOKS)
+    policy.touch.sensors["touch0"].monitor = HealthMonitor(usual, "right", FREE_LOOKS)
     return policy
 
 
@@ -193,10 +194,9 @@ def test_an_open_hand_in_free_air_takes_a_new_reference_once_an_episode(
         touch__input=kind, **({"touch__tokenizer_path": None} if kind == "newtons" else {})
     )
     batch = make_batch(policy, size=1)
-    current = policy.touch.pair(batch, "right")[1]
-    watched(policy).touch.monitors["right"]._usual.mean = policy.touch.encoder(
-        "touch0", "right", current, current
-    )[0].flatten()
+    current = marker_images(batch, "right")[1]
+    sensor = watched(policy).touch.sensors["touch0"]
+    sensor.monitor._usual.mean = sensor.raw_latent(current, current)[0].flatten()
     open_m = batch[MEASURED_STATE][0, 4].item()
     policy.config.action.target_range = [[0.0] * 5, [0.0] * 4 + [open_m]]
     odd = [
@@ -249,9 +249,12 @@ def test_whatever_touch_holds_follows_the_policy_to_its_device(
     policy = make_policy(
         touch__input=kind, touch__slots={"touch0": "right"}, right_calibration=str(tmp_path), **more
     )
-    worn = getattr(policy.touch, "_latents", policy.touch).worn["right"].map
-    if kind != "descriptor":
-        watched(policy, 99.0).touch.monitors["right"]._worn = worn
+    if kind == "descriptor":
+        worn = policy.touch._alignment["right"].map
+    else:
+        sensor = watched(policy, 99.0).touch.sensors["touch0"]
+        worn = sensor.calibration.map
+        sensor.monitor._worn = worn
     policy.select_action(make_batch(policy, size=1))
     policy.to("meta")
     elsewhere = [t for t in tensors_in(policy.touch, {}) if t.device.type != "meta"]
@@ -515,7 +518,7 @@ def test_a_calibrated_unit_is_watched_as_the_unit_that_it_was_calibrated_to(
     Calibration(found, config.tokenizer_hash, "", "tactip:7", anchor, 1.0, 0.0, {}).save(tmp_path)
     config.right_sensor, config.right_calibration = "tactip", str(tmp_path)
     worn = load_calibrations(config, (config.tokens_per_slot, config.latent_size))
-    monitor = build_monitors(config, worn)["right"]
+    monitor = make_monitor(config, "touch0", worn["right"])
     healthy = monitor._usual.mean.view(1, config.tokens_per_slot, config.latent_size)
     with pytest.raises(FreeAirError) if judged == "after" else nullcontext():
         for _ in range(FREE_LOOKS):
@@ -576,14 +579,14 @@ def watch_start(words, monitor="stop", drawn=("right",)):
         for action in controller.chunk(observation, env.task):
             env.advance(action)
         observation = env.observe()
-    return controller.policy.touch.monitors
+    return controller.policy.touch.is_watched
 
 
 @pytest.mark.slow
 def test_the_shipped_policy_renews_a_shifted_reference_and_stops_on_markers_that_come_and_go(
     caplog,
 ):
-    assert set(watch_start("tactip:1")) == {"right"} and "new reference" not in caplog.text
+    assert watch_start("tactip:1") and "new reference" not in caplog.text
     watch_start("tactip:1+shift=1")
     assert "new reference" in caplog.text
     with pytest.raises(SensorError, match="in free air"):

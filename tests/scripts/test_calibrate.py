@@ -9,7 +9,7 @@ import torch
 
 from uniforce_cli.calibrate import main
 from uniforce_cli.known_loads import presses_by_hand
-from uniforce_cli.paired_grasps import pooled_latents, recorded_grasps
+from uniforce_cli.paired_grasps import recorded_grasps
 from uniforce_datasets.readers.recording import PairRecording
 from uniforce_datasets.readers.uniforce_pairs import write_uniforce_pairs
 from uniforce_datasets.recorder import EpisodeRecorder
@@ -213,17 +213,17 @@ class Pressed:
 
 def test_a_person_presses_each_load_and_frames_of_it_are_read() -> None:
     finger, tokenizer = Pressed(), Tokenizer.from_pretrained()
-    z, load_N = presses_by_hand(finger, (3, 6, 9), pooled_latents(tokenizer), ask=finger.ask)  # type: ignore[arg-type]
+    z, load_N = presses_by_hand(finger, (3, 6, 9), tokenizer.pooled, ask=finger.ask)  # type: ignore[arg-type]
     assert load_N.tolist() == [3] * 10 + [6] * 10 + [9] * 10 and len(z) == 30
     found = Calibration.of_loads(z, load_N, ForceHead.from_pretrained(), "tactip")
     assert 0.8 < found.gain < 1.25
     with pytest.raises(ContractError, match="a terminal"):
-        presses_by_hand(finger, (3, 6, 9), pooled_latents(tokenizer))  # type: ignore[arg-type]
+        presses_by_hand(finger, (3, 6, 9), tokenizer.pooled)  # type: ignore[arg-type]
 
 
 def test_a_person_lets_the_tool_hang_and_presses_it(capsys: pytest.CaptureFixture[str]) -> None:
     finger, tokenizer = Pressed(grip_N=10.0), Tokenizer.from_pretrained()
-    asked = (finger, (3, 6, 9), pooled_latents(tokenizer), True)
+    asked = (finger, (3, 6, 9), tokenizer.pooled, True)
     z, load_N = presses_by_hand(*asked, ask=finger.ask)  # type: ignore[arg-type]
     assert (
         sorted(set(load_N.tolist())) == [0, 3, 6, 9] and "grasp the tool" in capsys.readouterr().out

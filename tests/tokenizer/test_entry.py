@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from properties import examples
 
 from uniforce_vtla.errors import ContractError
-from uniforce_vtla.tokenizer.entry import letterbox, prepare, prepare_tensor
+from uniforce_vtla.tokenizer.entry import letterbox, prepare
 from uniforce_vtla.tokenizer.latent import Latent, pool_latent
 from uniforce_vtla.tokenizer.motion import motion_channels, pyramid
 
@@ -46,8 +46,8 @@ def test_numpy_tensor_uint8_and_float_agree() -> None:
     image = random_markers(2)
     wanted = prepare(image, "right", 32)
     torch.testing.assert_close(prepare(image.astype(np.float32) / 255, "right", 32), wanted)
-    torch.testing.assert_close(prepare_tensor(torch.from_numpy(image), True, 32), wanted)
-    torch.testing.assert_close(prepare_tensor(torch.from_numpy(image) / 255, True, 32), wanted)
+    torch.testing.assert_close(prepare(torch.from_numpy(image), "right", 32), wanted)
+    torch.testing.assert_close(prepare(torch.from_numpy(image) / 255, "right", 32), wanted)
 
 
 def test_portrait_images_are_letterboxed_too() -> None:
@@ -71,7 +71,7 @@ def test_bad_images_raise(images: np.ndarray) -> None:
     with pytest.raises(ContractError, match="expected"):
         prepare(images, "left", 8)
     with pytest.raises(ContractError):
-        prepare_tensor(torch.zeros(8, 8), False, 8)
+        prepare(torch.zeros(8, 8, 3), "left", 8)
 
 
 Z = Latent.of(torch.arange(96.0).view(1, 16, 6), "own")

@@ -1,14 +1,28 @@
 """Raw signal of any known sensor → canonical marker image."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE, Finger, MarkerPair, check_finger
+from uniforce_vtla.contracts import (
+    MARKER_IMAGE_SHAPE,
+    TAXEL_SHAPE,
+    Finger,
+    MarkerPair,
+    check_finger,
+)
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.camera_markers import Segmentation, fit_canonical, segment
 from uniforce_vtla.markers.marker_hold import MarkerHold
 from uniforce_vtla.markers.marker_reference import WARN_SHARE, MarkerMatch, MarkerReference
 from uniforce_vtla.markers.point_render import check_points, is_pressed, place_points
-from uniforce_vtla.markers.reference import ReferenceMemory, refuse, refuse_pressed_reference
+from uniforce_vtla.markers.reference import (
+    ReferenceMemory,
+    capture_camera_reference,
+    capture_taxel_reference,
+    refuse,
+    refuse_pressed_reference,
+)
 from uniforce_vtla.markers.registration import (
     find_view,
     points_to_nominal_scale,
@@ -69,6 +83,18 @@ class Canonicalizer:
         self._references: ReferenceMemory[tuple[MarkerReference, np.ndarray | None]] = (
             ReferenceMemory(1)
         )
+
+    def free_air(self, frames: Sequence[np.ndarray]) -> np.ndarray:
+        """Return one free-air signal of several in a row, for ``set_reference``.
+
+        Raises ContractError: too few, or of several sizes; SensorError: dead, or moving between them.
+        """
+        if self.spec.signal == "camera":
+            return capture_camera_reference(frames, [self.markers(frame) for frame in frames])
+        if self.spec.raw_shape == TAXEL_SHAPE:
+            return capture_taxel_reference(frames)
+        checked = [self._checked(frame, "reference") for frame in frames]
+        return np.median(checked, axis=0).astype(checked[0].dtype)
 
     def set_reference(self, raw: np.ndarray) -> None:
         """Take ``raw`` as the free-air state: counts to subtract, or the frame to learn from how markers look.

@@ -128,7 +128,7 @@ class ReferenceMemory[Value]:
         self, key: Hashable, reference: np.ndarray | torch.Tensor, compute: Callable[[], Value]
     ) -> Value:
         """Return what ``compute`` makes of a reference, from memory where key and content are the same."""
-        for known_key, known, value in self._known:
+        for known_key, known, value in tuple(self._known):  # another thread may add one
             if known_key == key and same_reference(known, reference):
                 return value
         value = compute()

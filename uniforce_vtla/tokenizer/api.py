@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,11 @@ from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.markers.reference import ReferenceMemory
 from uniforce_vtla.markers.taxel_render import TaxelScales
 from uniforce_vtla.tokenizer.entry import prepare
-from uniforce_vtla.tokenizer.latent import Latent, own_latent
+from uniforce_vtla.tokenizer.latent import POOL, Latent, own_latent, pool_latent
 from uniforce_vtla.tokenizer.model import ForceAutoencoder, ReferenceCache, build_model
 from uniforce_vtla.tokenizer.settings import TokenizerConfig
 from uniforce_vtla.tokenizer.weights import (
+    SIZES,
     checkpoint_folder,
     content_hash,
     load_model,
@@ -26,7 +28,12 @@ from uniforce_vtla.tokenizer.weights import (
 
 # of the canonicalizer's facts in a checkpoint; its spelling is part of every hash
 STORED_KEY = "canonicaliser"
-CACHED_REFERENCES = 8  # two slots, a few swaps; each costs about 0.5 MB
+# two fingers, a few swaps; each costs about 0.5 MB
+CACHED_REFERENCES = 8
+MOST_REMEMBERED = 32  # environments that share a step; of larger batches no reference is remembered
+
+
+type Images = np.ndarray | torch.Tensor
 
 
 def canonicalizer_facts() -> dict[str, Any]:
@@ -35,22 +42,30 @@ def canonicalizer_facts() -> dict[str, Any]:
 
 
 class Tokenizer:
-    """The frozen encoder with its entry, its reference cache and its identity.
+    """The frozen encoder with its entry, its memory of references and its identity.
 
     Attributes:
-        model: the network, in eval mode.
-        config: its sizes.
+        model: network in eval mode; latents are made on its device.
+        config: sizes of the network.
         canonicalizer: facts of the canonicalizer it was trained behind.
-        hash: sha256 over weights, config and canonicalizer facts; checkpoints that use z must store it.
+        hash: sha256 over weights, config and canonicalizer facts; checkpoints that use latents store it.
+
+    Args:
+        model: network.
+        canonicalizer: facts; None for the running version's.
+        known_hash: hash of weights that are loaded later; empty to compute it.
     """
 
     def __init__(
-        self, model: ForceAutoencoder, canonicalizer: dict[str, Any] | None = None
+        self,
+        model: ForceAutoencoder,
+        canonicalizer: dict[str, Any] | None = None,
+        known_hash: str = "",
     ) -> None:
         self.model = model.eval().requires_grad_(False)
         self.config: TokenizerConfig = model.config
         self.canonicalizer = canonicalizer_facts() if canonicalizer is None else canonicalizer
-        self.hash = content_hash(model, self.facts())
+        self.hash = known_hash or content_hash(model, self.facts())
         self._references: ReferenceMemory[ReferenceCache] = ReferenceMemory(CACHED_REFERENCES)
 
     @classmethod
@@ -85,37 +100,52 @@ class Tokenizer:
         """P, the number of latent vectors per image."""
         return self.config.num_patches
 
-    @torch.no_grad()
     def encode(
         self,
-        reference: MarkerPair | np.ndarray,
-        current: np.ndarray | None = None,
+        reference: MarkerPair | Images,
+        current: Images | None = None,
         finger: Finger = "left",
     ) -> Latent:
-        """Return latents (B, P, latent) float32: the posterior's mean, a tensor that carries this tokenizer's hash.
+        """Return latents (B, P, latent) float32: the posterior's mean, with this tokenizer's hash.
 
         Args:
             reference: a MarkerPair (then nothing else is given), or (B or 1, H, W) free-air images.
             current: (B, H, W) images in contact, as the sensor saw them, of any size.
-            finger: who wore the sensor; the right finger's images are mirrored.
+            finger: finger that wore the sensor; the right finger's images are mirrored.
 
-        Raises ContractError: images of the wrong form or of two sizes, an unknown finger, a reference without markers.
+        Raises ContractError: images of the wrong form or of two sizes, an unknown finger, a reference
+        without markers.
         """
         if isinstance(reference, MarkerPair) == (current is not None):
-            wanted, came = (
-                "a MarkerPair alone, or reference and current",
-                f"current {type(current).__name__}",
-            )
+            wanted = "a MarkerPair alone, or reference and current"
+            came = f"current {type(current).__name__}"
             raise ContractError(expected("encode", wanted, came, "Pass the pair, or both images."))
         if isinstance(reference, MarkerPair):
-            images, contact, finger = reference.reference, reference.current[None], reference.finger
-        else:
-            images, contact = reference, np.asarray(current)
-        after = prepare(contact, check_finger(finger), self.config.side, "current")
-        before = self._reference(images, finger, len(after))
-        _same("current", images.shape[-2:], contact.shape[-2:], "Use one camera setting for both.")
-        z = self.model.encoder.encode_current(before, after).mean
-        return Latent.of(z, self.hash)
+            finger = reference.finger
+            current = reference.current[None]
+            reference = reference.reference
+        return Latent.of(self.latents(reference, current, check_finger(finger)), self.hash)
+
+    @torch.no_grad()
+    def latents(self, reference: Images, current: Images, finger: Finger) -> torch.Tensor:
+        """Return latents (B, P, latent) as a plain tensor; arguments and errors as ``encode``."""
+        # autocast would round what is remembered, and every later latent
+        with torch.autocast(self._device.type, enabled=False):
+            after = self._prepared(current, finger, "current")
+            before = self._reference(reference, finger, len(after))
+            do = "Use one camera setting for both."
+            _same("current", reference.shape[-2:], current.shape[-2:], do)
+            return self.model.encoder.encode_current(before, after).mean
+
+    def pooled(
+        self, reference: Images, current: Images, finger: Finger, grid: int = POOL
+    ) -> Latent:
+        """Return latents (B, grid², latent) as heads, calibrations and policies read them; see ``encode``."""
+        return Latent.of(pool_latent(self.latents(reference, current, finger), grid), self.hash)
+
+    def forget_references(self) -> None:
+        """Forget all references: another episode begins, or the network has moved."""
+        self._references.forget()
 
     @torch.no_grad()
     def decode(
@@ -134,35 +164,50 @@ class Tokenizer:
             _same("references", len(z), len(before), "Pass one reference per latent, or one.")
         return self.model.decoder(before.expand(len(z), -1, -1, -1), z)[:, 0].clamp(0, 1)
 
-    def _reference(self, reference: np.ndarray, finger: Finger, batch: int) -> ReferenceCache:
-        if not isinstance(reference, np.ndarray):
-            came, do = type(reference).__name__, "Use Canonicalizer.pair."
+    def _reference(self, reference: Images, finger: Finger, batch: int) -> ReferenceCache:
+        """Return the encoded reference; it lasts an episode and is remembered."""
+        if not isinstance(reference, np.ndarray | torch.Tensor):
+            came = type(reference).__name__
+            do = "Use Canonicalizer.pair."
             raise ContractError(expected("reference", "a MarkerPair or array", came, do))
         images = reference[None] if reference.ndim == 2 else reference
         if len(images) > 1:
             _same("references", batch, len(images), "Pass one reference per image, or one.")
-        return self.encode_reference(images, finger)
 
-    def encode_reference(self, images: np.ndarray, finger: Finger) -> ReferenceCache:
-        """Return what frames need of free-air images (B, H, W); a single one is remembered: it lasts an episode.
-
-        Raises ContractError: images of the wrong form, or without markers.
-        """
-
-        def encode() -> ReferenceCache:
+        def encoded() -> ReferenceCache:
             return self.model.encoder.encode_reference(self._free_air(images, finger))
 
-        return encode() if len(images) > 1 else self._references.get(finger, images, encode)
+        if len(images) > MOST_REMEMBERED:
+            return encoded()
+        return self._references.get((finger, self._device), images, encoded)
 
-    def _free_air(self, images: np.ndarray, finger: Finger) -> torch.Tensor:
-        before = prepare(images, finger, self.config.side, "reference")
-        flat = images.reshape(len(before), -1)
-        if bool((flat.min(axis=1) == flat.max(axis=1)).any()):
+    def _free_air(self, reference: Images, finger: Finger) -> torch.Tensor:
+        images = reference[None] if reference.ndim == 2 else reference
+        before = self._prepared(images, finger, "reference")
+        if _one_grey(images):
             do = "Capture it again in free air."
-            raise ContractError(
-                expected("reference", "an image with markers", "all black or one grey", do)
-            )
+            wanted = "an image with markers"
+            raise ContractError(expected("reference", wanted, "all black or one grey", do))
         return before
+
+    def _prepared(self, images: Images, finger: Finger, name: str) -> torch.Tensor:
+        return prepare(images, finger, self.config.side, name).to(self._device)
+
+    @property
+    def _device(self) -> torch.device:
+        return next(self.model.parameters()).device
+
+
+@functools.cache
+def shipped_sizes() -> dict[str, str]:
+    """Return content hash → size of the tokenizers that come with the package."""
+    return {Tokenizer.from_pretrained(size).hash: size for size in SIZES}
+
+
+def _one_grey(images: Images) -> bool:
+    """Return whether one of (B, H, W) images shows a single grey level."""
+    flat = torch.as_tensor(images).flatten(1)
+    return bool((flat.amax(dim=1) == flat.amin(dim=1)).any())
 
 
 def _same(what: str, wanted: object, came: object, do: str) -> None:

@@ -16,43 +16,30 @@ MIN_SIDE_PX = 16
 
 
 def prepare(
-    images: np.ndarray, finger: Finger, side: int, name: str = "marker images"
+    images: np.ndarray | torch.Tensor, finger: Finger, side: int, name: str = "marker images"
 ) -> torch.Tensor:
     """Return (B, 1, side, side) float32 in [0, 1] from (B, H, W) or (H, W) images as the sensor saw them.
 
-    Args:
-        images: uint8 in 0–255, or floats in [0, 1], of any size.
-        finger: who wore the sensor; decides the mirror.
-        side: pixels per side that the model takes.
-        name: what to call the images in an error.
+    The aspect is kept: the longer edge becomes ``side``, the rest stays black. Area averaging turns
+    binary markers into grey levels that still tell where an edge lies between two pixels.
 
-    Raises ContractError: not an array of that form, empty or too small, NaN, or out of range.
+    Args:
+        images: array or tensor, uint8 in 0–255 or floats in [0, 1], of any size.
+        finger: finger that wore the sensor; decides the mirror.
+        side: pixels per side that the model takes.
+        name: name of the images in an error.
+
+    Raises ContractError: images of another form, empty, too small, NaN, or out of range.
     """
-    if not isinstance(images, np.ndarray):
-        raise ContractError(
-            expected(name, "a numpy array", type(images).__name__, "Use prepare_tensor.")
-        )
+    if isinstance(images, np.ndarray) and images.dtype.kind in "buif":
+        images = torch.from_numpy(np.ascontiguousarray(images))
+    if not isinstance(images, torch.Tensor):
+        do = "Pass marker images, one channel."
+        raise ContractError(expected(name, "an array or tensor", type(images).__name__, do))
     if images.ndim == 2:
         images = images[None]
     check_images(images, name)
-    if images.dtype == np.uint8 and images.max() == 1:
-        raise ContractError(expected(name, "uint8 of 0 and 255", "0 and 1", "Multiply by 255."))
-    tensor = torch.from_numpy(np.ascontiguousarray(images))
-    return prepare_tensor(tensor, right=finger == "right", side=side, name=name)
-
-
-def prepare_tensor(
-    images: torch.Tensor, right: bool, side: int, name: str = "marker images"
-) -> torch.Tensor:
-    """Return (B, 1, side, side) float32 in [0, 1] from a (B, H, W) tensor; ``right`` mirrors it.
-
-    The aspect is kept: the longer edge becomes ``side``, the rest stays black. Area averaging turns binary
-    markers into grey levels that still tell where an edge lies between two pixels.
-
-    Raises ContractError: as ``prepare``.
-    """
-    check_images(images, name)
-    canonical = to_canonical(images, "right" if right else "left").float()
+    canonical = to_canonical(images, finger).float()
     if images.dtype == torch.uint8:
         canonical = canonical / 255
     return letterbox(canonical[:, None], side)
@@ -68,23 +55,25 @@ def letterbox(images: torch.Tensor, side: int) -> torch.Tensor:
     return F.pad(small, (left, side - columns - left, top, side - rows - top))
 
 
-def check_images[Images: (np.ndarray, torch.Tensor)](images: Images, name: str) -> Images:
-    """Return ``images`` if they are (B, H, W) uint8, or finite floats in [0, 1], of no fewer than 16 px a side.
+def check_images(images: torch.Tensor, name: str) -> torch.Tensor:
+    """Return ``images`` if they are (B, H, W) uint8, or finite floats in [0, 1], of 16 px a side or more.
 
     Raises ContractError: anything else.
     """
     kind = str(images.dtype).removeprefix("torch.")
     came = f"{kind} {tuple(images.shape)}"
-    if images.ndim != 3 or not (kind == "uint8" or kind.startswith(("float", "bfloat"))):
-        raise ContractError(
-            expected(name, "(B, H, W) uint8 or float", came, "Pass marker images, one channel.")
-        )
-    if 0 in tuple(images.shape):
+    is_uint8 = images.dtype == torch.uint8
+    if images.ndim != 3 or not (is_uint8 or images.is_floating_point()):
+        do = "Pass marker images, one channel."
+        raise ContractError(expected(name, "(B, H, W) uint8 or float", came, do))
+    if images.numel() == 0:
         raise ContractError(expected(name, "non-empty images", came, "Check the sensor's frame."))
     if min(images.shape[1:]) < MIN_SIDE_PX:
         do = "Pass one channel of each image, not RGB."
         raise ContractError(expected(name, f"(B, H, W), {MIN_SIDE_PX} px a side or more", came, do))
-    if kind != "uint8" and not bool(((images >= 0) & (images <= 1)).all()):  # NaN fails this too
+    if is_uint8 and int(images.max()) == 1:
+        raise ContractError(expected(name, "uint8 of 0 and 255", "0 and 1", "Multiply by 255."))
+    if not is_uint8 and not bool(((images >= 0) & (images <= 1)).all()):  # NaN fails this too
         raise ContractError(
             expected(name, "floats in [0, 1]", "NaN or values outside", "Divide by 255?")
         )

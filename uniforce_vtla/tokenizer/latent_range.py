@@ -155,6 +155,13 @@ class HealthMonitor:
             do = "Look at the sensor; monitor=off goes on without this check."
             raise SensorError(self._message("over half a second", self._run_limit, run, do))
 
+    @property
+    def health(self) -> float:
+        """Mean distance of the recent readings over the largest allowed one; NaN before the first."""
+        if not self._recent:
+            return float("nan")
+        return sum(self._recent) / len(self._recent) / self._run_limit
+
     def judge(self, distance: float) -> tuple[float, float]:
         """Return the mean distance over its limit in free air and over half a second; 0 while that isn't due."""
         self._recent.append(distance)

@@ -1,31 +1,34 @@
-"""The watched finger's grip beside the other one's, which a policy need not feel with; a warning where they differ."""
+"""Compare the grip that two fingers read, and warn once an episode where they differ."""
+
+from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING
 
-import torch
 from torch import Tensor
 
-from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError
-from uniforce_vtla.tokenizer.calibration import Calibration
 from uniforce_vtla.tokenizer.finger_balance import EVERY, FingerBalance, imbalance
+
+if TYPE_CHECKING:
+    from uniforce_vtla.force_sensor import ForceSensor
 
 logger = logging.getLogger(__name__)
 
 
 class GripComparison:
-    """Looks at both fingers every few control steps, and warns once an episode.
+    """Looks at both fingers every few control steps.
 
     Args:
-        encoder: TactileEncoder; nothing is compared where it has no head.
-        worn: finger → calibration of its sensor.
-        steps: control steps between two looks of the policy.
+        own: sensor that the policy feels with; nothing is compared where it reads no newtons.
+        other: sensor of the finger beside it.
+        steps: control steps between two readings of the policy.
     """
 
-    def __init__(self, encoder: Any, worn: Mapping[Finger, Calibration], steps: int) -> None:
-        self._encoder, self._worn, self._every = encoder, worn, max(1, EVERY // steps)
+    def __init__(self, own: ForceSensor, other: ForceSensor, steps: int) -> None:
+        self.own = own
+        self.other = other
+        self._every = max(1, EVERY // steps)
         self._balance = FingerBalance()
         self.reset()
 
@@ -35,29 +38,26 @@ class GripComparison:
         self._looks = 0
 
     def look(self) -> bool:
-        """Count a look of the policy; return whether it compares."""
+        """Count a reading of the policy; return whether it compares."""
         self._looks += 1
-        return (
-            self._encoder.head is not None
-            and self._looks % self._every == 0
-            and not self._balance.done
-        )
+        is_due = self._looks % self._every == 0
+        return self.own.newtons is not None and is_due and not self._balance.done
 
-    @torch.no_grad()
-    def see(self, slot: str, finger: Finger, own: Tensor, others_pair: list[Tensor]) -> None:
-        """Take in a finger's (B, P, L) latents, after its calibration, and the other one's (B, H, W) images."""
-        other = next(one for one in FINGERS if one != finger)
+    def see(self, latent: Tensor, other_pair: tuple[Tensor, Tensor]) -> None:
+        """Take in the own finger's calibrated latents (B, K, L) and the other's images (B, H, W)."""
         try:
-            beside = self._encoder(slot, other, *others_pair)
+            beside = self.other.encode(*other_pair)
         except ContractError:  # it shows no markers: the policy does without it
             return
-        beside = self._worn[other].map(beside) if other in self._worn else beside
-        times = self._balance.see(self._grip_N(finger, own), self._grip_N(other, beside))
+        times = self._balance.see(_grip_N(self.own, latent), _grip_N(self.other, beside))
         if times is not None and imbalance(times) > 1:
-            message = "%s finger reads %.2f times the other one's grip: one of them is wrong in scale, calibrate it"
-            logger.warning(message, finger, times)
+            message = (
+                "%s finger reads %.2f times the other one's grip: one of them is wrong in scale, "
+                "calibrate it"
+            )
+            logger.warning(message, self.own.finger, times)
 
-    def _grip_N(self, finger: Finger, latent: Tensor) -> float:  # noqa: N802  a unit
-        force_N = self._encoder.head.step(latent, None)[0]
-        read_N = self._worn[finger].scaled(force_N) if finger in self._worn else force_N
-        return float(read_N[:, 2].mean())
+
+def _grip_N(sensor: ForceSensor, latent: Tensor) -> float:  # noqa: N802  a unit
+    assert sensor.newtons is not None, "look() has seen that there is a head"
+    return float(sensor.newtons(latent)[:, 2].mean())

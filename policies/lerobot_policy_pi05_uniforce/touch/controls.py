@@ -1,4 +1,4 @@
-"""In place of latents: newtons read in them, or a control: true wrench, hand-made descriptor, the images by a CNN."""
+"""Controls in place of touch: the true wrench, a hand-made descriptor, or marker images through a CNN."""
 
 import math
 from collections.abc import Callable
@@ -9,15 +9,9 @@ import torch
 from torch import Tensor, nn
 
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
-from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
-from lerobot_policy_pi05_uniforce.touch.grip import GripHold, held_grips
+from lerobot_policy_pi05_uniforce.touch.sensors import load_calibrations
 from lerobot_policy_pi05_uniforce.touch.tokens import ForceTokens
-from lerobot_policy_pi05_uniforce.touch.touch_input import (
-    LATENT_KEYS,
-    TouchInput,
-    load_calibrations,
-    taken,
-)
+from lerobot_policy_pi05_uniforce.touch.touch_input import TouchInput, marker_images, taken
 from uniforce_vtla.keys import descriptor_key, marker_pair_key, wrench_key
 from uniforce_vtla.tokenizer.plain_touch import (
     DESCRIPTOR_SIZE,
@@ -49,7 +43,13 @@ class ControlInput(TouchInput):
     def __init__(self, config: PI05UniforceConfig) -> None:
         kind = config.touch.input
         aligned = load_calibrations(config, SHAPES[kind], kind) if kind == "descriptor" else None
-        super().__init__(config, None, SHAPES[kind], aligned)
+        super().__init__(config, SHAPES[kind])
+        self._alignment = aligned or {}
+
+    def to(self, device: torch.device) -> None:
+        """Move the alignments."""
+        for calibration in self._alignment.values():
+            calibration.map.to(device)
 
     def read(self, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor:
         """Return (B, rows, numbers) of a slot; RolloutError where its sensor is lost."""
@@ -69,52 +69,18 @@ class ControlInput(TouchInput):
         self, compute: Callable, batch: dict[str, Tensor], slot: str, device: torch.device
     ) -> Tensor:
         finger = self.config.finger_by_slot()[slot]
-        pair = (
-            (i.detach().cpu() * 255).round().to(torch.uint8).numpy()
-            for i in self.pair(batch, finger)
-        )
-        rows = [compute(b, c[None], finger) for b, c in zip(*pair, strict=True)]
+        references, currents = marker_images(batch, finger)
+        rows = []
+        for reference, current in zip(_uint8(references), _uint8(currents), strict=True):
+            rows.append(compute(reference, current[None], finger))
         found = torch.from_numpy(np.concatenate(rows))
-        if finger not in self.worn:
+        if finger not in self._alignment:
             return found
-        return self.worn[finger].map(found.reshape(-1, *self.shape).to(device))
+        return self._alignment[finger].map(found.reshape(-1, *self.shape).to(device))
 
 
-class NewtonInput(TouchInput):
-    """Reads force in newtons: the frozen head on the slot's latents, calibrated where its sensor wears a map."""
-
-    def __init__(self, latents: TouchInput) -> None:
-        super().__init__(
-            latents.config, latents.encoder, SHAPES["newtons"], monitors=latents.monitors
-        )
-        self._latents = latents
-        held_N, self.notes = held_grips(latents.config, latents.worn)
-        self._grip = GripHold(held_N)
-
-    def to(self, device: torch.device) -> None:
-        """Move what the latents' reader holds; the monitors are this one's too."""
-        self._latents.to(device)
-
-    def reset(self) -> None:
-        """Let the latents' reader forget; its encoder and monitors are this one's too."""
-        self._latents.reset()
-        self._grip.reset()
-
-    def read(self, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor:
-        """Return (B, 1, 3) N of a slot; RolloutError where its sensor is lost."""
-        with torch.no_grad():
-            force_N = self.encoder.head.step(self._latents.read(batch, slot, device), None)[0][
-                :, None
-            ]
-        if LATENT_KEYS[slot] in batch:  # a demonstration's
-            return force_N
-        worn = self._latents.worn.get(self.config.finger_by_slot()[slot])
-        force_N = force_N if worn is None else worn.scaled(force_N)
-        return (
-            self._grip(slot, force_N, taken(batch, MEASURED_STATE))
-            if slot in self._grip.held_N
-            else force_N
-        )
+def _uint8(images: Tensor) -> np.ndarray:
+    return (images.detach().cpu() * 255).round().to(torch.uint8).numpy()
 
 
 class MarkerPairTokens(nn.Module):

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import functools
 from contextlib import nullcontext
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-import torch
-from torch import Tensor, nn
+from torch import nn
 
 from lerobot_policy_pi05_uniforce.weights import no_weights
-from uniforce_vtla.contracts import Finger
-from uniforce_vtla.errors import CheckpointError, ContractError, expected
-from uniforce_vtla.keys import SLOTS
-from uniforce_vtla.markers.reference import ReferenceMemory
-from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig, pool_latent
-from uniforce_vtla.tokenizer.api import STORED_KEY, canonicalizer_facts
-from uniforce_vtla.tokenizer.entry import prepare_tensor
+from uniforce_vtla.errors import CheckpointError, expected
+from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
+from uniforce_vtla.tokenizer.api import STORED_KEY, canonicalizer_facts, shipped_sizes
 from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig
-from uniforce_vtla.tokenizer.model import ForceAutoencoder, ReferenceCache, build_model
-from uniforce_vtla.tokenizer.weights import SIZES, content_hash
+from uniforce_vtla.tokenizer.model import build_model
+from uniforce_vtla.tokenizer.weights import content_hash
 
 if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import (
@@ -32,98 +26,71 @@ if TYPE_CHECKING:
 ENCODER = "model.tactile_encoder."
 
 
-class TactileEncoder(nn.Module):
-    """A frozen tokenizer, always in eval mode; its decoder is kept too, so that its hash can be checked.
+class FrozenTouch(nn.Module):
+    """The frozen tokenizer and force head as modules of a policy, which moves and stores them; in eval mode.
 
-    ``head`` reads newtons in its latents, frozen too; None where the policy feels with the latents themselves.
+    The decoder is kept too, so that the tokenizer's hash can be checked.
+
+    Args:
+        tokenizer: it, which encodes.
+        head: force head that reads newtons; None where the policy feels with the latents themselves.
     """
 
-    def __init__(
-        self, model: ForceAutoencoder, grid: int, head: ForceRegressor | None = None
-    ) -> None:
+    def __init__(self, tokenizer: Tokenizer, head: ForceHead | None = None) -> None:
         super().__init__()
-        self.model, self.grid, self.head = model, grid, head
-        # and the finger compared
-        self.references: ReferenceMemory[ReferenceCache] = ReferenceMemory(len(SLOTS) + 1)
+        self.tokenizer = tokenizer
+        self.force_head = head
+        # names of their tensors in every checkpoint
+        self.model = tokenizer.model
+        self.head = None if head is None else head.model
         self.requires_grad_(False)
         self.train(False)
 
-    def train(self, mode: bool = True) -> TactileEncoder:
+    def train(self, mode: bool = True) -> FrozenTouch:
         """Stay in eval mode: LeRobot calls ``policy.train()`` at every step."""
         return super().train(False)
-
-    @torch.no_grad()
-    def forward(self, slot: str, finger: Finger, reference: Tensor, current: Tensor) -> Tensor:
-        """Return (B, K, latent) pooled latents of a slot's pair, (B, H, W) each in [0, 1].
-
-        The slot is the key of the reference cache, the finger that wears the sensor decides the mirror.
-        """
-        encode = functools.partial(self._encode_reference, slot, finger, reference)
-        cached = self.references.get((slot, finger), reference, encode)
-        latent = self.model.encoder.encode_current(
-            cached, self._prepare(current, finger, "current")
-        ).mean
-        return pool_latent(latent, self.grid)
-
-    def _encode_reference(self, slot: str, finger: Finger, reference: Tensor) -> ReferenceCache:
-        before = self._prepare(reference, finger, "reference")
-        if not bool((before.amax(dim=(1, 2, 3)) > 0).all()):
-            do = "Capture it again in free air."
-            raise ContractError(
-                expected(f"reference of {slot}", "an image with markers", "all black", do)
-            )
-        return self.model.encoder.encode_reference(before)
-
-    def _prepare(self, images: Tensor, finger: Finger, name: str) -> Tensor:
-        return prepare_tensor(
-            images, right=finger == "right", side=self.model.config.side, name=name
-        )
-
-
-@functools.cache
-def packaged_hashes() -> dict[str, str]:
-    """Return content hash → size of the tokenizers that come with the package."""
-    return {Tokenizer.from_pretrained(size).hash: size for size in SIZES}
 
 
 def is_packaged(config: PI05UniforceConfig) -> bool:
     """Return whether the policy's tokenizer comes with the package, so that its checkpoint holds only the hash."""
-    return bool(config.tokenizer_hash) and config.tokenizer_hash in packaged_hashes()
+    return bool(config.tokenizer_hash) and config.tokenizer_hash in shipped_sizes()
 
 
-def build_encoder(config: PI05UniforceConfig, empty: bool = False) -> TactileEncoder:
-    """Make a new policy's encoder and write its facts into the config, or the one a checkpoint's config knows.
+def build_frozen_touch(config: PI05UniforceConfig, empty: bool = False) -> FrozenTouch:
+    """Make a new policy's frozen networks and note them in the config, or those a checkpoint's config names.
 
     Tokenizer and head are the packaged ones of their hash, or rebuilt, ``empty``, and filled from the checkpoint.
 
     Raises CheckpointError: made behind another canonicalizer, or as ``read_head``.
     """
-    model = _build_tokenizer(config, empty)
+    tokenizer = _build_tokenizer(config, empty)
     head = _build_head(config, empty) if config.touch.input == "newtons" else None
-    return TactileEncoder(model, config.latent_grid, head)
+    return FrozenTouch(tokenizer, head)
 
 
-def _build_tokenizer(config: PI05UniforceConfig, empty: bool) -> ForceAutoencoder:
+def _build_tokenizer(config: PI05UniforceConfig, empty: bool) -> Tokenizer:
     facts = config.touch.tokenizer
     if facts is not None and is_packaged(config):
-        return Tokenizer.from_pretrained(packaged_hashes()[config.tokenizer_hash]).model
+        return Tokenizer.from_pretrained(shipped_sizes()[config.tokenizer_hash])
     if facts is None:
         tokenizer = Tokenizer.from_pretrained(config.touch.tokenizer_path)
         config.touch.tokenizer = {**tokenizer.facts(), "hash": tokenizer.hash}
-        return tokenizer.model
+        return tokenizer
     stored, running = facts.get(STORED_KEY), canonicalizer_facts()
     if stored != running:
         do = "Use the version it was trained with, or train again."
         raise CheckpointError(expected("canonicalizer of the checkpoint", stored, running, do))
     with no_weights() if empty else nullcontext():
-        return build_model(TokenizerConfig(**facts["model"]), seed=0)
+        model = build_model(TokenizerConfig(**facts["model"]), seed=0)
+    return Tokenizer(model, known_hash=config.tokenizer_hash)
 
 
-def _build_head(config: PI05UniforceConfig, empty: bool) -> ForceRegressor:
+def _build_head(config: PI05UniforceConfig, empty: bool) -> ForceHead:
     touch = config.touch
     if touch.head_sizes is not None:
         with no_weights() if empty else nullcontext():
-            return ForceRegressor(HeadConfig(**touch.head_sizes))
+            model = ForceRegressor(HeadConfig(**touch.head_sizes))
+        return ForceHead(model, touch.head, config.tokenizer_hash)
     head = read_head(touch, config.tokenizer_hash)
     found = head.hash
     if (trained_with := touch.head_hash or found) != found:
@@ -131,7 +98,7 @@ def _build_head(config: PI05UniforceConfig, empty: bool) -> ForceRegressor:
         raise CheckpointError(expected(f"force head of {touch.head}", trained_with, found, do))
     touch.head_hash = found
     touch.head_sizes = None if is_packaged(config) else asdict(head.model.config)
-    return head.model
+    return head
 
 
 def read_head(touch: TouchSettings, tokenizer_hash: str) -> ForceHead:
@@ -142,9 +109,7 @@ def read_head(touch: TouchSettings, tokenizer_hash: str) -> ForceHead:
     # a path in a checkpoint is never followed
     beside = None if touch.head_hash else touch.tokenizer_path
     try:
-        head = ForceHead.from_pretrained(
-            touch.head, packaged_hashes().get(tokenizer_hash) or beside
-        )
+        head = ForceHead.from_pretrained(touch.head, shipped_sizes().get(tokenizer_hash) or beside)
     except CheckpointError as error:
         do = "Let `uniforce pretrain` fit one, use a packaged tokenizer, or touch.input=latent."
         raise CheckpointError(
@@ -158,16 +123,16 @@ def read_head(touch: TouchSettings, tokenizer_hash: str) -> ForceHead:
     return head
 
 
-def check_hash(encoder: TactileEncoder, config: PI05UniforceConfig) -> None:
+def check_hash(frozen: FrozenTouch, config: PI05UniforceConfig) -> None:
     """Raise CheckpointError unless loaded tokenizer and head are, bit by bit, those the policy was trained with."""
     facts = {name: fact for name, fact in (config.touch.tokenizer or {}).items() if name != "hash"}
-    found = content_hash(encoder.model, facts)
+    found = content_hash(frozen.model, facts)
     if found != config.tokenizer_hash:
         do = "The tokenizer inside the checkpoint was changed; copy the checkpoint again."
         raise CheckpointError(expected("tokenizer hash", config.tokenizer_hash, found, do))
-    if encoder.head is None:
+    if frozen.force_head is None:
         return
-    found = ForceHead(encoder.head, config.touch.head, config.tokenizer_hash).hash
+    found = frozen.force_head.hash
     if found != config.touch.head_hash:
         do = "The head inside the checkpoint was changed; copy the checkpoint again."
         raise CheckpointError(expected("force head hash", config.touch.head_hash, found, do))

@@ -1,0 +1,170 @@
+"""``ForceSensor``: the chain of touch from a raw frame to newtons, and what it refuses."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+import torch
+
+from uniforce_vtla import Canonicalizer, ForceHead, ForceSensor, Tokenizer
+from uniforce_vtla.contact import free_air
+from uniforce_vtla.contact.worn import WornView
+from uniforce_vtla.contact.worn_in_words import wear
+from uniforce_vtla.contracts import FINGERS, ContactState, Finger
+from uniforce_vtla.errors import CheckpointError, ContractError, SensorError
+from uniforce_vtla.tokenizer import pool_latent
+from uniforce_vtla.tokenizer.calibration import Calibration
+from uniforce_vtla.tokenizer.latent_map import LatentMap
+from uniforce_vtla.tokenizer.latent_range import (
+    FREE_LOOKS,
+    FreeAirError,
+    HealthMonitor,
+    LatentRange,
+)
+
+KINDS = ("tactip", "uskin", "gelsight")
+
+
+@pytest.fixture(scope="module")
+def tokenizer() -> Tokenizer:
+    return Tokenizer.from_pretrained("nano")
+
+
+@pytest.fixture(scope="module")
+def head() -> ForceHead:
+    return ForceHead.from_pretrained(path="nano")
+
+
+@pytest.fixture(scope="module")
+def raw() -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Raw frames of unit 1 of each kind: in free air, and pressed with 4 N and sheared with 1 N."""
+    return {kind: frames_of(kind) for kind in KINDS}
+
+
+def frames_of(kind: str) -> tuple[np.ndarray, np.ndarray]:
+    simulator = WornView(wear(f"{kind}:1")(0)).simulator
+    free = free_air(1)
+    flat_mm = np.zeros_like(free.gap_mm)
+    force_N = np.array([[0.0, 1.0, 6.0]], np.float32)
+    pressed = ContactState(flat_mm, force_N, np.zeros(1, np.float32))
+    return simulator.raw_frames(free)[0], simulator.raw_frames(pressed)[0]
+
+
+def test_a_frame_gives_what_the_parts_give_one_after_another(raw, tokenizer, head) -> None:
+    for kind, (free, pressed) in raw.items():
+        sensor = ForceSensor(kind, "left", tokenizer=tokenizer, head=head)
+        reference = sensor.tare(free)
+        reading = sensor.read(pressed)
+        canonicalizer = Canonicalizer(kind, stream=True)
+        canonicalizer.set_reference(free)
+        canonicalizer.marker_image(free)
+        current = canonicalizer.marker_image(pressed)
+        latent = pool_latent(tokenizer.encode(reference[None], current[None], "left"))
+        np.testing.assert_allclose(reading.latent, latent[0].numpy(), atol=1e-6)
+        np.testing.assert_allclose(reading.force_N, head(latent)[0].numpy(), atol=1e-6)
+        assert np.isnan(reading.health), "nothing is watched"
+
+
+def test_newtons_are_of_the_fingers_own_frame(raw, tokenizer, head) -> None:
+    free, pressed = raw["tactip"]
+    read_N = {}
+    for finger, before, after in (
+        ("left", free, pressed),
+        ("right", free[:, ::-1], pressed[:, ::-1]),
+    ):
+        sensor = ForceSensor("tactip", finger, tokenizer=tokenizer, head=head)
+        sensor.tare(np.ascontiguousarray(before))
+        read_N[finger] = sensor.read(np.ascontiguousarray(after)).force_N
+    # facing fingers see one load mirrored
+    np.testing.assert_allclose(read_N["left"] * (-1, 1, 1), read_N["right"], atol=0.2)
+    assert read_N["left"][2] > 2
+
+
+def test_several_frames_in_a_row_make_a_reference(raw, tokenizer, head) -> None:
+    for kind, (free, pressed) in raw.items():
+        one = ForceSensor(kind, tokenizer=tokenizer, head=head)
+        several = ForceSensor(kind, tokenizer=tokenizer, head=head)
+        one.tare(free)
+        several.tare([free, free, free])
+        np.testing.assert_array_equal(one.read(pressed).latent, several.read(pressed).latent)
+    free, pressed = raw["tactip"]
+    with pytest.raises(SensorError, match="still"):
+        ForceSensor("tactip", tokenizer=tokenizer, head=head).tare([free, pressed, pressed])
+
+
+def made_up(tokenizer: Tokenizer, head: ForceHead, **more: float) -> Calibration:
+    latent_map = LatentMap(16, tokenizer.config.latent)
+    latent_map.shift.fill_(0.1)
+    names = tokenizer.hash, head.hash, "tactip:3", "tactip:1", 0.0, 0.0
+    return Calibration(latent_map, *names, {}, **more)
+
+
+def test_a_calibration_maps_the_latent_and_scales_newtons(raw, tokenizer, head, tmp_path) -> None:
+    free, pressed = raw["tactip"]
+    plain = ForceSensor("tactip", tokenizer=tokenizer, head=head)
+    folder = made_up(tokenizer, head, gain=1.5).save(tmp_path)
+    sensor = ForceSensor("tactip", tokenizer=tokenizer, head=head, calibration=folder)
+    plain.tare(free)
+    sensor.tare(free)
+    before = plain.read(pressed)
+    after = sensor.read(pressed)
+    np.testing.assert_allclose(after.latent, before.latent + 0.1, atol=1e-6)
+    shifted = torch.from_numpy(before.latent + 0.1)[None]
+    np.testing.assert_allclose(after.force_N, 1.5 * head.model.step(shifted, None)[0][0], rtol=1e-5)
+    with pytest.raises(CheckpointError, match="tokenizer"):
+        ForceSensor("tactip", tokenizer="small", calibration=folder)
+
+
+def test_a_sensor_that_is_not_healthy_stops_and_free_air_is_told_apart(raw, tokenizer) -> None:
+    free, pressed = raw["tactip"]
+    with pytest.raises(CheckpointError):  # of nano no ranges are shipped
+        ForceSensor("tactip", tokenizer=tokenizer, head=None, watch=FREE_LOOKS)
+    sensor = ForceSensor("tactip", head=None, watch=FREE_LOOKS)
+    sensor.tare(free)
+    healthy = [sensor.read(free).health for _ in range(FREE_LOOKS)]
+    assert 0 < max(healthy) < 1
+    usual = LatentRange("tactip", sensor.tokenizer.hash, 96, 1e-3, 1e-3)
+    sensor.monitor = HealthMonitor(usual, "left", FREE_LOOKS)
+    with pytest.raises(FreeAirError):
+        for _ in range(FREE_LOOKS):
+            sensor.read(pressed)
+
+
+def test_without_a_head_there_are_no_newtons(raw, tokenizer) -> None:
+    free, pressed = raw["uskin"]
+    sensor = ForceSensor("uskin", tokenizer=tokenizer, head=None)
+    sensor.tare(free)
+    assert np.isnan(sensor.read(pressed).force_N).all()
+
+
+def test_bad_input_is_refused(raw, tokenizer, head) -> None:
+    free, pressed = raw["tactip"]
+    sensor = ForceSensor("tactip", tokenizer=tokenizer, head=head)
+    with pytest.raises(ContractError, match="tare"):
+        sensor.read(pressed)
+    with pytest.raises(SensorError):
+        sensor.tare(np.zeros_like(free))
+    sensor.tare(free)
+    for frame in (np.zeros_like(free), free[:, :100], free.astype(np.float32), free[..., 0]):
+        with pytest.raises((ContractError, SensorError)):
+            sensor.read(frame)
+    with pytest.raises(SensorError, match="tactip"):
+        ForceSensor("nose", tokenizer=tokenizer, head=head)
+    with pytest.raises(ContractError, match="finger"):
+        ForceSensor("tactip", "thumb", tokenizer=tokenizer, head=head)  # type: ignore[arg-type]
+    with pytest.raises(ContractError, match="kind"):
+        ForceSensor("", tokenizer=tokenizer, head=head).tare(free)
+
+
+def test_two_threads_may_read_with_one_tokenizer(raw, tokenizer, head) -> None:
+    free, pressed = raw["gelsight"]
+
+    def forces(finger: Finger) -> np.ndarray:
+        sensor = ForceSensor("gelsight", finger, tokenizer=tokenizer, head=head)
+        sensor.tare(free)
+        return np.array([sensor.read(pressed).force_N for _ in range(10)])
+
+    with ThreadPoolExecutor(2) as pool:
+        beside_each_other = list(pool.map(forces, FINGERS))
+    for finger, found in zip(FINGERS, beside_each_other, strict=True):
+        np.testing.assert_array_equal(found, forces(finger))

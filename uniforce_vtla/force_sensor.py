@@ -1,0 +1,215 @@
+"""``ForceSensor``: what one finger feels. Raw frame → marker image → latent → calibrated latent → newtons.
+
+Every program that feels goes through here: policy, training view, `uniforce show`, `uniforce touch`,
+`uniforce calibrate`. Each part is a file of its own:
+
+1. markers: ``markers/canonicalizer.py``, a raw frame becomes a binary marker image.
+2. latent: ``tokenizer/api.py``, a reference and a current image become a latent force map, pooled 4 × 4.
+3. calibrated latent: ``tokenizer/latent_map.py``, a map onto the known sensor's latents.
+4. newtons: ``tokenizer/newtons.py``, the frozen head reads force; a gain; a grip that is held.
+5. health: ``tokenizer/latent_range.py``, distance from healthy sensors of the same kind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+import torch
+
+from uniforce_vtla.contracts import Finger, check_finger
+from uniforce_vtla.errors import CheckpointError, ContractError, expected
+from uniforce_vtla.markers.canonicalizer import Canonicalizer
+from uniforce_vtla.markers.mirror import to_finger_frame
+from uniforce_vtla.tokenizer.api import Tokenizer, shipped_sizes
+from uniforce_vtla.tokenizer.calibration import Calibration
+from uniforce_vtla.tokenizer.force_head import SOURCE, ForceHead
+from uniforce_vtla.tokenizer.latent import POOL, pool_latent
+from uniforce_vtla.tokenizer.latent_range import HealthMonitor, LatentRange
+from uniforce_vtla.tokenizer.newtons import Newtons
+
+if TYPE_CHECKING:
+    from uniforce_vtla.tokenizer.api import Images
+
+HALF_SECOND = 15  # readings at 30 Hz
+
+
+@dataclass(frozen=True)
+class ForceReading:
+    """What a finger felt in one frame."""
+
+    latent: np.ndarray  # (K, L) float32, calibrated and pooled
+    force_N: (
+        np.ndarray
+    )  # (3,) on the pad, in the finger's own frame: x right, y down, z into the pad
+    # distance from healthy sensors over the largest allowed one, over the last half second; NaN: not watched
+    health: float
+
+
+class ForceSensor:
+    """The sense of force of one finger.
+
+    Args:
+        kind: registered sensor; "" where only marker images or latents are read.
+        finger: finger that wears it.
+        calibration: folder of `uniforce calibrate`, or one that is loaded; None for none.
+        watch: readings in half a second, over which health is judged; 0 doesn't watch.
+        tokenizer: encoder, a size that is shipped, or a folder; None for the shipped one.
+        head: force head, or the sensor kind whose shipped head reads newtons; None reads no newtons.
+        held_N: grip to give once something is lifted; None gives it as read.
+        grid: latents are pooled to grid × grid.
+
+    Raises SensorError: an unknown kind; CheckpointError: no such checkpoint, or one that doesn't fit.
+    """
+
+    def __init__(
+        self,
+        kind: str,
+        finger: Finger = "left",
+        *,
+        calibration: Calibration | str | Path | None = None,
+        watch: int = 0,
+        tokenizer: Tokenizer | str | Path | None = None,
+        head: ForceHead | str | None = SOURCE,
+        held_N: float | None = None,
+        grid: int = POOL,
+    ) -> None:
+        self.kind = kind
+        self.finger = check_finger(finger)
+        self.grid = grid
+        self.canonicalizer = Canonicalizer(kind, stream=True) if kind else None
+        folder = None if isinstance(tokenizer, Tokenizer) else tokenizer
+        if not isinstance(tokenizer, Tokenizer):
+            tokenizer = Tokenizer.from_pretrained(tokenizer)
+        self.tokenizer = tokenizer
+        beside = shipped_sizes().get(tokenizer.hash, folder)  # where its head and health ranges are
+        if isinstance(calibration, str | Path):
+            calibration = Calibration.load(calibration, tokenizer.hash)
+        self.calibration = calibration
+        if isinstance(head, str):
+            head = ForceHead.from_pretrained(head, beside)
+        self.newtons = None
+        if head is not None:
+            _same_tokenizer(head, tokenizer)
+            self.newtons = Newtons(head.model, calibration, held_N)
+        self.monitor = None
+        if watch:
+            self.monitor = monitor_of(kind, self.finger, beside, watch, calibration)
+        self._reference_image: np.ndarray | None = None
+
+    def tare(self, frames: np.ndarray | Sequence[np.ndarray]) -> np.ndarray:
+        """Take free air as the reference; return its (480, 640) uint8 marker image.
+
+        Args:
+            frames: a raw frame, or several in a row, which must hold still.
+
+        Raises ContractError: frames of the wrong form; SensorError: no markers, a dead sensor, or in contact.
+        """
+        canonicalizer = self._canonicalizer()
+        if not isinstance(frames, np.ndarray):
+            frames = canonicalizer.free_air(frames)
+        canonicalizer.set_reference(frames)
+        self.reset()
+        self._reference_image = canonicalizer.marker_image(frames)
+        return self._reference_image
+
+    @torch.no_grad()
+    def read(self, frame: np.ndarray) -> ForceReading:
+        """Return what a raw frame shows.
+
+        Raises ContractError: no ``tare`` before, or a frame of another form; SensorError: no markers, a
+        dead sensor, or one that isn't healthy.
+        """
+        if self._reference_image is None:
+            do = "Call tare(frames) in free air first."
+            raise ContractError(expected("ForceSensor", "a reference", "none", do))
+        image = self._canonicalizer().marker_image(frame)
+        latent = self.encode(self._reference_image[None], image[None])
+        force_N = np.full(3, np.nan, np.float32)
+        if self.newtons is not None:
+            canonical_N = self.newtons(latent)[0].cpu().numpy()
+            force_N = to_finger_frame(canonical_N, self.finger)
+        health = float("nan") if self.monitor is None else self.monitor.health
+        return ForceReading(latent[0].cpu().numpy(), force_N, health)
+
+    @torch.no_grad()
+    def encode(self, reference: Images, current: Images) -> torch.Tensor:
+        """Return calibrated pooled latents (B, K, L) of marker images (B, H, W), reference and current.
+
+        Raises ContractError: images of the wrong form; SensorError: a sensor that isn't healthy, which is
+        a FreeAirError in the first readings.
+        """
+        latent = self.raw_latent(reference, current)
+        if self.monitor is not None:
+            self.monitor.see(latent)
+        return self.calibrated(latent)
+
+    @torch.no_grad()
+    def renew(self, free: Images) -> torch.Tensor:
+        """Start to read against another reference in free air; return its latents, not judged."""
+        if self.monitor is not None:
+            self.monitor.reset(renewed=True)
+        return self.calibrated(self.raw_latent(free, free))
+
+    def raw_latent(self, reference: Images, current: Images) -> torch.Tensor:
+        """Return pooled latents (B, K, L), neither judged nor calibrated."""
+        latent = self.tokenizer.latents(reference, current, self.finger)  # (B, P, L)
+        return pool_latent(latent, self.grid)
+
+    def calibrated(self, latent: torch.Tensor) -> torch.Tensor:
+        """Return pooled latents (B, K, L) as the known sensor would have given them."""
+        return latent if self.calibration is None else self.calibration.map(latent)
+
+    def reset(self) -> None:
+        """Start an episode in free air."""
+        self.tokenizer.forget_references()
+        if self.monitor is not None:
+            self.monitor.reset()
+        if self.newtons is not None:
+            self.newtons.reset()
+
+    def to(self, device: torch.device | str) -> Self:
+        """Move everything that holds tensors."""
+        self.tokenizer.model.to(device)
+        if self.newtons is not None:
+            self.newtons.head.to(device)
+        if self.calibration is not None:
+            self.calibration.map.to(device)
+        if self.monitor is not None:
+            self.monitor.to(torch.device(device))
+        self.reset()
+        return self
+
+    def _canonicalizer(self) -> Canonicalizer:
+        if self.canonicalizer is None:
+            do = "Name the kind of sensor."
+            raise ContractError(expected("ForceSensor", "a sensor's raw frames", "no kind", do))
+        return self.canonicalizer
+
+
+def _same_tokenizer(head: ForceHead, tokenizer: Tokenizer) -> None:
+    if head.tokenizer_hash != tokenizer.hash:
+        do = "Load both of one size or folder."
+        came = head.tokenizer_hash
+        raise CheckpointError(expected("tokenizer of the force head", tokenizer.hash, came, do))
+
+
+def monitor_of(
+    kind: str,
+    finger: Finger,
+    size: str | Path | None,
+    readings: int,
+    calibration: Calibration | None,
+) -> HealthMonitor:
+    """Return the monitor of a shipped kind, for the tokenizer of a size.
+
+    A sensor that is calibrated to one of its own kind has to look like that one: it is judged after the map.
+
+    Raises CheckpointError: no range of latents is shipped for that kind and tokenizer.
+    """
+    is_within_kind = calibration is not None and calibration.anchor.partition(":")[0] == kind
+    latent_map = calibration.map if calibration is not None and is_within_kind else None
+    return HealthMonitor(LatentRange.from_pretrained(kind, size), finger, readings, latent_map)
