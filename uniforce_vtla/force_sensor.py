@@ -116,7 +116,6 @@ class ForceSensor:
         self._reference_image = canonicalizer.marker_image(frames)
         return self._reference_image
 
-    @torch.no_grad()
     def read(self, frame: np.ndarray) -> ForceReading:
         """Return what a raw frame shows.
 
@@ -127,7 +126,12 @@ class ForceSensor:
             do = "Call tare(frames) in free air first."
             raise ContractError(expected("ForceSensor", "a reference", "none", do))
         image = self._canonicalizer().marker_image(frame)
-        latent = self.encode(self._reference_image[None], image[None])
+        return self.read_markers(self._reference_image, image)
+
+    @torch.no_grad()
+    def read_markers(self, reference: np.ndarray, current: np.ndarray) -> ForceReading:
+        """Return what a pair of (H, W) marker images shows, free air and now; raises as ``encode``."""
+        latent = self.encode(reference[None], current[None])
         force_N = np.full(3, np.nan, np.float32)
         if self.newtons is not None:
             canonical_N = self.newtons(latent)[0].cpu().numpy()

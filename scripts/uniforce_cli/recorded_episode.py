@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
+from itertools import batched
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from uniforce_vtla.contracts import FINGERS, TAXEL_SHAPE, Finger
 from uniforce_vtla.errors import CheckpointError, DatasetError, expected
 from uniforce_vtla.evaluation.episode_summary import EpisodeSummary, KeyFrame, find_key_frames
 from uniforce_vtla.evaluation.finger_estimates import FingerEstimate, estimate_events
+from uniforce_vtla.force_sensor import ForceSensor
 from uniforce_vtla.keys import (
     AXES,
     STATE,
@@ -35,6 +37,7 @@ from uniforce_vtla.tokenizer.plain_touch import descriptors
 
 PLACE = [AXES.index(axis) for axis in ("x.pos", "y.pos", "z.pos")]
 FREE_FRAMES = 5  # at an episode's beginning; one alone is as noisy as its markers
+BATCH = 32  # frames encoded at once
 FILM = 12  # pictures in a film strip: square ones fill a line of it
 UNKNOWN_FRICTION = (np.inf, np.inf)  # no pad ever reaches its limit: slippage isn't judged
 
@@ -120,21 +123,22 @@ def descriptor_heads(folder: str = "") -> ForceReader:
     return read
 
 
-def force_head(tokenizer: Tokenizer, head: ForceHead) -> ForceReader:
-    """Return a reader of the latents: what a force head makes of them, frame after frame, as on the robot.
+def felt_forces(tokenizer: Tokenizer, head: ForceHead) -> ForceReader:
+    """Return a reader of the latents: each frame as a policy feels it.
 
-    It raises CheckpointError: a head that was trained on another tokenizer's latents.
+    Raises CheckpointError: a head that was trained on another tokenizer's latents.
     """
+    sensors = {f: ForceSensor("", f, tokenizer=tokenizer, head=head) for f in FINGERS}
 
     def read(source: Source, episode: Episode, finger: Finger) -> np.ndarray:
+        sensor = sensors[finger]
+        assert sensor.newtons is not None
         reference, current = marker_images(source, episode, finger)
-        forces, state = [], None
-        for image in current:
-            force_N, state = head.step(
-                tokenizer.encode(reference[None], image[None], finger), state
-            )
-            forces.append(force_N[0].numpy())
-        return np.array(forces, np.float64)
+        forces_N = []
+        for images in batched(current, BATCH):
+            latent = sensor.encode(reference, np.stack(images))  # (B, K, L)
+            forces_N.append(sensor.newtons(latent).double().numpy())
+        return np.concatenate(forces_N)
 
     return read
 
@@ -144,13 +148,12 @@ def latent_change(
 ) -> np.ndarray:
     """Return (n, g, g, L) float32: each patch's latent minus its free-air latent, as the sensor sees it."""
     reference, current = marker_images(source, episode, finger)
-    rest = tokenizer.encode(reference[None], reference[None], finger)
-    # (n, P, L)
-    latents = torch.cat(
-        [tokenizer.encode(reference[None], image[None], finger) for image in current]
-    )
+    rest = tokenizer.encode(reference, reference, finger)
+    latents = []
+    for images in batched(current, BATCH):
+        latents.append(tokenizer.encode(reference, np.stack(images), finger))  # (B, P, L)
     side = math.isqrt(tokenizer.num_patches)
-    maps = (latents - rest).unflatten(1, (side, side)).movedim(-1, 1)  # (n, L, g, g)
+    maps = (torch.cat(latents) - rest).unflatten(1, (side, side)).movedim(-1, 1)  # (n, L, g, g)
     # undoes the encoder's mirror: its own inverse
     return to_canonical(maps, finger).movedim(1, -1).numpy()
 

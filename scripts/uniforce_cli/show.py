@@ -100,7 +100,7 @@ def show_dataset(config: ShowDatasetConfig) -> list[Path]:
 
 
 def _forces(config: ShowDatasetConfig, tokenizer: Tokenizer) -> ForceReader:
-    from uniforce_cli.recorded_episode import descriptor_heads, force_head
+    from uniforce_cli.recorded_episode import descriptor_heads, felt_forces
     from uniforce_vtla.tokenizer import ForceHead
 
     if not config.head:
@@ -111,7 +111,7 @@ def _forces(config: ShowDatasetConfig, tokenizer: Tokenizer) -> ForceReader:
         if is_folder
         else ForceHead.from_pretrained(config.head)
     )
-    return force_head(tokenizer, head)
+    return felt_forces(tokenizer, head)
 
 
 def _chosen(source: Source, text: str) -> list[Episode]:

@@ -120,17 +120,16 @@ def opened(config: TouchConfig) -> Iterator[TactileFinger]:
 def show(config: TouchConfig) -> None:
     """Show the live view until ``config.seconds`` are over; what reads images is loaded before a device is opened."""
     from uniforce_cli.touch_view import OUTPUTS, save_panel, views
-    from uniforce_vtla.tokenizer import ForceHead, Tokenizer
+    from uniforce_vtla.force_sensor import ForceSensor
 
-    tokenizer, output = Tokenizer.from_pretrained(config.tokenizer), OUTPUTS[config.output]()
-    head = (
-        ForceHead.from_pretrained(config.head, config.tokenizer) if config.head != "none" else None
-    )
+    head = None if config.head == "none" else config.head
+    sensor = ForceSensor(config.sensor, config.finger, tokenizer=config.tokenizer, head=head)
+    output = OUTPUTS[config.output]()
     with opened(config) as finger:
         label = finger.config.label + (" (stand-in)" if config.source == STAND_IN else "")
         now_s = time.monotonic()
         end_s = now_s + (config.seconds or math.inf)
-        for view in views(finger, config.finger, tokenizer, head, label):
+        for view in views(finger, sensor, label):
             output(view)
             time.sleep(max(now_s + 1 / config.refresh_hz - time.monotonic(), 0))
             now_s = time.monotonic()

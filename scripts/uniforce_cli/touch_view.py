@@ -11,10 +11,9 @@ import numpy as np
 
 from uniforce_cli.rerun_viewer import import_rerun, open_viewer
 from uniforce_robots.sensors.finger import TactileFinger
-from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.markers.mirror import to_canonical, to_finger_frame
-from uniforce_vtla.tokenizer import ForceHead, Tokenizer
+from uniforce_vtla.force_sensor import ForceSensor
+from uniforce_vtla.markers.mirror import to_canonical
 
 WAIT_MS = 1000.0
 SHADES = " .:-=+*#%@"
@@ -39,30 +38,37 @@ class TouchView:
     lost: int  # samples so far
 
 
-def views(
-    finger: TactileFinger, side: Finger, tokenizer: Tokenizer, head: ForceHead | None, label: str
-) -> Iterator[TouchView]:
-    """Yield a view of each new sample of a connected finger that has its reference, worn on ``side``.
+def views(finger: TactileFinger, sensor: ForceSensor, label: str) -> Iterator[TouchView]:
+    """Yield a view of each new sample of a connected finger that has its reference.
 
-    Raises CheckpointError: a head of another tokenizer; ContractError: a finger without reference; SensorError: no new
-    sample.
+    Raises ContractError: a finger without reference; SensorError: no new sample.
     """
-    reference, state = np.ascontiguousarray(finger.reference_image()[None, ..., 0]), None
-    free = tokenizer.encode(reference, reference, side)
-    grid, index = math.isqrt(tokenizer.num_patches), -1
+    reference = np.ascontiguousarray(finger.reference_image()[..., 0])
+    tokenizer = sensor.tokenizer
+    free = tokenizer.encode(reference, reference, sensor.finger)
+    grid = math.isqrt(tokenizer.num_patches)
+    index = -1
     while True:
         touch = finger.next_touch(index, WAIT_MS)
-        index, raw, markers = touch.index, touch.raw, finger.marker_image(touch.raw)
-        latent, force_N = tokenizer.encode(reference, markers[None], side), None
-        # undoes the mirror
-        norms = to_canonical((latent - free).norm(dim=-1).numpy().reshape(grid, grid), side)
-        if head is not None:
-            read_N, state = head.step(latent, state)
-            force_N = to_finger_frame(read_N[0].numpy(), side)
+        index = touch.index
+        markers = finger.marker_image(touch.raw)
+        change = tokenizer.encode(reference, markers, sensor.finger) - free  # (1, P, L)
+        norms = change.norm(dim=-1).numpy().reshape(grid, grid)
+        raw = touch.raw
         if raw.ndim == 2:  # counts mean little without their rest
             raw = raw.astype(np.int64) - finger.reference_raw
+        force_N = None
+        if sensor.newtons is not None:
+            force_N = sensor.read_markers(reference, markers).force_N
         yield TouchView(
-            label, raw, markers, norms, force_N, touch.age_ms, finger.rate_hz, finger.counts.lost
+            label=label,
+            raw=raw,
+            markers=markers,
+            norms=to_canonical(norms, sensor.finger),  # undoes the mirror
+            force_N=force_N,
+            age_ms=touch.age_ms,
+            rate_hz=finger.rate_hz,
+            lost=finger.counts.lost,
         )
 
 
