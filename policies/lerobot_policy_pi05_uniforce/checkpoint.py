@@ -30,7 +30,6 @@ PROCESSORS = ("policy_preprocessor.json", "policy_postprocessor.json")
 COUNTS = ("chunk_size", "n_action_steps", "num_inference_steps", "max_action_dim", "max_state_dim")
 LIMITS = {**dict.fromkeys(COUNTS, 4096), "tokenizer_max_length": 65536}
 TINY_LIMITS = {"width": 8192, "depth": 64, "mlp_dim": 65536}
-FROM_MARKERS = (*ENCODED, "descriptor", "marker_pair")
 MAX_SIDE = 4096  # of an image or a feature's axis
 # raised by LeRobot, draccus and torch over settings that fit nothing
 MISFITS = (
@@ -69,7 +68,7 @@ def check_settings(saved: dict[str, Any], where: str) -> None:
         do = "A checkpoint names its tokenizer; a path to another one is never followed. Copy it again."
         raise CheckpointError(expected(f"touch.tokenizer in {where}", "sizes and hash", "none", do))
     came = touch.get("marker_images", 1)
-    if touch.get("slots") and touch.get("input") in FROM_MARKERS and came != MARKER_IMAGES:
+    if touch.get("slots") and touch.get("input") in ENCODED and came != MARKER_IMAGES:
         do = "Train again, on demonstrations recorded with this version."
         raise CheckpointError(
             expected(f"marker images of {where}", f"version {MARKER_IMAGES}", came, do)

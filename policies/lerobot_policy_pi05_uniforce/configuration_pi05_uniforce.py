@@ -32,7 +32,7 @@ CHOICES = {
     "verify": ("full", "quick", "off"),
     "monitor": ("stop", "off"),
     "grip": ("", "read", "held"),
-    "touch.input": ("latent", "newtons", "wrench", "descriptor", "marker_pair", "none"),
+    "touch.input": ("latent", "newtons", "wrench", "none"),
     "touch.site": ("prefix", "suffix"),
     "touch.on_sensor_loss": ("error", "mask"),
     "action.form": ("target_delta", "absolute"),
@@ -49,8 +49,8 @@ class TouchSettings:
     # slot → finger; {} = none
     slots: dict[str, str] = field(default_factory=lambda: {"touch0": "right"})
     # "newtons" (tiny): what a frozen force head reads in the latents, three numbers | "latent" (base): the whole map,
-    # as in the paper | "none" (plain π0.5); controls: "wrench" (true wrench) | "descriptor" (hand-made) | "marker_pair"
-    # (CNN)
+    # as in the paper | "none" (plain π0.5); "wrench" (the simulator's
+    # true wrench, a ceiling)
     input: str = _BY_SIZE
     # input=newtons: kind whose force head reads, that of the demonstrations' finger: the shipped one, or beside
     # tokenizer_path
@@ -218,7 +218,7 @@ class PI05UniforceConfig(PI05Config):
         _require(self.size != "tiny" or not stock, "size=tiny", "plain float32", self.dtype)
         square = self.image_resolution[0] == self.image_resolution[1]
         _require(square, "image_resolution", "a square", self.image_resolution)
-        mapped = touch.input in (*ENCODED, "descriptor") and bool(touch.slots)
+        mapped = touch.input in ENCODED and bool(touch.slots)
         came = f"touch.input={touch.input} in {sorted(touch.slots)}"
         feels = touch.input == "newtons" and bool(touch.slots)
         _require(

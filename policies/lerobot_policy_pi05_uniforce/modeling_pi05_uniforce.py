@@ -19,11 +19,11 @@ from torch.nn import functional as F  # noqa: N812
 
 from lerobot_policy_pi05_uniforce import action, checkpoint, training, weights
 from lerobot_policy_pi05_uniforce.augment import vary
-from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import ENCODED, PI05UniforceConfig
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch, state_size
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE, floor_quantiles
-from lerobot_policy_pi05_uniforce.touch.controls import SHAPES, ControlInput
+from lerobot_policy_pi05_uniforce.touch.controls import SHAPES, TrueWrench
 from lerobot_policy_pi05_uniforce.touch.encoder import ENCODER, check_hash, is_packaged
 from lerobot_policy_pi05_uniforce.touch.felt import Felt
 from lerobot_policy_pi05_uniforce.touch.sensors import PolicySensors
@@ -105,8 +105,8 @@ class PI05UniforcePolicy(stock.PI05Policy):
     def _make_touch_input(self) -> TouchInput:
         config = self.config
         frozen = self.model.tactile_encoder
-        if config.touch.input not in (*ENCODED, "none"):
-            return ControlInput(config)
+        if config.touch.input == "wrench":
+            return TrueWrench(config)
         if frozen is None:
             return TouchInput(config, (0, 0))
         shape = (config.tokens_per_slot, config.latent_size)

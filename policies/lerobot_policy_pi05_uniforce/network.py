@@ -12,7 +12,7 @@ from lerobot_policy_pi05_uniforce.backbone import make_backbone
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import ENCODED, PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.sampler.fast import FastSampler
 from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, drop_padding
-from lerobot_policy_pi05_uniforce.touch.controls import control_tokens
+from lerobot_policy_pi05_uniforce.touch.controls import newton_tokens
 from lerobot_policy_pi05_uniforce.touch.encoder import build_frozen_touch
 from lerobot_policy_pi05_uniforce.touch.felt import NOTHING, Felt
 from lerobot_policy_pi05_uniforce.touch.tokens import (
@@ -101,7 +101,7 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         if not config.slots:
             return None
         if config.touch.input != "latent":
-            return control_tokens(config, width)
+            return newton_tokens(config, width)
         return ForceTokens(config, (config.tokens_per_slot, config.latent_size), width)
 
     def sample_actions(

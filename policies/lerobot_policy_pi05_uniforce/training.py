@@ -17,7 +17,7 @@ from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import ENCODED, PI
 from lerobot_policy_pi05_uniforce.touch.sensors import carried_grip
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.json_file import read_object
-from uniforce_vtla.keys import ACTION, VIEW_MARKER, descriptor_key, latent_key
+from uniforce_vtla.keys import ACTION, VIEW_MARKER, latent_key
 
 Named = tuple[str, nn.Parameter]
 # random even on a pretrained backbone
@@ -29,7 +29,6 @@ EXPERT = (
 )
 PROJECTIONS = r"model\.(action_in_proj|action_out_proj|time_mlp_in|time_mlp_out)"
 # inputs standardised by the training data
-SCALED = {"latent": latent_key, "descriptor": descriptor_key}
 
 
 def parameter_groups(named: Iterable[Named], config: PI05UniforceConfig) -> list[dict[str, Any]]:
@@ -78,10 +77,10 @@ def read_touch_scale(
     stats: dict[str, dict[str, Any]], config: PI05UniforceConfig, shape: tuple[int, int]
 ) -> tuple[Tensor, Tensor] | None:
     """Return the touch input's mean (rows, size) and spread (size,), alike for all slots; None where there is none."""
-    if config.touch.input not in SCALED:
+    if config.touch.input != "latent":
         return None
-    key = SCALED[config.touch.input]
-    rows = [stats[key(slot)] for slot in config.slots if key(slot) in stats]
+    keys = [latent_key(slot) for slot in config.slots]
+    rows = [stats[key] for key in keys if key in stats]
     if not rows:
         return None
     mean = torch.stack([torch.as_tensor(row["mean"]).float().reshape(shape) for row in rows]).mean(

@@ -61,7 +61,7 @@ class ConvertConfig:
     view: View = ""  # of your demos (uniforce view image_side=224): features, statistics
     out: OutFolder = "outputs/converted"  # the new policy's folder
     # the last three: controls
-    touch_input: Literal["latent", "none", "wrench", "descriptor", "marker_pair"] = "latent"
+    touch_input: Literal["latent", "none", "wrench"] = "latent"
     touch_slots: Slots = "touch0:right,touch1:left"  # slot:finger, comma between them
     token_site: Literal["prefix", "suffix"] = "prefix"  # where force tokens stand (docs/design.md)
     # training starts with the source's actions, touch behind a gate (touch/tokens.py)

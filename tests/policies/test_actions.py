@@ -549,9 +549,7 @@ def test_a_loaded_policy_has_answered_before_a_robot_is_connected(
     policy.select_action(make_batch(policy))
 
 
-@pytest.mark.parametrize(
-    "kind", ["latent", "newtons", "wrench", "descriptor", "marker_pair", "none"]
-)
+@pytest.mark.parametrize("kind", ["latent", "newtons", "wrench", "none"])
 @pytest.mark.parametrize("slots", [{"touch0": "right"}, {"touch0": "right", "touch1": "left"}])
 def test_every_kind_of_policy_is_warmed_up(kind, slots, make_policy) -> None:
     more = {"touch__tokenizer_path": None} if kind == "newtons" else {}

@@ -19,13 +19,12 @@ from lerobot_policy_pi05_uniforce.controller import (
     stored_config,
 )
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
-from lerobot_policy_pi05_uniforce.touch import controls
 from lerobot_policy_pi05_uniforce.touch.felt import Felt
 from lerobot_policy_pi05_uniforce.touch.sensors import load_calibrations, make_monitor
 from lerobot_policy_pi05_uniforce.touch.tokens import SHUT, ForceTokens
 from lerobot_policy_pi05_uniforce.touch.touch_input import marker_images
 from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError, SensorError
-from uniforce_vtla.keys import descriptor_key, latent_key, marker_pair_key, tactile_key
+from uniforce_vtla.keys import latent_key, tactile_key
 from uniforce_vtla.tokenizer.calibration import Agreement, Calibration, LatentMap
 from uniforce_vtla.tokenizer.finger_balance import FingerBalance
 from uniforce_vtla.tokenizer.force_head import ForceHead
@@ -35,7 +34,6 @@ from uniforce_vtla.tokenizer.latent_range import (
     HealthMonitor,
     LatentRange,
 )
-from uniforce_vtla.tokenizer.plain_touch import DESCRIPTOR_SIZE, descriptors, marker_pairs
 
 PROJECTIONS = ("action_in_proj", "action_out_proj", "time_mlp_in", "time_mlp_out")
 
@@ -233,28 +231,21 @@ def tensors_in(thing, seen):
         yield from tensors_in(part, seen)
 
 
-@pytest.mark.parametrize("kind", ["latent", "newtons", "descriptor"])
+@pytest.mark.parametrize("kind", ["latent", "newtons"])
 def test_whatever_touch_holds_follows_the_policy_to_its_device(
     kind, make_policy, make_batch, tmp_path
 ):
     """No module registers ranges, maps and references: on a GPU the first look failed."""
     more = {"touch__tokenizer_path": None} if kind == "newtons" else {}
     policy = make_policy(touch__input=kind, touch__slots={"touch0": "right"}, **more)
-    sizes = (1, DESCRIPTOR_SIZE) if kind == "descriptor" else (16, 6)
-    names = (
-        "descriptor" if kind == "descriptor" else policy.config.tokenizer_hash,
-        policy.config.touch.head_hash,
-    )
-    Calibration(LatentMap(*sizes), *names, "tactip:7", "tactip:7", 0.0, 0.0, {}).save(tmp_path)
+    names = policy.config.tokenizer_hash, policy.config.touch.head_hash
+    Calibration(LatentMap(16, 6), *names, "tactip:7", "tactip:7", 0.0, 0.0, {}).save(tmp_path)
     policy = make_policy(
         touch__input=kind, touch__slots={"touch0": "right"}, right_calibration=str(tmp_path), **more
     )
-    if kind == "descriptor":
-        worn = policy.touch._alignment["right"].map
-    else:
-        sensor = watched(policy, 99.0).touch.sensors["touch0"]
-        worn = sensor.calibration.map
-        sensor.monitor._worn = worn
+    sensor = watched(policy, 99.0).touch.sensors["touch0"]
+    worn = sensor.calibration.map
+    sensor.monitor._worn = worn
     policy.select_action(make_batch(policy, size=1))
     policy.to("meta")
     elsewhere = [t for t in tensors_in(policy.touch, {}) if t.device.type != "meta"]
@@ -305,29 +296,6 @@ def with_dots(batch):
     return shown
 
 
-@pytest.mark.parametrize("kind", ["descriptor", "marker_pair"])
-def test_controls_are_the_same_cached_or_live(make_policy, make_batch, kind):
-    policy = make_policy(touch__input=kind)
-    batch = with_dots(make_batch(policy))
-    live, _ = policy.touch.gather(batch, torch.device("cpu"), training=False)
-    assert policy.model.tactile_encoder is None
-    compute = {"descriptor": descriptors, "marker_pair": marker_pairs}[kind]
-    key = {"descriptor": descriptor_key, "marker_pair": marker_pair_key}[kind]
-    cached = dict(batch)
-    for slot, finger in policy.config.finger_by_slot().items():
-        pair = [batch[tactile_key(finger, r)][:, 0] * 255 for r in (True, False)]
-        before, after = (images.round().to(torch.uint8).numpy() for images in pair)
-        values = [compute(b, a[None], finger) for b, a in zip(before, after, strict=True)]
-        cached[key(slot)] = torch.from_numpy(np.concatenate(values))
-        del cached[tactile_key(finger)]  # the cache is enough
-    stored, _ = policy.touch.gather(cached, torch.device("cpu"), training=False)
-    for a, b in zip(live, stored, strict=True):
-        torch.testing.assert_close(a, b, rtol=0, atol=0)
-    behind, _ = policy.model.embed_felt(policy.felt(cached), before=0)
-    tokens = [of_part for of_part, _ in behind]
-    assert [t.shape[1] for t in tokens] == [1, 16, 16]
-
-
 def test_newtons_are_what_the_shipped_head_reads_in_the_latents(make_policy, make_batch):
     shipped = {"touch__tokenizer_path": None}
     with pytest.raises(CheckpointError, match="packaged"):
@@ -348,7 +316,7 @@ def test_newtons_are_what_the_shipped_head_reads_in_the_latents(make_policy, mak
     assert policy.model.force_tokens.input_scale.tolist() == [5.0, 5.0, 10.0]
 
 
-@pytest.mark.parametrize("kind", ["latent", "newtons", "descriptor", "marker_pair"])
+@pytest.mark.parametrize("kind", ["latent", "newtons"])
 def test_touch_acts_and_a_swap_mirrors_as_the_right_finger_did(make_policy, make_batch, kind):
     shipped = {"touch__tokenizer_path": None} if kind == "newtons" else {}
     policy = make_policy(
@@ -363,6 +331,7 @@ def test_touch_acts_and_a_swap_mirrors_as_the_right_finger_did(make_policy, make
         tactile_key("left", r): batch[tactile_key("right", r)].flip(-1) for r in (True, False)
     }
     policy.config.swap = "touch0:left"
+    policy.touch = policy._make_touch_input()
     torch.testing.assert_close(policy.predict_action_chunk({**batch, **flipped}), first)
 
 
@@ -489,23 +458,9 @@ def test_a_finger_wears_its_calibration_at_rollout_and_no_checkpoint_names_one(
         PI05UniforcePolicy.from_pretrained(tmp_path / "policy", config=config)
 
 
-def test_a_descriptor_is_aligned_as_latents_are(make_policy, make_batch, tmp_path, monkeypatch):
-    """The control of the swap ladder must have what latents have."""
-    seen = descriptor_key, lambda reference, current, finger: np.ones((len(current), 6), np.float32)
-    monkeypatch.setitem(controls.FROM_IMAGES, "descriptor", seen)
-    plain = make_policy(touch__input="descriptor")
-    finger = plain.config.finger_by_slot()["touch0"]
-    found = LatentMap(*plain.touch.shape)
-    found.shift.fill_(0.5)
-    Calibration(found, "descriptor", "", "new", "tactip", 1.0, 0.0, {}).save(tmp_path)
-    worn = make_policy(**{"touch__input": "descriptor", f"{finger}_calibration": str(tmp_path)})
-    before, after = (
-        policy.touch.gather(make_batch(policy), torch.device("cpu"), training=False)[0][0]
-        for policy in (plain, worn)
-    )
-    assert torch.allclose(after, before + 0.5, atol=1e-6)
+def test_a_policy_that_feels_no_latents_wears_no_calibration(make_policy, tmp_path):
     with pytest.raises(ContractError, match="latents to map"):
-        make_policy(**{"touch__input": "wrench", f"{finger}_calibration": str(tmp_path)})
+        make_policy(touch__input="wrench", left_calibration=str(tmp_path))
 
 
 @pytest.mark.parametrize(("anchor", "judged"), [("tactip:1", "after"), ("gelsight:1", "before")])

@@ -69,11 +69,9 @@ class PolicySensors:
 
 
 def load_calibrations(
-    config: PI05UniforceConfig, shape: tuple[int, int], made_for: str = ""
+    config: PI05UniforceConfig, shape: tuple[int, int]
 ) -> dict[Finger, Calibration]:
     """Return finger → calibration onto the (rows, numbers) that the policy knows, where one is named.
-
-    ``made_for`` is a tokenizer's hash, "" for the policy's own; or "descriptor".
 
     Raises CheckpointError: made for another tokenizer, head or kind of sensor, of other sizes than this
     policy's input, or a gain of newtons where it feels none.
@@ -83,7 +81,7 @@ def load_calibrations(
         folder = getattr(config, f"{finger}_calibration")
         if not folder:
             continue
-        calibration = Calibration.load(folder, made_for or config.tokenizer_hash)
+        calibration = Calibration.load(folder, config.tokenizer_hash)
         came = calibration.map.patches, calibration.map.latent
         if came != shape:
             do = "Calibrate with this version."
