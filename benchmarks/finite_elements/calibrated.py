@@ -21,7 +21,8 @@ from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.markers.mirror import mirrored
 from uniforce_vtla.markers.registration import to_nominal_scale
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
-from uniforce_vtla.tokenizer.calibration import Calibration, calibrate
+from uniforce_vtla.tokenizer.calibrate import calibrate
+from uniforce_vtla.tokenizer.calibration import Calibration
 from uniforce_vtla.tokenizer.latent import POOL, Latent, pool_latent
 from uniforce_vtla.tokenizer.pair_cache import shrink
 

@@ -26,7 +26,7 @@ from uniforce_vtla.arguments import choose
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, SensorError, expected
 from uniforce_vtla.options import Count, OutFile, OutFolder, Seed, Text, Workers
-from uniforce_vtla.tokenizer.calibration import shear_gain
+from uniforce_vtla.tokenizer.gains import shear_gain
 
 ANCHOR = "tactip"  # worn on the left finger; its head reads both
 KINDS = ("tactip", "uskin", "gelsight")

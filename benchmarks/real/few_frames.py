@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.tokenizer.calibration import in_plane_turn_rad
+from uniforce_vtla.tokenizer.calibrate import in_plane_turn_rad
 
 FEWEST = 10  # seven numbers are fitted
 

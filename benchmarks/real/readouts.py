@@ -13,7 +13,7 @@ from tqdm import tqdm
 from benchmarks.real.few_frames import ForceCorrection
 from benchmarks.real.tactip_shear import TactipSet
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
-from uniforce_vtla.tokenizer.calibration import in_plane_turn_rad
+from uniforce_vtla.tokenizer.calibrate import in_plane_turn_rad
 from uniforce_vtla.tokenizer.descriptor import NATURAL_UNITS, describe
 from uniforce_vtla.tokenizer.latent import POOL, pool_latent
 

@@ -27,10 +27,12 @@ from uniforce_vtla.options import (
 from uniforce_vtla.tokenizer.settings import OBJECT_CLASSES, CalibrationConfig
 
 if TYPE_CHECKING:
+    from uniforce_cli.known_loads import Presses
     from uniforce_robots.sensors.finger import TactileFinger
     from uniforce_vtla.tokenizer.api import Tokenizer
     from uniforce_vtla.tokenizer.calibration import Calibration
     from uniforce_vtla.tokenizer.calibration_choice import Choice
+    from uniforce_vtla.tokenizer.force_head import ForceHead
 
 Unit = Annotated[
     str,
@@ -44,108 +46,123 @@ logger = logging.getLogger(__name__)
 
 @dataclass
 class CalibrateCommand:
-    """Fit the sensor ``new`` to paired grasps with the sensor ``anchor``, or one gain of it to known loads.
+    """Fit a sensor to a known one by grasps or wipes, or to known loads on a kitchen scale.
 
-    Left-out grasps choose among a map of the latent, one gain of the newtons and none.
+    Grasps take two minutes: hold a small object from outside, let both fingers grasp it, squeeze, push
+    and twist. After a minute take a tool's flat handle. Left-out grasps choose among a map of the
+    latent, one gain of the newtons, and neither.
+    Record: uniforce pairs robot=franka rig=rig.yaml indenters=small,tool
+    Example: uniforce calibrate new=gelsight anchor=tactip pairs=outputs/pairs/uniforce_pairs
+    In simulation: uniforce calibrate new=tactip:7 anchor=tactip:1
 
-    Two minutes: hold a small object from outside, let both fingers grasp it, squeeze, push and twist; after a minute
-    take a tool's flat handle. Record that with: uniforce pairs robot=franka rig=rig.yaml indenters=small,tool
-    Example: uniforce calibrate new=gelsight anchor=tactip pairs=outputs/pairs/uniforce_pairs out=outputs/calibration
-    In simulation: uniforce calibrate new=gelsight_stiff anchor=tactip, or a unit of them: new=tactip:7 anchor=tactip:1
-    With a kitchen scale, half a minute, the fingers holding the task's tool:
-    uniforce calibrate new=uskin rig=rig.yaml finger=right loads_N=3,6,9 through=tool
-    Its simulation: uniforce calibrate new=uskin:7 loads_N=3,6,9 through=tool. A gain is all it fits.
-    Without a scale, from a few recorded wipes with a known sensor on the other finger, one gain of shear:
-    uniforce calibrate new=uskin anchor=tactip wipes=outputs/wiping finger=right
+    A kitchen scale takes half a minute. The fingers hold the task's tool; the fit is one gain.
+    Example: uniforce calibrate new=uskin rig=rig.yaml finger=right loads_N=3,6,9 through=tool
+    In simulation: uniforce calibrate new=uskin:7 loads_N=3,6,9 through=tool
+
+    A few recorded wipes with a known sensor on the other finger give one gain of shear.
+    Example: uniforce calibrate new=uskin anchor=tactip wipes=outputs/wiping finger=right
+
     Use it: uniforce score … right_sensor=uskin right_calibration=outputs/calibration
     """
 
-    # the sensor to fit; in simulation unit 1 of it, or uskin:7 | uskin:drawing | with a fault tactip:1+gain=1.6
+    # sensor to fit. In simulation its unit 1, or uskin:7, uskin:drawing, tactip:1+gain=1.6
     new: Unit = "gelsight_stiff"
-    anchor: Unit = "tactip"  # the known sensor, in the same words; its force head reads both
-    # recorded pairs, as `uniforce pairs` writes them; empty = grasps are simulated
+    anchor: Unit = "tactip"  # known sensor, in the same words; its force head reads both
+    # pairs recorded by `uniforce pairs`; empty = grasps are simulated
     pairs: FolderPath = ""
-    # how new sat on its finger while pairs were recorded; the rig's rotation_deg and flip bring it upright from then on
+    # how new sat on its finger while pairs were recorded; later the rig's settings bring it upright
     mounted: Literal["upright", "turned", "mirrored_x", "mirrored_y"] = "upright"
     tools: Text = "tool,flat"  # recorded objects that count as tools; all others are small
-    # which objects must agree, or the calibration is refused
+    # objects that must agree, or the calibration is refused
     task: Literal["both", "small", "tool"] = "both"
     grasps: Count = 600  # simulated pairs
-    loads_N: Numbers = ""  # known loads instead of an anchor's grasps, three or more
-    # loads_N: pad, pressed bare on a handle: one gain of all axes, of domes and taxels | tool, pressed on the scale by
-    # the fingers that hold it: one gain of the shear that a task feels, for every kind
+    loads_N: Numbers = ""  # three known loads or more, instead of an anchor's grasps
+    # with loads_N. pad: pressed bare on a handle, one gain of all axes, for domes and taxels |
+    # tool: the held tool is pressed on the scale, one gain of shear, for every kind
     through: Literal["pad", "tool"] = "pad"
-    # loads_N: YAML file with `robot: {cameras: …}`; empty = presses are simulated
+    # with loads_N: YAML file with `robot: {cameras: …}`; empty = presses are simulated
     rig: FilePath = ""
-    # a dataset of `uniforce record` whose fingers wear new and anchor, instead of grasps
+    # dataset of `uniforce record` whose fingers wear new and anchor, instead of grasps
     wipes: FolderPath = ""
-    finger: Literal["left", "right"] = "right"  # that wears new: of the rig, or in recorded wipes
-    out: OutFolder = "outputs/calibration"  # the map's folder
+    finger: Literal["left", "right"] = "right"  # finger that wears new, in the rig or in the wipes
+    out: OutFolder = "outputs/calibration"  # folder of the calibration
     tokenizer: TokenizerFolder = ""  # checkpoint folder; empty = shipped
-    # what judges, and what is refused
+    # shares of the grasps that judge, and agreement below which the fit is refused
     fit: CalibrationConfig = field(default_factory=CalibrationConfig)
     seed: Seed = 0  # of the grasps
 
 
 def calibrate_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
-    """Gather grasps and fit; raises as ``calibrate``, SensorError for an unknown sensor, DatasetError for bad pairs."""
-    from uniforce_vtla.contact.worn_in_words import wear
-    from uniforce_vtla.tokenizer.calibration import calibrate
-    from uniforce_vtla.tokenizer.force_head import ForceHead
+    """Gather grasps and fit the calibration.
 
-    _, anchor_kind = (wear(words)(config.seed).kind for words in (config.new, config.anchor))
-    sensors = config.new, config.anchor
+    Raises as ``calibrate``; SensorError: an unknown sensor; DatasetError: pairs that can't be read.
+    """
+    from uniforce_vtla.tokenizer.calibrate import calibrate
+
     if config.pairs:
-        grasps = recorded_grasps(config.pairs, *sensors, config.tools, tokenizer, config.mounted)
+        grasps = recorded_grasps(
+            config.pairs, config.new, config.anchor, config.tools, tokenizer, config.mounted
+        )
     else:
-        grasps = simulated_grasps(*sensors, config.grasps, config.seed, tokenizer.pooled)
-    head = ForceHead.from_pretrained(anchor_kind, config.tokenizer or None)
-    names = config.new, config.anchor
+        grasps = simulated_grasps(
+            config.new, config.anchor, config.grasps, config.seed, tokenizer.pooled
+        )
     return calibrate(
-        grasps.new, grasps.anchor, grasps.classes, head, *names, config.fit, grasps.numbers
+        grasps.new,
+        grasps.anchor,
+        grasps.classes,
+        _head_of_anchor(config),
+        config.new,
+        config.anchor,
+        config.fit,
+        grasps.numbers,
     )
 
 
 def scale_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
-    """Fit the gain of shear to recorded wipes; raises as ``Calibration.beside_an_anchor`` and ``recorded_wipes``."""
-    from uniforce_vtla.contact.worn_in_words import wear
-    from uniforce_vtla.tokenizer.calibration import Calibration
-    from uniforce_vtla.tokenizer.force_head import ForceHead
+    """Fit the gain of shear to recorded wipes; raises as ``gain_beside_an_anchor`` and ``recorded_wipes``."""
+    from uniforce_vtla.tokenizer.gains import gain_beside_an_anchor
 
-    kinds = {words: wear(words)(config.seed).kind for words in (config.new, config.anchor)}
     of_new, of_anchor = recorded_wipes(
-        config.wipes, kinds[config.new], kinds[config.anchor], config.finger, tokenizer
+        config.wipes,
+        _kind(config, config.new),
+        _kind(config, config.anchor),
+        config.finger,
+        tokenizer,
     )
-    head = ForceHead.from_pretrained(kinds[config.anchor], config.tokenizer or None)
-    return Calibration.beside_an_anchor(of_new, of_anchor, head, config.new, config.anchor)
+    head = _head_of_anchor(config)
+    return gain_beside_an_anchor(of_new, of_anchor, head, config.new, config.anchor)
 
 
 def weigh_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
-    """Have loads pressed and fit the gain; raises as ``Calibration.of_loads`` and the presses do."""
-    from uniforce_cli.known_loads import (
-        finger_of,
-        known_loads,
-        presses_by_hand,
-        simulated_presses,
-        simulated_tool,
-    )
+    """Have loads pressed and fit the gain; raises as ``gain_of_loads`` and the presses do."""
+    from uniforce_cli.known_loads import known_loads, simulated_presses, simulated_tool
     from uniforce_vtla.contact.worn_in_words import wear
-    from uniforce_vtla.tokenizer.calibration import Calibration
-    from uniforce_vtla.tokenizer.force_head import ForceHead
+    from uniforce_vtla.tokenizer.gains import gain_of_loads, gain_through_a_tool
 
     loads_N = known_loads(config.loads_N)
-    worn, anchor = (wear(words)(config.seed) for words in (config.new, config.anchor))
-    head = ForceHead.from_pretrained(anchor.kind, config.tokenizer or None)
-    encode = tokenizer.pooled
-    by_tool = config.through == "tool"
-    fit = Calibration.through_a_tool if by_tool else Calibration.of_loads
-    if not config.rig:
-        press = simulated_tool if by_tool else simulated_presses
-        return fit(*press(worn, loads_N, config.seed, encode), head, config.new)
+    head = _head_of_anchor(config)
+    fit, simulate = gain_of_loads, simulated_presses
+    if config.through == "tool":
+        fit, simulate = gain_through_a_tool, simulated_tool
+    if config.rig:
+        latents, load_N = _presses_of_rig(config, loads_N, tokenizer)
+    else:
+        unit = wear(config.new)(config.seed)
+        latents, load_N = simulate(unit, loads_N, config.seed, tokenizer.pooled)
+    return fit(latents, load_N, head, config.new)
+
+
+def _presses_of_rig(
+    config: CalibrateCommand, loads_N: list[float], tokenizer: Tokenizer
+) -> Presses:
+    """Have a person press the loads on a sensor of the rig."""
     from lerobot.cameras.utils import make_cameras_from_configs
 
+    from uniforce_cli.known_loads import finger_of, presses_by_hand
+
     wanted = finger_of(config.rig, config.finger)
-    if wanted.sensor != worn.kind:
+    if wanted.sensor != _kind(config, config.new):
         raise ContractError(
             expected(f"new, as {config.rig} has it", wanted.sensor, config.new, "Name that sensor.")
         )
@@ -153,7 +170,20 @@ def weigh_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
     finger = cast("TactileFinger", make_cameras_from_configs({"finger": wanted})["finger"])
     print(f"{wanted.label}: taking the reference, keep it in free air")
     with finger:
-        return fit(*presses_by_hand(finger, loads_N, encode, by_tool), head, config.new)
+        return presses_by_hand(finger, loads_N, tokenizer.pooled, config.through == "tool")
+
+
+def _kind(config: CalibrateCommand, words: str) -> str:
+    """Return the kind of sensor that some words name; raises SensorError: an unknown one."""
+    from uniforce_vtla.contact.worn_in_words import wear
+
+    return wear(words)(config.seed).kind
+
+
+def _head_of_anchor(config: CalibrateCommand) -> ForceHead:
+    from uniforce_vtla.tokenizer.force_head import ForceHead
+
+    return ForceHead.from_pretrained(_kind(config, config.anchor), config.tokenizer or None)
 
 
 def _check_sources(config: CalibrateCommand) -> None:
@@ -191,42 +221,43 @@ def check_agreement(found: Calibration, config: CalibrateCommand) -> str:
     return f"{name} objects agree least: R² of Fz {r2:.2f}"
 
 
+def print_agreement(found: Calibration) -> None:
+    """Print how well the force read from both fingers agrees, a line for each class of objects."""
+    if found.choice:
+        print(choice_in_words(found.choice))
+    print(f"{found.new} against {found.anchor}, held-out grasps, R² (|r|) of the force read")
+    for name, judged in found.agreement.items():
+        axes = []
+        for axis, r2, r in zip("xyz", judged.r2, judged.abs_r, strict=True):
+            axes.append(f"F{axis} {r2:.2f} ({r:.2f})")
+        before = " ".join(f"{r2:.2f}" for r2 in judged.r2_before)
+        print(f"  {name:5} {', '.join(axes)}; before {before}; {judged.grasps} grasps")
+
+
 @command(CalibrateCommand)
 def main(config: CalibrateCommand) -> None:
     from uniforce_vtla.tokenizer.api import Tokenizer
-    from uniforce_vtla.tokenizer.calibration import AXES
 
     one_thread()
     _check_sources(config)
     tokenizer = Tokenizer.from_pretrained(config.tokenizer or None)
     then = f"uniforce score policy=… right_sensor={config.new} right_calibration={config.out}"
     if config.loads_N or config.wipes:
-        found = (
-            weigh_sensor(config, tokenizer) if config.loads_N else scale_sensor(config, tokenizer)
-        )
-        what = "gain of shear" if found.through_tool else "gain"
-        print(f"{config.new}: {what} {found.gain:.2f}; in {found.save(config.out)}. Next: {then}")
+        fit = weigh_sensor if config.loads_N else scale_sensor
+        found = fit(config, tokenizer)
+        gain = "gain of shear" if found.through_tool else "gain"
+        print(f"{config.new}: {gain} {found.gain:.2f}; in {found.save(config.out)}. Next: {then}")
         return
     found = calibrate_sensor(config, tokenizer)
-    if found.choice:
-        print(choice_in_words(found.choice))
-    print(f"{config.new} against {config.anchor}, held-out grasps, R² (|r|) of the force read")
-    for name, judged in found.agreement.items():
-        axes = [
-            f"F{a} {r2:.2f} ({r:.2f})"
-            for a, r2, r in zip(AXES, judged.r2, judged.abs_r, strict=True)
-        ]
-        before = " ".join(f"{r2:.2f}" for r2 in judged.r2_before)
-        print(f"  {name:5} {', '.join(axes)}; before {before}; {judged.grasps} grasps")
+    print_agreement(found)
     if abs(found.turn_deg) > TURN_DEG:
         logger.warning(
             "%s seems turned by %.0f°: see `uniforce touch check=angle`", config.new, found.turn_deg
         )
     worst = check_agreement(found, config)
     if not found.reads_grip:
-        print(
-            f"{found.grip_in_words}: a policy holds it from the lift on (grip=read | held says otherwise)"
-        )
+        held = "a policy holds it from the lift on (grip=read | held says otherwise)"
+        print(f"{found.grip_in_words}: {held}")
     if found.worst()[1] < config.fit.warn_below:
         logger.warning("%s: grasp again, more of them and all over the pad", worst)
     print(f"{worst}; calibration in {found.save(config.out)}. Next: {then}")

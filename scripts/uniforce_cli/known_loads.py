@@ -135,18 +135,24 @@ def presses_by_hand(
     if ask is input and not sys.stdin.isatty():
         do = "Run it where somebody can press Enter."
         raise ContractError(expected("presses by hand", "a terminal", "another input", do))
-    reference, latents = finger.reference_image()[..., 0], []
-    loads_N = [0.0, *loads_N] if through_tool else loads_N
+    reference = finger.reference_image()[..., 0]
+    side = cast("Finger", finger.config.finger)
+    latents = []
+    if through_tool:
+        loads_N = [0.0, *loads_N]
     print(WITH_TOOL if through_tool else ON_HANDLE)
     for load_N in loads_N:
-        shown = (
-            f"until the scale shows {1000 * load_N / STANDARD_m_s2:.0f} g ({load_N:g} N); hold it"
-        )
-        ask(f"{shown if load_N else 'let the tool hang free of the scale'} and press Enter ")
-        images, index = [], -1
+        wish = "let the tool hang free of the scale"
+        if load_N:
+            grams = 1000 * load_N / STANDARD_m_s2
+            wish = f"until the scale shows {grams:.0f} g ({load_N:g} N); hold it"
+        ask(f"{wish} and press Enter ")
+        images = []
+        index = -1
         for _ in range(FRAMES):
             touch = finger.next_touch(index)
             index = touch.index
             images.append(finger.marker_image(touch.raw))
-        latents.append(encode(reference, np.stack(images), cast("Finger", finger.config.finger)))
-    return torch.cat(latents), np.repeat(np.asarray(loads_N, np.float32), FRAMES)  # type: ignore[return-value]  # cat keeps the origin
+        latents.append(encode(reference, np.stack(images), side))  # (FRAMES, P, L)
+    held_N = np.repeat(np.asarray(loads_N, np.float32), FRAMES)
+    return torch.cat(latents), held_N  # type: ignore[return-value]  # cat keeps the origin

@@ -1,4 +1,4 @@
-"""Pairs for a calibration: both fingers' latents of the same contacts, of simulated or recorded grasps, or of wipes."""
+"""Pairs for a calibration: latents of both fingers on the same contacts, simulated or recorded."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Grasps:
 
 
 def simulated_grasps(new: str, anchor: str, count: int, seed: int, encode: Encode) -> Grasps:
-    """Grasp in simulation, the new sensor left and the anchor right: half small objects, half tools, at rest."""
+    """Grasp in simulation, the new sensor left, the anchor right: half small objects, half tools, at rest."""
     import numpy as np
     import torch
 
@@ -57,47 +57,52 @@ def simulated_grasps(new: str, anchor: str, count: int, seed: int, encode: Encod
     from uniforce_vtla.contracts import ContactState
     from uniforce_vtla.markers.mirror import mirrored
 
-    worn_new, worn_anchor = (wear(words)(seed) for words in (new, anchor))
     rng = np.random.default_rng([seed, 55])
     objects = sample_objects(rng, count, PRETRAIN, flat_share=0.5)
-    force, torsion = sample_loads(
-        rng, count, ForceRange(flat_torsion_arm_mm=TOOL_TORSION_ARM_mm), objects.names
-    )
+    bounds = ForceRange(flat_torsion_arm_mm=TOOL_TORSION_ARM_mm)
+    force, torsion = sample_loads(rng, count, bounds, objects.names)
     contact = ContactState(objects.gap_mm, force, torsion)
-    left = seen(WornView(worn_new, seed), contact, "left", encode)
-    right = seen(WornView(worn_anchor, seed + 1), mirrored(contact), "right", encode)
+    left = seen(WornView(wear(new)(seed), seed), contact, "left", encode)
+    right = seen(WornView(wear(anchor)(seed), seed + 1), mirrored(contact), "right", encode)
     both = sorted(left.keys() & right.keys())
-    if left_out := count - len(both):
+    left_out = count - len(both)
+    if left_out:
         logger.warning(
             "%d of %d grasps are left out: a finger's frame was refused", left_out, count
         )
-    classes = tuple("tool" if objects.names[row] == FLAT else "small" for row in both)
-    of_new, of_anchor = (torch.stack([of[row] for row in both]) for of in (left, right))
-    return Grasps(of_new, of_anchor, classes, tuple(both))  # type: ignore[arg-type]  # stack keeps the origin
+    return Grasps(
+        new=torch.stack([left[row] for row in both]),  # type: ignore[arg-type]  # keeps the origin
+        anchor=torch.stack([right[row] for row in both]),  # type: ignore[arg-type]
+        classes=tuple("tool" if objects.names[row] == FLAT else "small" for row in both),
+        numbers=tuple(both),
+    )
 
 
 def seen(
     view: WornView, contact: ContactState, finger: Finger, encode: Encode
 ) -> dict[int, Latent]:
-    """Return row → what ``encode`` makes of a contact as a worn unit shows it, (P, L); refused frames are left out."""
+    """Return row → latent (P, L) of a contact as a unit shows it; refused frames are left out."""
     import numpy as np
 
     from uniforce_vtla.contact.simulator import rows_of, slices
 
     found: dict[int, Latent] = {}
     for part in slices(len(contact.gap_mm), BATCH):
-        if images := view.accepted(rows_of(contact, part)):
-            latents = encode(view.reference, np.stack(list(images.values())), finger)
-            found |= {part.start + row: latent for row, latent in zip(images, latents, strict=True)}
+        images = view.accepted(rows_of(contact, part))
+        if not images:
+            continue
+        latents = encode(view.reference, np.stack(list(images.values())), finger)
+        for row, latent in zip(images, latents, strict=True):
+            found[part.start + row] = latent
     return found
 
 
 def recorded_grasps(
     folder: str, new: str, anchor: str, tools: str, tokenizer: Tokenizer, mounted: Mount = "upright"
 ) -> Grasps:
-    """Read recorded pairs of the two sensors; either finger may wear the new one, of one kind it is the left.
+    """Read recorded pairs of the two sensors; of one kind the new one is the left.
 
-    Its images are brought upright if ``mounted`` says that they were recorded otherwise.
+    The new sensor's images are brought upright where ``mounted`` says that they were recorded otherwise.
 
     Raises DatasetError: as ``read_uniforce_pairs``, or pairs of other sensors.
     """
@@ -109,33 +114,32 @@ def recorded_grasps(
     from uniforce_vtla.tokenizer.mount_relation import SETTINGS
 
     upright = Orientation(*SETTINGS[mounted]).of_frame
-    new_name, anchor_name = (words.partition(":")[0] for words in (new, anchor))
-    encode = tokenizer.pooled
+    new_kind = new.partition(":")[0]
+    kinds = {new_kind, anchor.partition(":")[0]}
     of_new: list[Latent] = []
     of_anchor: list[Latent] = []
     classes: list[str] = []
     stretches: dict[tuple[str, str, int], int] = {}
     numbers: list[int] = []
     for recording in read_uniforce_pairs(folder):
-        if set(recording.kinds) != {new_name, anchor_name}:
+        if set(recording.kinds) != kinds:
             do = "Name them new= and anchor=."
-            raise DatasetError(
-                expected(f"sensors of {recording}", [new_name, anchor_name], recording.kinds, do)
-            )
+            came = recording.kinds
+            raise DatasetError(expected(f"sensors of {recording}", sorted(kinds), came, do))
         left: Seen = (recording.left_reference, recording.left_frames, "left")
         right: Seen = (recording.right_reference, recording.right_frames, "right")
-        is_left = recording.kinds[0] == new_name
-        reference, frames, finger = left if is_left else right
-        of_new.append(
-            encode(upright(reference), np.stack([upright(frame) for frame in frames]), finger)
-        )
-        of_anchor.append(encode(*(right if is_left else left)))
+        if recording.kinds[0] == new_kind:
+            (reference, frames, finger), anchors = left, right
+        else:
+            (reference, frames, finger), anchors = right, left
+        turned = np.stack([upright(frame) for frame in frames])
+        of_new.append(tokenizer.pooled(upright(reference), turned, finger))
+        of_anchor.append(tokenizer.pooled(*anchors))
         kind = "tool" if recording.indenter in split(tools) else "small"
-        classes += [kind] * len(recording.left_frames)
-        for frame in range(
-            recording.first_frame, recording.first_frame + len(recording.left_frames)
-        ):
-            stretch = recording.name, recording.indenter, frame // STRETCH
+        count = len(recording.left_frames)
+        classes += [kind] * count
+        for frame in range(recording.first_frame, recording.first_frame + count):
+            stretch = (recording.name, recording.indenter, frame // STRETCH)
             numbers.append(stretches.setdefault(stretch, len(stretches)))
     return Grasps(torch.cat(of_new), torch.cat(of_anchor), tuple(classes), tuple(numbers))  # type: ignore[arg-type]  # cat keeps the origin
 
@@ -147,7 +151,8 @@ def recorded_wipes(
 
     Returns the pooled latents (n, P, L) of the new sensor and of the anchor at the same moments.
 
-    Raises DatasetError: as ``check_dataset``, or fingers that wear others; SensorError: a reference that can't be read.
+    Raises DatasetError: as ``check_dataset``, or fingers that wear others; SensorError: a reference that
+    can't be read.
     """
     import torch
 
@@ -156,23 +161,22 @@ def recorded_wipes(
 
     source = check_dataset(folder)
     other: Finger = "left" if finger == "right" else "right"
-    encode = tokenizer.pooled
-    latents: dict[Finger, list[Latent]] = {finger: [], other: []}
+    wanted = {finger: new, other: anchor}
+    of_new: list[Latent] = []
+    of_anchor: list[Latent] = []
     for episode, facts in episode_facts(source):
         worn = {"left": facts.left_sensor, "right": facts.right_sensor}
-        wanted = {finger: new, other: anchor}
         if worn != wanted:
             do = "Name them new= and anchor=, and the new one's finger=."
             raise DatasetError(
                 expected(f"sensors of {folder}, episode {episode.index}", wanted, worn, do)
             )
-        for one, found in latents.items():
-            found += _encoded(episode, source.fps, one, encode)
-    of_new, of_anchor = (torch.cat(latents[one]) for one in (finger, other))
-    return of_new, of_anchor  # type: ignore[return-value]  # cat keeps the origin
+        of_new += _encoded(episode, source.fps, finger, tokenizer)
+        of_anchor += _encoded(episode, source.fps, other, tokenizer)
+    return torch.cat(of_new), torch.cat(of_anchor)  # type: ignore[return-value]  # keeps the origin
 
 
-def _encoded(episode: Episode, fps: int, finger: Finger, encode: Encode) -> list[Latent]:
+def _encoded(episode: Episode, fps: int, finger: Finger, tokenizer: Tokenizer) -> list[Latent]:
     """Return the latents of every fourth frame of a finger, in batches."""
     from itertools import batched, islice
 
@@ -183,8 +187,9 @@ def _encoded(episode: Episode, fps: int, finger: Finger, encode: Encode) -> list
 
     span = episode.videos[tactile_key(finger, reference=True)]
     reference = next(episode_frames(span, episode.length, fps))[..., 0]
-    current = islice(
-        episode_frames(episode.videos[tactile_key(finger)], episode.length, fps), 0, None, EVERY
-    )
-    images = (frame[..., 0] for frame in current)
-    return [encode(reference, np.stack(some), finger) for some in batched(images, BATCH)]
+    frames = episode_frames(episode.videos[tactile_key(finger)], episode.length, fps)
+    latents = []
+    for some in batched(islice(frames, 0, None, EVERY), BATCH):
+        images = np.stack([frame[..., 0] for frame in some])
+        latents.append(tokenizer.pooled(reference, images, finger))
+    return latents

@@ -3,7 +3,7 @@ import pytest
 
 from benchmarks.real.few_frames import ForceCorrection
 from uniforce_vtla.errors import ContractError
-from uniforce_vtla.tokenizer.calibration import in_plane_turn_rad
+from uniforce_vtla.tokenizer.calibrate import in_plane_turn_rad
 
 
 def frames(n: int = 12, noise_N: float = 0.0) -> tuple[np.ndarray, np.ndarray]:

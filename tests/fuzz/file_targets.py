@@ -26,10 +26,11 @@ from uniforce_vtla.errors import UniForceError
 from uniforce_vtla.file_hashes import HASHES, check_hashes, write_hashes
 from uniforce_vtla.keys import ACTION, STATE
 from uniforce_vtla.tokenizer import ForceHead, Latent, Tokenizer, TokenizerConfig
-from uniforce_vtla.tokenizer.calibration import Agreement, Calibration, LatentMap
+from uniforce_vtla.tokenizer.calibration import Agreement, Calibration
 from uniforce_vtla.tokenizer.descriptor import DESCRIPTOR_NAMES
 from uniforce_vtla.tokenizer.descriptor_head import DescriptorHead
 from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig
+from uniforce_vtla.tokenizer.latent_map import LatentMap
 from uniforce_vtla.tokenizer.weights import load_state, save_state
 
 TYPED = (UniForceError,)

@@ -25,9 +25,10 @@ from lerobot_policy_pi05_uniforce.touch.tokens import SHUT, ForceTokens
 from lerobot_policy_pi05_uniforce.touch.touch_input import marker_images
 from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError, SensorError
 from uniforce_vtla.keys import latent_key, tactile_key
-from uniforce_vtla.tokenizer.calibration import Agreement, Calibration, LatentMap
+from uniforce_vtla.tokenizer.calibration import Agreement, Calibration
 from uniforce_vtla.tokenizer.finger_balance import FingerBalance
 from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer.latent_map import LatentMap
 from uniforce_vtla.tokenizer.latent_range import (
     FREE_LOOKS,
     FreeAirError,

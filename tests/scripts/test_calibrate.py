@@ -27,6 +27,7 @@ from uniforce_vtla.markers.canonicalizer import Canonicalizer
 from uniforce_vtla.markers.mirror import mirrored
 from uniforce_vtla.tokenizer import ForceHead, Latent, Tokenizer
 from uniforce_vtla.tokenizer.calibration import Calibration
+from uniforce_vtla.tokenizer.gains import gain_of_loads, gain_through_a_tool
 from uniforce_vtla.tokenizer.mount_relation import SETTINGS, Mount
 
 
@@ -215,7 +216,7 @@ def test_a_person_presses_each_load_and_frames_of_it_are_read() -> None:
     finger, tokenizer = Pressed(), Tokenizer.from_pretrained()
     z, load_N = presses_by_hand(finger, (3, 6, 9), tokenizer.pooled, ask=finger.ask)  # type: ignore[arg-type]
     assert load_N.tolist() == [3] * 10 + [6] * 10 + [9] * 10 and len(z) == 30
-    found = Calibration.of_loads(z, load_N, ForceHead.from_pretrained(), "tactip")
+    found = gain_of_loads(z, load_N, ForceHead.from_pretrained(), "tactip")
     assert 0.8 < found.gain < 1.25
     with pytest.raises(ContractError, match="a terminal"):
         presses_by_hand(finger, (3, 6, 9), tokenizer.pooled)  # type: ignore[arg-type]
@@ -228,11 +229,7 @@ def test_a_person_lets_the_tool_hang_and_presses_it(capsys: pytest.CaptureFixtur
     assert (
         sorted(set(load_N.tolist())) == [0, 3, 6, 9] and "grasp the tool" in capsys.readouterr().out
     )
-    assert (
-        0.8
-        < Calibration.through_a_tool(z, load_N, ForceHead.from_pretrained(), "tactip").gain
-        < 1.25
-    )
+    assert 0.8 < gain_through_a_tool(z, load_N, ForceHead.from_pretrained(), "tactip").gain < 1.25
 
 
 @pytest.mark.parametrize("worn", ["tactip:2", "uskin:2", "gelsight:2"])

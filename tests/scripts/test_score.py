@@ -27,7 +27,8 @@ from uniforce_vtla.errors import ContractError
 from uniforce_vtla.evaluation.arms import EpisodeRow
 from uniforce_vtla.keys import TACTILE_NAMES
 from uniforce_vtla.results_file import only_writer
-from uniforce_vtla.tokenizer.calibration import Calibration, LatentMap
+from uniforce_vtla.tokenizer.calibration import Calibration
+from uniforce_vtla.tokenizer.latent_map import LatentMap
 
 Asked = list[tuple[int, ScoreConfig]]
 Rule = Callable[[int, ScoreConfig], bool]

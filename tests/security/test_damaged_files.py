@@ -19,8 +19,9 @@ from uniforce_vtla.array_file import read_array
 from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError
 from uniforce_vtla.file_hashes import HASHES, check_hashes, drop_hashes
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer, TokenizerConfig
-from uniforce_vtla.tokenizer.calibration import Agreement, Calibration, LatentMap
+from uniforce_vtla.tokenizer.calibration import Agreement, Calibration
 from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig
+from uniforce_vtla.tokenizer.latent_map import LatentMap
 from uniforce_vtla.tokenizer.weights import load_state
 
 

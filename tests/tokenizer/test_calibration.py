@@ -7,9 +7,15 @@ import pytest
 import torch
 
 from uniforce_vtla.errors import CheckpointError, ContractError
-from uniforce_vtla.tokenizer.calibration import Calibration, calibrate
+from uniforce_vtla.tokenizer.calibrate import calibrate
+from uniforce_vtla.tokenizer.calibration import Calibration
 from uniforce_vtla.tokenizer.calibration_choice import choose
 from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig
+from uniforce_vtla.tokenizer.gains import (
+    gain_beside_an_anchor,
+    gain_of_loads,
+    gain_through_a_tool,
+)
 from uniforce_vtla.tokenizer.latent import Latent
 from uniforce_vtla.tokenizer.latent_map import LatentMap, fit_map
 from uniforce_vtla.tokenizer.settings import CalibrationConfig
@@ -270,7 +276,7 @@ def test_one_grasp_chooses_nothing() -> None:
 
 
 def test_known_loads_give_a_gain_that_is_stored(tmp_path: Path) -> None:
-    found = Calibration.of_loads(presses(3, 6, 9), np.array([3, 6, 9]), Scale(), "tactip:7")  # type: ignore[arg-type]
+    found = gain_of_loads(presses(3, 6, 9), np.array([3, 6, 9]), Scale(), "tactip:7")  # type: ignore[arg-type]
     assert found.gain == pytest.approx(1.25) and torch.equal(found(presses(3)), presses(3))
     again = Calibration.load(found.save(tmp_path / "map"), "abc")
     assert (again.gain, again.new, again.head_hash, again.hash) == (
@@ -281,9 +287,7 @@ def test_known_loads_give_a_gain_that_is_stored(tmp_path: Path) -> None:
     )
     # as of calibrations older than the choice
     assert again.choice is None and "choice" not in found.facts()
-    plain = Calibration.of_loads(
-        presses(3.75, 7.5, 11.25), np.array([3, 6, 9]), Scale(), "tactip:7"
-    )  # type: ignore[arg-type]
+    plain = gain_of_loads(presses(3.75, 7.5, 11.25), np.array([3, 6, 9]), Scale(), "tactip:7")  # type: ignore[arg-type]
     assert plain.gain == pytest.approx(1.0) and plain.hash != found.hash
 
 
@@ -292,7 +296,7 @@ def test_known_loads_give_a_gain_that_is_stored(tmp_path: Path) -> None:
 )
 def test_loads_that_give_no_gain_are_refused(load_N: tuple[float, ...]) -> None:
     with pytest.raises(ContractError, match=r"loads|presses"):
-        Calibration.of_loads(presses(3, 6, 9)[: len(load_N)], np.array(load_N), Scale(), "tactip:7")  # type: ignore[arg-type]
+        gain_of_loads(presses(3, 6, 9)[: len(load_N)], np.array(load_N), Scale(), "tactip:7")  # type: ignore[arg-type]
 
 
 class ShearScale:
@@ -315,9 +319,7 @@ def through_tool(*load_N: float) -> Latent:
 
 def test_a_tool_on_a_scale_gives_a_gain_of_shear_alone(tmp_path: Path) -> None:
     loads = (0.0, 3.0, 6.0, 9.0)
-    found = Calibration.through_a_tool(
-        through_tool(*loads), np.array(loads), ShearScale(), "uskin:7"
-    )  # type: ignore[arg-type]
+    found = gain_through_a_tool(through_tool(*loads), np.array(loads), ShearScale(), "uskin:7")  # type: ignore[arg-type]
     assert found.gain == pytest.approx(0.8) and found.through_tool
     assert found.scaled(torch.tensor([[1.0, 2.0, 9.0]])).tolist() == [
         pytest.approx([0.8, 1.6, 9.0])
@@ -325,7 +327,7 @@ def test_a_tool_on_a_scale_gives_a_gain_of_shear_alone(tmp_path: Path) -> None:
     assert not found.reads_grip and "shear alone" in found.grip_in_words
     again = Calibration.load(found.save(tmp_path / "map"), "abc")
     assert (again.gain, again.through_tool, again.hash) == (found.gain, True, found.hash)
-    bare = Calibration.of_loads(presses(3, 6, 9), np.array([3, 6, 9]), Scale(), "uskin:7")  # type: ignore[arg-type]
+    bare = gain_of_loads(presses(3, 6, 9), np.array([3, 6, 9]), Scale(), "uskin:7")  # type: ignore[arg-type]
     assert bare.reads_grip and bare.scaled(torch.ones(1, 3)).tolist() == [pytest.approx([1.25] * 3)]
 
 
@@ -335,7 +337,7 @@ def test_a_tool_on_a_scale_gives_a_gain_of_shear_alone(tmp_path: Path) -> None:
 def test_tools_that_give_no_gain_are_refused(load_N: tuple[float, ...]) -> None:
     pressed = through_tool(0, 3, 6, 9)
     with pytest.raises(ContractError, match=r"loads|presses"):
-        Calibration.through_a_tool(pressed, np.array(load_N, float), ShearScale(), "uskin:7")  # type: ignore[arg-type]
+        gain_through_a_tool(pressed, np.array(load_N, float), ShearScale(), "uskin:7")  # type: ignore[arg-type]
 
 
 def carried(shear_N: np.ndarray, noise_N: float = 0.0, seed: int = 0) -> Latent:
@@ -349,7 +351,7 @@ WIPES_N = np.tile([0.3, -1.5, -2.5, -3.5], 20)  # a tool carried and pressed, a 
 
 def test_a_finger_takes_its_scale_from_the_one_that_holds_the_tool_with_it(tmp_path: Path) -> None:
     new, anchor = carried(0.5 * WIPES_N, 0.1), carried(WIPES_N, 0.2, seed=1)
-    found = Calibration.beside_an_anchor(new, anchor, ShearScale(), "uskin:7", "tactip")  # type: ignore[arg-type]
+    found = gain_beside_an_anchor(new, anchor, ShearScale(), "uskin:7", "tactip")  # type: ignore[arg-type]
     assert found.gain == pytest.approx(2.0, rel=0.03)  # noise of both shrinks neither
     assert (found.new, found.anchor, found.through_tool, found.reads_grip) == (
         "uskin:7",
@@ -374,6 +376,4 @@ def test_wipes_that_give_no_scale_are_refused(
     new_N: np.ndarray, anchor_N: np.ndarray, says: str
 ) -> None:
     with pytest.raises(ContractError, match=says):
-        Calibration.beside_an_anchor(
-            carried(new_N), carried(anchor_N), ShearScale(), "uskin:7", "tactip"
-        )  # type: ignore[arg-type]
+        gain_beside_an_anchor(carried(new_N), carried(anchor_N), ShearScale(), "uskin:7", "tactip")  # type: ignore[arg-type]
