@@ -30,9 +30,12 @@ def check_finger(finger: str) -> Finger:
 
 
 def check_count(name: str, value: object, most: int, least: int = 1) -> int:
-    """Return ``value`` if it is a whole number from ``least`` to ``most``; raise ContractError otherwise.
+    """Return ``value`` if it is a whole number from ``least`` to ``most``.
 
-    Sizes come from files too: without a limit a damaged one asks for terabytes, or for layers without end.
+    Raise ContractError otherwise.
+
+    Sizes come from files too: without a limit a damaged one asks for terabytes, or for layers
+    without end.
     """
     if type(value) is not int or not least <= value <= most:
         raise ContractError(
@@ -89,8 +92,8 @@ class ContactState:
     Image frame: x = columns to the right, y = rows down, z = into the pad (compression > 0).
     """
 
-    # (B, G, G) float32, the undeformed distance from the pad's tangent plane to the object at each cell of the pad
-    # grid; 0 at the point that touches first, ``inf`` where there is no object
+    # (B, G, G) float32, the undeformed distance from the pad's tangent plane to the object at each
+    # cell of the pad grid; 0 at the point that touches first, ``inf`` where there is no object
     gap_mm: np.ndarray
     # (B, 3) float32, force of the object on the pad: fx, fy shear, fz ≥ 0 compression
     force_N: np.ndarray

@@ -1,11 +1,13 @@
-"""``ForceSensor``: what one finger feels. Raw frame → marker image → latent → calibrated latent → newtons.
+"""``ForceSensor``: what one finger feels.
 
-Every program that feels goes through here: policy, training view, `uniforce show`, `uniforce touch`,
-`uniforce calibrate`. Each part is a file of its own:
+Raw frame → marker image → latent → calibrated latent → newtons.
+
+Every program that feels goes through here: policy, training view, `uniforce show`, `uniforce
+touch`, `uniforce calibrate`. Each part is a file of its own:
 
 1. markers: ``markers/canonicalizer.py``, a raw frame becomes a binary marker image.
-2. latent: ``tokenizer/api.py``, a reference and a current image become a latent force map, pooled 4 × 4.
-3. calibrated latent: ``tokenizer/latent_map.py``, a map onto the known sensor's latents.
+2. latent: ``tokenizer/api.py``, a reference and a current image become a latent force map, pooled 4
+× 4. 3. calibrated latent: ``tokenizer/latent_map.py``, a map onto the known sensor's latents.
 4. newtons: ``tokenizer/newtons.py``, the frozen head reads force; a gain; a grip that is held.
 5. health: ``tokenizer/latent_range.py``, distance from healthy sensors of the same kind.
 """
@@ -45,7 +47,8 @@ class ForceReading:
     force_N: (
         np.ndarray
     )  # (3,) on the pad, in the finger's own frame: x right, y down, z into the pad
-    # distance from healthy sensors over the largest allowed one, over the last half second; NaN: not watched
+    # distance from healthy sensors over the largest allowed one, over the last half second; NaN:
+    # not watched
     health: float
 
 
@@ -58,11 +61,13 @@ class ForceSensor:
         calibration: folder of `uniforce calibrate`, or one that is loaded; None for none.
         watch: readings in half a second, over which health is judged; 0 doesn't watch.
         tokenizer: encoder, a size that is shipped, or a folder; None for the shipped one.
-        head: force head, or the sensor kind whose shipped head reads newtons; None reads no newtons.
+        head: force head, or the sensor kind whose shipped head reads newtons; None reads no
+            newtons.
         held_N: grip to give once something is lifted; None gives it as read.
         grid: latents are pooled to grid × grid.
 
-    Raises SensorError: an unknown kind; CheckpointError: no such checkpoint, or one that doesn't fit.
+    Raises SensorError: an unknown kind; CheckpointError: no such checkpoint, or one that doesn't
+    fit.
     """
 
     def __init__(
@@ -106,7 +111,8 @@ class ForceSensor:
         Args:
             frames: a raw frame, or several in a row, which must hold still.
 
-        Raises ContractError: frames of the wrong form; SensorError: no markers, a dead sensor, or in contact.
+        Raises ContractError: frames of the wrong form; SensorError: no markers, a dead sensor, or
+        in contact.
         """
         canonicalizer = self._canonicalizer()
         if not isinstance(frames, np.ndarray):
@@ -119,8 +125,8 @@ class ForceSensor:
     def read(self, frame: np.ndarray) -> ForceReading:
         """Return what a raw frame shows.
 
-        Raises ContractError: no ``tare`` before, or a frame of another form; SensorError: no markers, a
-        dead sensor, or one that isn't healthy.
+        Raises ContractError: no ``tare`` before, or a frame of another form; SensorError: no
+        markers, a dead sensor, or one that isn't healthy.
         """
         if self._reference_image is None:
             do = "Call tare(frames) in free air first."
@@ -130,7 +136,10 @@ class ForceSensor:
 
     @torch.no_grad()
     def read_markers(self, reference: np.ndarray, current: np.ndarray) -> ForceReading:
-        """Return what a pair of (H, W) marker images shows, free air and now; raises as ``encode``."""
+        """Return what a pair of (H, W) marker images shows, free air and now.
+
+        Raises as ``encode``.
+        """
         latent = self.encode(reference[None], current[None])
         force_N = np.full(3, np.nan, np.float32)
         if self.newtons is not None:
@@ -141,10 +150,10 @@ class ForceSensor:
 
     @torch.no_grad()
     def encode(self, reference: Images, current: Images) -> torch.Tensor:
-        """Return calibrated pooled latents (B, K, L) of marker images (B, H, W), reference and current.
+        """Return calibrated pooled latents (B, K, L) of marker images (B, H, W).
 
-        Raises ContractError: images of the wrong form; SensorError: a sensor that isn't healthy, which is
-        a FreeAirError in the first readings.
+        Raises ContractError: images of the wrong form; SensorError: a sensor that isn't healthy,
+        which is a FreeAirError in the first readings.
         """
         latent = self.raw_latent(reference, current)
         if self.monitor is not None:
@@ -210,7 +219,8 @@ def monitor_of(
 ) -> HealthMonitor:
     """Return the monitor of a shipped kind, for the tokenizer of a size.
 
-    A sensor that is calibrated to one of its own kind has to look like that one: it is judged after the map.
+    A sensor that is calibrated to one of its own kind has to look like that one: it is judged after
+    the map.
 
     Raises CheckpointError: no range of latents is shipped for that kind and tokenizer.
     """

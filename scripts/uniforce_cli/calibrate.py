@@ -48,9 +48,9 @@ logger = logging.getLogger(__name__)
 class CalibrateCommand:
     """Fit a sensor to a known one by grasps or wipes, or to known loads on a kitchen scale.
 
-    Grasps take two minutes: hold a small object from outside, let both fingers grasp it, squeeze, push
-    and twist. After a minute take a tool's flat handle. Left-out grasps choose among a map of the
-    latent, one gain of the newtons, and neither.
+    Grasps take two minutes: hold a small object from outside, let both fingers grasp it, squeeze,
+    push and twist. After a minute take a tool's flat handle. Left-out grasps choose among a map of
+    the latent, one gain of the newtons, and neither.
     Record: uniforce pairs robot=franka rig=rig.yaml indenters=small,tool
     Example: uniforce calibrate new=gelsight anchor=tactip pairs=outputs/pairs/uniforce_pairs
     In simulation: uniforce calibrate new=tactip:7 anchor=tactip:1
@@ -120,7 +120,10 @@ def calibrate_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibrat
 
 
 def scale_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
-    """Fit the gain of shear to recorded wipes; raises as ``gain_beside_an_anchor`` and ``recorded_wipes``."""
+    """Fit the gain of shear to recorded wipes.
+
+    Raises as ``gain_beside_an_anchor`` and ``recorded_wipes``.
+    """
     from uniforce_vtla.tokenizer.gains import gain_beside_an_anchor
 
     of_new, of_anchor = recorded_wipes(
@@ -142,9 +145,9 @@ def weigh_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
 
     loads_N = known_loads(config.loads_N)
     head = _head_of_anchor(config)
-    fit, simulate = gain_of_loads, simulated_presses
-    if config.through == "tool":
-        fit, simulate = gain_through_a_tool, simulated_tool
+    by_tool = config.through == "tool"
+    fit = gain_through_a_tool if by_tool else gain_of_loads
+    simulate = simulated_tool if by_tool else simulated_presses
     if config.rig:
         latents, load_N = _presses_of_rig(config, loads_N, tokenizer)
     else:
@@ -199,7 +202,7 @@ def _check_sources(config: CalibrateCommand) -> None:
         do = "Give pairs=, or set rotation_deg and flip in the rig."
         raise ContractError(expected("mounted", "recorded pairs beside it", "none", do))
     if config.rig and not config.loads_N:
-        do = "Give loads_N=3,6,9, or leave rig out: recorded grasps are pairs=, recorded wipes wipes=."
+        do = "Give loads_N=3,6,9, or leave rig out: grasps are pairs=, wipes are wipes=."
         raise ContractError(expected("rig", "known loads beside it", "none", do))
 
 
@@ -207,15 +210,22 @@ def choice_in_words(choice: Choice) -> str:
     """Return the chosen form and the error that each form leaves on left-out grasps."""
     errors = ", ".join(f"{form} {error:.3f}" for form, error in choice.error.items())
     noise = ", ".join(f"{form} ± {choice.standard_error[form]:.3f}" for form in ("gain", "map"))
-    return f"chosen by {choice.grasps} left-out grasps: {choice.form}. Error: {errors}; against none {noise}"
+    chosen = f"chosen by {choice.grasps} left-out grasps: {choice.form}"
+    return f"{chosen}. Error: {errors}; against none {noise}"
 
 
 def check_agreement(found: Calibration, config: CalibrateCommand) -> str:
-    """Return which class the task needs agrees least, in words; ContractError: it agrees too little to be of use."""
+    """Return which class the task needs agrees least, in words.
+
+    Raises ContractError: it agrees too little to be of use.
+    """
     classes = OBJECT_CLASSES if config.task == "both" else (config.task,)
     name, r2 = found.worst(classes)
     if r2 < config.fit.refuse_below:
-        do = f"Grasp more {name} objects, from light to firm, all over the pad; or say task= if you need only others."
+        do = (
+            f"Grasp more {name} objects, from light to firm, all over the pad; "
+            "or say task= if you need only others."
+        )
         wanted = f"R² of Fz ≥ {config.fit.refuse_below} against the anchor"
         raise ContractError(expected(f"calibration on {name} objects", wanted, f"{r2:.2f}", do))
     return f"{name} objects agree least: R² of Fz {r2:.2f}"

@@ -1,4 +1,7 @@
-"""Score recorded rollouts of a robot, which knows no truth: slippage, excess force and ink left, as estimates."""
+"""Score recorded rollouts of a robot, which knows no truth.
+
+Slippage, excess force and ink left, as estimates.
+"""
 
 from __future__ import annotations
 
@@ -22,15 +25,17 @@ if TYPE_CHECKING:
 
 @dataclass
 class ScoreRecordingConfig:
-    """Estimate what happened in recorded rollouts from the fingers and the pose, and the ink left from a camera.
+    """Estimate slippage and excess force of recorded rollouts, and the ink left from a camera.
 
-    Example: uniforce estimate root=outputs/robot pad_friction=0.6,0.7 board_corners=62,40,250,38,262,180,55,184
+    Example: uniforce estimate root=outputs/robot pad_friction=0.6,0.7
+    With the ink: board_corners=62,40,250,38,262,180,55,184
     """
 
     root: Dataset = "outputs/demos"  # recorded dataset, from a robot or from the simulator
     # left,right: pull slowly until the object slides, shear over grip. Needed
     pad_friction: Numbers = ""
-    # x,y of the board's four corners in the camera's picture, in order around it; empty = ink isn't judged
+    # x,y of the board's four corners in the camera's picture, in order around it; empty = ink isn't
+    # judged
     board_corners: Numbers = ""
     camera: FileName = "front"  # scene camera that sees the board
     episodes: CountOrZero = 0  # the first so many; 0 = all
@@ -42,8 +47,8 @@ class ScoreRecordingConfig:
 def score_recording(config: ScoreRecordingConfig) -> dict[str, Any]:
     """Return one row per episode; every number is an estimate.
 
-    Raises ContractError: friction or corners of the wrong form; DatasetError: a dataset that can't be read, lacks a
-    finger, or is truncated.
+    Raises ContractError: friction or corners of the wrong form; DatasetError: a dataset that can't
+    be read, lacks a finger, or is truncated.
     """
     from tqdm import tqdm
 
@@ -67,7 +72,8 @@ def score_recording(config: ScoreRecordingConfig) -> dict[str, Any]:
             row["press_mae_N"] = float(abs(found.press_N - truth.press_N).mean())
         rows.append(row)
     return {
-        "what": "estimates from marker images, the robot's own height and a camera; no truth was used",
+        "what": "estimates from marker images, the robot's own height and a camera; "
+        "no truth was used",
         "root": config.root,
         "heads": config.heads or "shipped",
         "pad_friction": [left, right],
@@ -114,8 +120,9 @@ def _line(row: dict[str, Any]) -> str:
     if "residual" in row:
         left = row["residual"].get("residual")
         ink = ", ink not judged" if left is None else f", ink left {left:.0%}"
-    press = f"press to {row['press_max_N']:.1f} N, {row['in_band_share']:.0%} of the way within the band"
-    return f"episode {row['episode']}: {'; '.join(events)} ({press}{ink})"
+    press = f"press to {row['press_max_N']:.1f} N"
+    in_band = f"{row['in_band_share']:.0%} of the way within the band"
+    return f"episode {row['episode']}: {'; '.join(events)} ({press}, {in_band}{ink})"
 
 
 @command(ScoreRecordingConfig)

@@ -1,4 +1,7 @@
-"""Presses of known load on one sensor: simulated, or by hand on a kitchen scale. They give the gain of its newtons."""
+"""Presses of known load on one sensor: simulated, or by hand on a kitchen scale.
+
+They give the gain of its newtons.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +31,14 @@ STANDARD_m_s2 = 9.80665  # newtons to what a scale shows
 
 LOADS_N = (0.5, 50.0)  # lighter a scale shows badly, firmer breaks a gel
 
-ON_HANDLE = "Lay a tool's handle on a kitchen scale, set it to zero, and press the pad straight down on the handle."
-WITH_TOOL = "Let both fingers grasp the tool, hold it upright above a kitchen scale, and press it straight down on it."
+ON_HANDLE = (
+    "Lay a tool's handle on a kitchen scale, set it to zero, "
+    "and press the pad straight down on the handle."
+)
+WITH_TOOL = (
+    "Let both fingers grasp the tool, hold it upright above a kitchen scale, "
+    "and press it straight down on it."
+)
 Presses = tuple["Latent", np.ndarray]  # (n, P, L) pooled latents, and their loads (n,) in N
 
 
@@ -37,15 +46,17 @@ def known_loads(text: str) -> list[float]:
     """Return the loads of a list with commas; ContractError: none a finger bears."""
     found = [float(part) for part in split(text)]
     if not all(LOADS_N[0] <= load_N <= LOADS_N[1] for load_N in found):
-        wanted, do = f"{LOADS_N[0]} to {LOADS_N[1]} N each", "100 g on a scale are 1 N."
-        raise ContractError(expected("loads_N", wanted, text, do))
+        wanted = f"{LOADS_N[0]} to {LOADS_N[1]} N each"
+        raise ContractError(expected("loads_N", wanted, text, "100 g on a scale are 1 N."))
     return found
 
 
 def simulated_presses(
     worn: WornSensor, loads_N: Sequence[float], seed: int, encode: Encode
 ) -> Presses:
-    """Press flat faces, as of a tool's handle, straight on the pad; what the canonicalizer refuses is left out.
+    """Press flat faces, as of a tool's handle, straight on the pad.
+
+    What the canonicalizer refuses is left out.
 
     Raises SensorError: it refuses all of them.
     """
@@ -70,13 +81,16 @@ def simulated_presses(
             expected("presses", "frames the canonicalizer reads", f"none of {len(load_N)}", do)
         )
     rows = sorted(found)
-    return torch.stack([found[row] for row in rows]), load_N[rows]  # type: ignore[return-value]  # stack keeps the origin
+    latents = torch.stack([found[row] for row in rows])  # keeps the origin
+    return latents, load_N[rows]  # type: ignore[return-value]
 
 
 def simulated_tool(
     worn: WornSensor, loads_N: Sequence[float], seed: int, encode: Encode
 ) -> Presses:
-    """Press a held tool on a scale: each time grasped anew, then hanging free (0 N) and pressed by each load.
+    """Press a held tool on a scale.
+
+    Each time grasped anew, then hanging free (0 N) and pressed by each load.
 
     Raises SensorError: the canonicalizer refuses every frame.
     """
@@ -103,11 +117,15 @@ def simulated_tool(
                 "presses", "frames the canonicalizer reads", f"{len(rows)} of {len(load_N)}", do
             )
         )
-    return torch.stack([found[row] for row in rows]), load_N[rows]  # type: ignore[return-value]  # stack keeps the origin
+    latents = torch.stack([found[row] for row in rows])  # keeps the origin
+    return latents, load_N[rows]  # type: ignore[return-value]
 
 
 def finger_of(rig: str, finger: Finger) -> TactileFingerConfig:
-    """Return a finger's settings from a rig's file, as ``uniforce record`` reads it; ContractError: it has none."""
+    """Return a finger's settings from a rig's file, as ``uniforce record`` reads it.
+
+    Raises ContractError: it has none.
+    """
     from uniforce_robots.recorder.build import read_devices
 
     robot = cast("UniforceFrankaConfig", read_devices([], True, "keyboard", rig)[0])

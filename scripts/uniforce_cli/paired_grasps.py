@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 TOOL_TORSION_ARM_mm = 9.0  # a held tool twists flat pads so far
 BATCH = 32
-# Recorded pairs that count as one grasp: the layout doesn't store where a grasp ends. `uniforce pairs` keeps some 25
-# pairs of a grasp, so that stretches of 50 cut few grasps in two.
+# Recorded pairs that count as one grasp: the layout doesn't store where a grasp ends. `uniforce
+# pairs` keeps some 25 pairs of a grasp, so that stretches of 50 cut few grasps in two.
 STRETCH = 50
 EVERY = 4  # frames of a recorded wipe, of which one is read: neighbours show the same
 logger = logging.getLogger(__name__)
@@ -46,7 +46,10 @@ class Grasps:
 
 
 def simulated_grasps(new: str, anchor: str, count: int, seed: int, encode: Encode) -> Grasps:
-    """Grasp in simulation, the new sensor left, the anchor right: half small objects, half tools, at rest."""
+    """Grasp in simulation, the new sensor left, the anchor right.
+
+    Half small objects, half tools, at rest.
+    """
     import numpy as np
     import torch
 
@@ -102,7 +105,8 @@ def recorded_grasps(
 ) -> Grasps:
     """Read recorded pairs of the two sensors; of one kind the new one is the left.
 
-    The new sensor's images are brought upright where ``mounted`` says that they were recorded otherwise.
+    The new sensor's images are brought upright where ``mounted`` says that they were recorded
+    otherwise.
 
     Raises DatasetError: as ``read_uniforce_pairs``, or pairs of other sensors.
     """
@@ -128,31 +132,34 @@ def recorded_grasps(
             raise DatasetError(expected(f"sensors of {recording}", sorted(kinds), came, do))
         left: Seen = (recording.left_reference, recording.left_frames, "left")
         right: Seen = (recording.right_reference, recording.right_frames, "right")
-        if recording.kinds[0] == new_kind:
-            (reference, frames, finger), anchors = left, right
-        else:
-            (reference, frames, finger), anchors = right, left
+        is_left = recording.kinds[0] == new_kind
+        reference, frames, finger = left if is_left else right
         turned = np.stack([upright(frame) for frame in frames])
         of_new.append(tokenizer.pooled(upright(reference), turned, finger))
-        of_anchor.append(tokenizer.pooled(*anchors))
+        of_anchor.append(tokenizer.pooled(*(right if is_left else left)))
         kind = "tool" if recording.indenter in split(tools) else "small"
         count = len(recording.left_frames)
         classes += [kind] * count
         for frame in range(recording.first_frame, recording.first_frame + count):
             stretch = (recording.name, recording.indenter, frame // STRETCH)
             numbers.append(stretches.setdefault(stretch, len(stretches)))
-    return Grasps(torch.cat(of_new), torch.cat(of_anchor), tuple(classes), tuple(numbers))  # type: ignore[arg-type]  # cat keeps the origin
+    return Grasps(
+        new=torch.cat(of_new),  # type: ignore[arg-type]  # keeps the origin
+        anchor=torch.cat(of_anchor),  # type: ignore[arg-type]
+        classes=tuple(classes),
+        numbers=tuple(numbers),
+    )
 
 
 def recorded_wipes(
     folder: str, new: str, anchor: str, finger: Finger, tokenizer: Tokenizer
 ) -> tuple[Latent, Latent]:
-    """Read a dataset of wipes in which ``finger`` wears the kind ``new`` and the other one ``anchor``.
+    """Read a dataset of wipes; ``finger`` wears the kind ``new``, the other one ``anchor``.
 
     Returns the pooled latents (n, P, L) of the new sensor and of the anchor at the same moments.
 
-    Raises DatasetError: as ``check_dataset``, or fingers that wear others; SensorError: a reference that
-    can't be read.
+    Raises DatasetError: as ``check_dataset``, or fingers that wear others; SensorError: a reference
+    that can't be read.
     """
     import torch
 

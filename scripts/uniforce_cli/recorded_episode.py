@@ -1,4 +1,7 @@
-"""A recorded episode's pictures, raw touch, forces, latents and events: read for a page, a viewer or scores."""
+"""A recorded episode's pictures, raw touch, forces, latents and events.
+
+Read for a page, a viewer or scores.
+"""
 
 import math
 from collections.abc import Callable, Iterator
@@ -54,7 +57,10 @@ class EpisodeForces:
     def judge(
         self, pad_friction: tuple[float, float]
     ) -> tuple[FingerEstimate, FingerEstimate | None]:
-        """Estimate from the fingers, and from true forces where there are any; raises as ``estimate_events``."""
+        """Estimate from the fingers, and from true forces where there are any.
+
+        Raises as ``estimate_events``.
+        """
 
         def judged(force_N: np.ndarray) -> FingerEstimate:
             return estimate_events(self.time_s, force_N, self.tool_m, pad_friction)
@@ -71,7 +77,8 @@ ForceReader = Callable[[Source, Episode, Finger], np.ndarray]
 class RecordingForces:
     """A recorded dataset behind a reader of forces; its numbers are read once for all episodes.
 
-    It is checked as ``verify`` says. Raises DatasetError: a dataset that can't be read, or lacks a finger.
+    It is checked as ``verify`` says. Raises DatasetError: a dataset that can't be read, or lacks a
+    finger.
     """
 
     def __init__(self, root: str | Path, forces: ForceReader, verify: str = "quick") -> None:
@@ -100,12 +107,15 @@ class RecordingForces:
 
 
 def descriptor_heads(folder: str = "") -> ForceReader:
-    """Return a reader of hand descriptors, never through the tokenizer a policy may have acted on: for scores.
+    """Return a reader of hand descriptors, never through the tokenizer a policy may have acted on.
 
-    An episode begins in free air: what its first frames differ in from their reference is no touch, and is taken away.
-    Undone, a GelSight drawn without its camera reads 7 N there.
+    For scores.
 
-    ``folder`` is of python -m benchmarks.descriptor_heads; empty for the shipped ones, of the wiping scene.
+    An episode begins in free air: what its first frames differ in from their reference is no touch,
+    and is taken away. Undone, a GelSight drawn without its camera reads 7 N there.
+
+    ``folder`` is of python -m benchmarks.descriptor_heads; empty for the shipped ones, of the
+    wiping scene.
 
     Raises CheckpointError: no heads in it.
     """
@@ -146,7 +156,10 @@ def felt_forces(tokenizer: Tokenizer, head: ForceHead) -> ForceReader:
 def latent_change(
     tokenizer: Tokenizer, source: Source, episode: Episode, finger: Finger
 ) -> np.ndarray:
-    """Return (n, g, g, L) float32: each patch's latent minus its free-air latent, as the sensor sees it."""
+    """Return (n, g, g, L) float32.
+
+    Each patch's latent minus its free-air latent, as the sensor sees it.
+    """
     reference, current = marker_images(source, episode, finger)
     rest = tokenizer.encode(reference, reference, finger)
     latents = []
@@ -172,7 +185,10 @@ def marker_images(
 
 
 def frames(source: Source, episode: Episode, key: str) -> Iterator[np.ndarray]:
-    """Return an episode's frames of a video key, (H, W, 3) uint8 RGB; raise DatasetError where they are truncated."""
+    """Return an episode's frames of a video key, (H, W, 3) uint8 RGB.
+
+    Raise DatasetError where they are truncated.
+    """
     return episode_frames(episode.videos[key], episode.length, source.fps)
 
 
@@ -185,7 +201,10 @@ def cameras(source: Source) -> dict[str, str]:
 
 
 def worn(source: Source, episode: Episode, finger: Finger) -> str:
-    """Return the name of the sensor on a finger; raise DatasetError where the dataset names none we know."""
+    """Return the name of the sensor on a finger.
+
+    Raise DatasetError where the dataset names none we know.
+    """
     key, names = sensor_key(finger), list_sensors()
     if key not in source.features:
         raise DatasetError(
@@ -202,7 +221,8 @@ def worn(source: Source, episode: Episode, finger: Finger) -> str:
 def raw_touch(source: Source, episode: Episode, finger: Finger) -> Iterator[np.ndarray] | None:
     """Return an episode's raw frames, (H, W, 3) uint8 RGB each; None where none were kept.
 
-    Taxels are drawn as the change of their normal counts since the episode's first frame, which is in free air.
+    Taxels are drawn as the change of their normal counts since the episode's first frame, which is
+    in free air.
 
     Raises DatasetError: (when read) frames that are missing or truncated.
     """
@@ -223,7 +243,10 @@ def summarise_episode(
     friction: tuple[float, float] | None,
     title: str,
 ) -> EpisodeSummary:
-    """Return what a page or viewer shows of an episode; raises DatasetError: a video that is missing or truncated."""
+    """Return what a page or viewer shows of an episode.
+
+    Raises DatasetError: a video that is missing or truncated.
+    """
     source, forces, note = recording.source, recording.read(episode), ""
     found: FingerEstimate | None = None
     truth: FingerEstimate | None = None

@@ -1,4 +1,7 @@
-"""Look at recorded episodes: a page with a slider for any browser, or a recording for the rerun viewer."""
+"""Look at recorded episodes.
+
+A page with a slider for any browser, or a recording for the rerun viewer.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +40,9 @@ Head = Annotated[str, Existing("a force head's folder", "config.json", words=lis
 
 @dataclass
 class ShowDatasetConfig:
-    """Show what recorded episodes saw and measured: cameras, markers, latents, forces and events on one time line.
+    """Show what recorded episodes saw and measured.
+
+    Cameras, markers, latents, forces and events on one time line.
 
     Example: uniforce show root=outputs/demos episode=0,3 out=outputs/show form=sheet
     """
@@ -60,9 +65,9 @@ class ShowDatasetConfig:
 def show_dataset(config: ShowDatasetConfig) -> list[Path]:
     """Write a page or a recording for each chosen episode and return their paths.
 
-    Raises ContractError: unknown form or episode, friction of the wrong form, rerun asked for and not installed;
-    DatasetError: a dataset that can't be read, lacks a finger, or is truncated; CheckpointError: a tokenizer or head
-    that can't be loaded.
+    Raises ContractError: unknown form or episode, friction of the wrong form, rerun asked for and
+    not installed; DatasetError: a dataset that can't be read, lacks a finger, or is truncated;
+    CheckpointError: a tokenizer or head that can't be loaded.
     """
     from tqdm import tqdm
 

@@ -1,4 +1,7 @@
-"""Look at a tactile sensor while it works: raw signal, markers, latent force map, newtons; and checks of it."""
+"""Look at a tactile sensor while it works: raw signal, markers, latent force map, newtons.
+
+And checks of it.
+"""
 
 from __future__ import annotations
 
@@ -37,15 +40,18 @@ NewtonsHead = Annotated[str, Names((*list_sensors(), "none"))]
 
 @dataclass
 class TouchConfig:
-    """Show what a tactile sensor measures, live; or check its rate, which way up it is, or its angle.
+    """Show what a tactile sensor measures, live.
 
-    check=reference needs no device: it finds the free-air frame of each film of a session, by the marker pattern that
-    the films of three objects or more share, and fails where a film has none.
+    Or check its rate, which way up it is, or its angle.
 
-    Example: uniforce touch sensor=tactip finger=right source=/dev/v4l/by-path/pci-0000:00:14.0-usb-0:1:1.0-video-index0
+    check=reference needs no device: it finds the free-air frame of each film of a session, by the
+    marker pattern that the films of three objects or more share, and fails where a film has none.
+
+    Example: uniforce touch sensor=tactip finger=right source=/dev/v4l/by-path/…-video-index0
     uSkin: uniforce touch sensor=uskin source=/dev/serial/by-id/usb-VScom_USB-CAN check=rate
     No hardware: uniforce touch sensor=uskin source=standin seconds=5
-    Films, as SESSION/OBJECT/….avi (.mp4, .npy): uniforce touch sensor=gelsight check=reference films=SESSION
+    Films, as SESSION/OBJECT/….avi (.mp4, .npy):
+    uniforce touch sensor=gelsight check=reference films=SESSION
     """
 
     sensor: Sensor = "uskin"  # what it is
@@ -54,8 +60,8 @@ class TouchConfig:
     # that wears it; forces are in that finger's own frame
     finger: Literal["left", "right"] = "left"
     output: Literal["terminal", "rerun"] = "terminal"  # rerun needs rerun-sdk
-    # rate, ages, losses | press where asked | drag the skin: the angle on its mount | free frames of films;
-    # empty = live view
+    # rate, ages, losses | press where asked | drag the skin: the angle on its mount | free frames
+    # of films; empty = live view
     check: Literal["", "rate", "orientation", "angle", "reference"] = ""
     films: FolderPath = ""  # reference: one session of a sensor, in it a folder for each object
     # reference: a film without a free frame takes that of another film of its pad
@@ -90,18 +96,19 @@ def make_finger(config: TouchConfig, source: str) -> TactileFinger:
     if get_sensor(config.sensor).signal != "camera":
         link = "server" if source.startswith("ws://") else "slcan"
         taxels = {"sensor": config.sensor, "flip": config.flip, "controller": config.controller}
-        return sensors.UniforceUskin(sensors.UniforceUskinConfig(link=link, **taxels, **common))  # type: ignore[arg-type]
-    settings = sensors.UniforceTactileCameraConfig(sensor=config.sensor, **common)
+        settings = sensors.UniforceUskinConfig(link=link, **taxels, **common)  # type: ignore[arg-type]
+        return sensors.UniforceUskin(settings)
+    camera = sensors.UniforceTactileCameraConfig(sensor=config.sensor, **common)
     if source.startswith("http://"):
-        settings.capture_width = settings.capture_height = None  # its server decides
+        camera.capture_width = camera.capture_height = None  # its server decides
     if not config.lock_camera:
-        settings.exposure_100us = settings.white_balance_K = settings.gain = None
-    return sensors.UniforceTactileCamera(settings)
+        camera.exposure_100us = camera.white_balance_K = camera.gain = None
+    return sensors.UniforceTactileCamera(camera)
 
 
 @contextlib.contextmanager
 def opened(config: TouchConfig) -> Iterator[TactileFinger]:
-    """Connect the sensor, or a stand-in of it in a process of its own, and take its free-air reference."""
+    """Connect the sensor, or a stand-in in a process of its own, and take the free-air reference."""
     from uniforce_robots.standins.process import StandIn
 
     with contextlib.ExitStack() as stack:
@@ -118,7 +125,10 @@ def opened(config: TouchConfig) -> Iterator[TactileFinger]:
 
 
 def show(config: TouchConfig) -> None:
-    """Show the live view until ``config.seconds`` are over; what reads images is loaded before a device is opened."""
+    """Show the live view until ``config.seconds`` are over.
+
+    What reads images is loaded before a device is opened.
+    """
     from uniforce_cli.touch_view import OUTPUTS, save_panel, views
     from uniforce_vtla.force_sensor import ForceSensor
 
@@ -140,7 +150,10 @@ def show(config: TouchConfig) -> None:
 
 
 def check_films(config: TouchConfig) -> int:
-    """Find the free frames of a session's films; ContractError: films without that check, or the check without them."""
+    """Find the free frames of a session's films.
+
+    Raises ContractError: films without that check, or the check without them.
+    """
     if config.check != "reference" or not config.films or config.source:
         came = f"check={config.check} films={config.films} source={config.source}"
         do = "Films are looked at without a device."

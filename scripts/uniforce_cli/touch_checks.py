@@ -1,6 +1,9 @@
-"""Checks of a tactile sensor: how fast and fresh it is, which way up it sits on its finger, and at what angle.
+"""Checks of a tactile sensor.
 
-Each raises SensorError where the sensor dies meanwhile. One more looks at recorded films: where are they free of touch?
+How fast and fresh it is, which way up it sits on its finger, and at what angle.
+
+Each raises SensorError where the sensor dies meanwhile. One more looks at recorded films: where are
+they free of touch?
 """
 
 import time
@@ -29,7 +32,10 @@ ANGLE_DEG = 5.0  # a hand drags no straighter
 
 
 def check_rate(finger: TactileFinger, seconds: float) -> int:
-    """Print rate, losses, and ages at random moments beside an idle loop's lateness; 1 if anything was lost or bad."""
+    """Print rate, losses, and ages at random moments beside an idle loop's lateness.
+
+    1 if anything was lost or bad.
+    """
     before, first = finger.counts, finger.latest(WAIT_MS).index
     rng, start_s = np.random.default_rng(0), time.monotonic()
     ages_ms, late_ms = [], []
@@ -58,7 +64,10 @@ def check_rate(finger: TactileFinger, seconds: float) -> int:
 
 
 def check_orientation(finger: TactileFinger, asked: Sequence[str], seconds: float) -> int:
-    """Have each quarter in ``asked`` pressed, within ``seconds`` each; print which one moved. 0 if all agree."""
+    """Have each quarter in ``asked`` pressed, within ``seconds`` each; print which one moved.
+
+    0 if all agree.
+    """
     print("Look at the pad with the fingertip up, and press where asked, alone and gently.")
     seen: dict[str, str] = {}
     for quarter in asked:
@@ -79,9 +88,12 @@ def check_orientation(finger: TactileFinger, asked: Sequence[str], seconds: floa
 
 
 def check_angle(finger: TactileFinger, seconds: float) -> int:
-    """Have the skin dragged towards the fingertip, once; print the angle on the mount. 0 if it is set right."""
+    """Have the skin dragged towards the fingertip, once; print the angle on the mount.
+
+    0 if it is set right.
+    """
     print(
-        "Press a fingertip on the pad and drag the skin straight towards the sensor's tip, then let go.",
+        "Press a fingertip on the pad, drag the skin straight towards the sensor's tip, then let go.",
         flush=True,
     )
     moved_px = _longest_drag(finger, seconds)
@@ -104,7 +116,10 @@ def check_angle(finger: TactileFinger, seconds: float) -> int:
 
 
 def check_references(found: Sequence[FilmReference], save: str = "") -> int:
-    """Print each film's reference, and write all to the JSON file ``save``. 0 if every film has one."""
+    """Print each film's reference, and write all to the JSON file ``save``.
+
+    0 if every film has one.
+    """
     for film in found:
         print(_reference_line(film))
     borrowed = sum(film.is_borrowed for film in found)
@@ -133,12 +148,18 @@ def _reference_line(film: FilmReference) -> str:
 
 
 def off_upwards_deg(moved_px: np.ndarray) -> float:
-    """Return the angle of (dx, dy), y down, from straight up; counter-clockwise as the image shows it, ±180."""
+    """Return the angle of (dx, dy), y down, from straight up.
+
+    Counter-clockwise as the image shows it, ±180.
+    """
     return float((np.degrees(np.arctan2(-moved_px[1], moved_px[0])) - 90 + 180) % 360 - 180)
 
 
 def _longest_drag(finger: TactileFinger, seconds: float) -> np.ndarray | None:
-    """Return the mean motion (2,) px of the markers where one drag was longest; None where none came in time."""
+    """Return the mean motion (2,) px of the markers where one drag was longest.
+
+    None where none came in time.
+    """
     index, end_s = -1, time.monotonic() + seconds
     best: np.ndarray = np.zeros(2)
     reference = finger.reference_image()[..., 0]
@@ -155,7 +176,10 @@ def _longest_drag(finger: TactileFinger, seconds: float) -> np.ndarray | None:
 def _next_response(
     finger: TactileFinger, seconds: float, wanted: Callable[[np.ndarray], bool]
 ) -> np.ndarray | None:
-    """Return the first (4,) response of the quarters that is ``wanted``; None where none came in time."""
+    """Return the first (4,) response of the quarters that is ``wanted``.
+
+    None where none came in time.
+    """
     index, end_s = -1, time.monotonic() + seconds
     while time.monotonic() < end_s:
         touch = finger.next_touch(index, WAIT_MS)
@@ -166,7 +190,10 @@ def _next_response(
 
 
 def quarter_response(finger: TactileFinger, raw: np.ndarray) -> np.ndarray:
-    """Return (4,) how much each of ``QUARTERS`` moved since the reference; 1 = counts as pressed."""
+    """Return (4,) how much each of ``QUARTERS`` moved since the reference.
+
+    1 = counts as pressed.
+    """
     if raw.ndim == 2:
         rise = np.maximum(raw.astype(np.int64) - finger.reference_raw, 0)[:, 2].reshape(4, 4)[::-1]
         scale = PRESSED_COUNTS
@@ -181,7 +208,10 @@ def quarter_response(finger: TactileFinger, raw: np.ndarray) -> np.ndarray:
 def advice(seen: dict[str, str], rotation_deg: float, flip: bool) -> str:
     """Return what to set, given asked → measured quarters under the present orientation."""
     if rotation_deg or flip:
-        return "orientation does not agree: run this check again with rotation_deg=0 flip=false to learn what to set"
+        return (
+            "orientation does not agree: run this check again with rotation_deg=0 flip=false "
+            "to learn what to set"
+        )
     measured = np.array(QUARTERS).reshape(2, 2)
     mounts = [Orientation(turn, mirror) for mirror in (False, True) for turn in TURNS]
     shown = [dict(zip(QUARTERS, mount.of_frame(measured).flat, strict=True)) for mount in mounts]
@@ -193,7 +223,8 @@ def advice(seen: dict[str, str], rotation_deg: float, flip: bool) -> str:
             else "several turns explain this: press all four quarters"
         )
         return f"orientation does not agree, and {came}"
-    return f"orientation does not agree: set rotation_deg={fits[0].rotation_deg} flip={str(fits[0].flip).lower()}"
+    setting = f"rotation_deg={fits[0].rotation_deg} flip={str(fits[0].flip).lower()}"
+    return f"orientation does not agree: set {setting}"
 
 
 def _strongest_taxel(finger: TactileFinger) -> str:

@@ -1,4 +1,7 @@
-"""One look at a finger, newest sample through canonicalizer, tokenizer and force head; and where it is shown."""
+"""One look at a finger, newest sample through canonicalizer, tokenizer and force head.
+
+And where it is shown.
+"""
 
 import math
 import sys
@@ -73,7 +76,10 @@ def views(finger: TactileFinger, sensor: ForceSensor, label: str) -> Iterator[To
 
 
 def _terminal() -> Callable[[TouchView], None]:
-    """Print numbers and a small map in characters; on a real terminal each view replaces the last."""
+    """Print numbers and a small map in characters.
+
+    On a real terminal each view replaces the last.
+    """
     lines = 0
 
     def show(view: TouchView) -> None:
@@ -108,7 +114,10 @@ OUTPUTS = {"terminal": _terminal, "rerun": _rerun}
 
 
 def as_text(view: TouchView) -> str:
-    """Return a view as text: rate, age, force, what the sensor shows, and the map of latent lengths."""
+    """Return a view as text.
+
+    Rate, age, force, what the sensor shows, and the map of latent lengths.
+    """
     force = (
         "no head" if view.force_N is None else " ".join(f"{f:+6.2f}" for f in view.force_N) + " N"
     )
@@ -133,7 +142,10 @@ def as_text(view: TouchView) -> str:
 
 
 def panel(view: TouchView) -> np.ndarray:
-    """Return (480, W, 3) uint8 BGR: raw, markers and latent lengths side by side, with the numbers above."""
+    """Return (480, W, 3) uint8 BGR.
+
+    Raw, markers and latent lengths side by side, with the numbers above.
+    """
     raw = cv2.cvtColor(raw_picture(view), cv2.COLOR_RGB2BGR)
     raw = cv2.resize(raw, (raw.shape[1] * PANEL_PX // raw.shape[0], PANEL_PX))
     markers = cv2.cvtColor(view.markers, cv2.COLOR_GRAY2BGR)
@@ -147,12 +159,18 @@ def panel(view: TouchView) -> np.ndarray:
 
 
 def raw_picture(view: TouchView) -> np.ndarray:
-    """Return the raw signal as (H, W, 3) uint8 RGB; taxels as a 4×4 picture of their normal counts."""
+    """Return the raw signal as (H, W, 3) uint8 RGB.
+
+    Taxels as a 4×4 picture of their normal counts.
+    """
     return view.raw if view.raw.ndim == 3 else counts_picture(view.raw)
 
 
 def counts_picture(change: np.ndarray) -> np.ndarray:
-    """Return (120, 160, 3) uint8 RGB of (16, 3) counts above the reference: normal counts, upright."""
+    """Return (120, 160, 3) uint8 RGB of (16, 3) counts above the reference.
+
+    Normal counts, upright.
+    """
     z = np.clip(change[:, 2].reshape(4, 4)[::-1] / FULL_COUNTS * 255, 0, 255).astype(np.uint8)
     return np.repeat(
         cv2.resize(z, (160, 120), interpolation=cv2.INTER_NEAREST)[..., None], 3, axis=2
@@ -160,7 +178,10 @@ def counts_picture(change: np.ndarray) -> np.ndarray:
 
 
 def save_panel(view: TouchView, path: str) -> Path:
-    """Write the panel as a picture file; return its path; ContractError: OpenCV can't write there, or not that kind."""
+    """Write the panel as a picture file; return its path.
+
+    Raises ContractError: OpenCV can't write there, or not that kind.
+    """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     try:

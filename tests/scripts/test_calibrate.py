@@ -91,7 +91,7 @@ def test_recorded_pairs_of_two_units_of_a_kind_are_kept_apart(
     write_uniforce_pairs(tmp_path, recording, "marker")
     value = {"left": 1.0, "right": 2.0}
     tokenizer = SimpleNamespace(
-        encode=lambda ref, now, finger: Latent.of(torch.full((3, 64, 6), value[finger]), "abc")
+        pooled=lambda ref, now, finger: Latent.of(torch.full((3, 16, 6), value[finger]), "abc")
     )
     anchor = "gelsight" if "gelsight" in sensors else "tactip:1"
     grasps = recorded_grasps(str(tmp_path), "tactip:7", anchor, "tool,flat", tokenizer)  # type: ignore[arg-type]

@@ -1,9 +1,11 @@
-"""Slippage and excess force of a real rollout, from what the two fingers measured: estimates, not truth.
+"""Slippage and excess force of a real rollout, from what the two fingers measured.
 
-The simulator knows the press and the slip; a robot has forces read from marker images. Press: what the pads carry less
-than in free air, the board carries. Slippage: both pads at their friction limit at once, for long; in simulation that
-separates a slide from a firm stroke (docs/benchmark.md). These forces don't say how far something slid or how deep a
-pad was pressed.
+Estimates, not truth.
+
+The simulator knows the press and the slip; a robot has forces read from marker images. Press: what
+the pads carry less than in free air, the board carries. Slippage: both pads at their friction limit
+at once, for long; in simulation that separates a slide from a firm stroke (docs/benchmark.md).
+These forces don't say how far something slid or how deep a pad was pressed.
 """
 
 from dataclasses import dataclass
@@ -55,8 +57,8 @@ def estimate_events(
         tool_m: (n, 3) measured x, y, z of the tool, robot base frame.
         pad_friction: left, right; from a slow pull until the object slides.
 
-    Raises ContractError: shapes that don't fit, numbers that aren't finite, friction that isn't positive; DatasetError:
-    nothing was lifted for long enough to weigh it.
+    Raises ContractError: shapes that don't fit, numbers that aren't finite, friction that isn't
+    positive; DatasetError: nothing was lifted for long enough to weigh it.
     """
     limits = ScoreLimits()
     _check(time_s, force_N, tool_m, pad_friction)
@@ -88,7 +90,10 @@ def estimate_events(
 
 
 def lift_frame(grip_N: np.ndarray, tool_z_m: np.ndarray) -> int | None:
-    """Return the first frame with something held ``LIFT_m`` above where it was grasped; None if there is none."""
+    """Return the first frame with something held ``LIFT_m`` above where it was grasped.
+
+    None if there is none.
+    """
     held = (grip_N > HELD_N).all(axis=1)
     if not held.any():
         return None

@@ -46,17 +46,20 @@ LIKELY_COUNT = 4
 class Canonicalizer:
     """Turns one sensor's raw signal into marker images, as the sensor sees them (never flipped).
 
-    Cameras: the way to see the markers (channel, polarity, scale) is found in the reference, and its markers are
-    looked for (``MarkerReference``); before there is one, the way is found in every frame. The image is moved so that
-    the reference's pattern lies as in the spec's drawing; another pattern is brought to nominal scale by the spec's
-    px/mm. Taxels and points: counts or displacements are drawn relative to the reference.
+    Cameras: the way to see the markers (channel, polarity, scale) is found in the reference, and
+    its markers are looked for (``MarkerReference``); before there is one, the way is found in every
+    frame. The image is moved so that the reference's pattern lies as in the spec's drawing; another
+    pattern is brought to nominal scale by the spec's px/mm. Taxels and points: counts or
+    displacements are drawn relative to the reference.
 
     Args:
         sensor: a registered name.
         taxel_scales: None: those of the sensor's form.
-        register: False leaves a camera's pattern as it was mounted, as frozen sets made before registration did.
+        register: False leaves a camera's pattern as it was mounted, as frozen sets made before
+            registration did.
         warn_share: of a camera's markers lost, which is warned of once.
-        stream: frames follow one another: a camera's markers that are missed for a few of them stay where they were.
+        stream: frames follow one another: a camera's markers that are missed for a few of them stay
+            where they were.
 
     Attributes:
         match: how the latest camera frame read against a reference matches it; None before.
@@ -70,7 +73,9 @@ class Canonicalizer:
         warn_share: float = WARN_SHARE,
         stream: bool = False,
     ) -> None:
-        self.spec, self._register, self._warn_share = get_sensor(sensor), register, warn_share
+        self.spec = get_sensor(sensor)
+        self._register = register
+        self._warn_share = warn_share
         self.sensor = sensor
         self.match: MarkerMatch | None = None
         self._stream = stream
@@ -87,7 +92,8 @@ class Canonicalizer:
     def free_air(self, frames: Sequence[np.ndarray]) -> np.ndarray:
         """Return one free-air signal of several in a row, for ``set_reference``.
 
-        Raises ContractError: too few, or of several sizes; SensorError: dead, or moving between them.
+        Raises ContractError: too few, or of several sizes; SensorError: dead, or moving between
+        them.
         """
         if self.spec.signal == "camera":
             return capture_camera_reference(frames, [self.markers(frame) for frame in frames])
@@ -97,41 +103,50 @@ class Canonicalizer:
         return np.median(checked, axis=0).astype(checked[0].dtype)
 
     def set_reference(self, raw: np.ndarray) -> None:
-        """Take ``raw`` as the free-air state: counts to subtract, or the frame to learn from how markers look.
+        """Take ``raw`` as the free-air state.
 
-        Raises ContractError: wrong shape or dtype; SensorError: a camera frame without markers or with an unlikely
-        number of them, or a dead sensor: a tared one still reads noise.
+        Counts to subtract, or the frame to learn from how markers look.
+
+        Raises ContractError: wrong shape or dtype; SensorError: a camera frame without markers or
+        with an unlikely number of them, or a dead sensor: a tared one still reads noise.
         """
         if self._is_drawn:
             self._reference_rows = self._checked(raw, "reference")
         else:
-            (self._reference, self._view), self.match = self._remember(raw), None
-            self._hold = MarkerHold(self._reference.spacing_px) if self._stream else None
+            self._reference, self._view = self._remember(raw)
+            self.match = None
+            self._hold = None
+            if self._stream:
+                self._hold = MarkerHold(self._reference.spacing_px)
 
     def pair(
         self, reference_raw: np.ndarray, current_raw: np.ndarray, finger: Finger
     ) -> MarkerPair:
-        """Return the marker pair of two raw signals of one sensor; leaves ``set_reference`` as it was.
+        """Return the marker pair of two raw signals of one sensor.
+
+        Leaves ``set_reference`` as it was.
 
         Args:
-            reference_raw: free-air frame (H, W, 3) uint8 RGB, (M, 3) integer counts of M taxels, or (N, 3) float mm of
-                N points.
+            reference_raw: free-air frame (H, W, 3) uint8 RGB, (M, 3) integer counts of M taxels, or
+                (N, 3) float mm of N points.
             current_raw: the same, now.
             finger: the finger that wears the sensor.
 
-        Raises ContractError: shape, dtype or finger outside the contract, or frames of different size; SensorError: no
-        markers, too few of the reference's, dark, dead, or a reference that was pressed.
+        Raises ContractError: shape, dtype or finger outside the contract, or frames of different
+        size; SensorError: no markers, too few of the reference's, dark, dead, or a reference that
+        was pressed.
         """
         check_finger(finger)
-        images = self._drawn_pair if self._is_drawn else self._camera_pair
-        reference, current = images(reference_raw, current_raw)
+        pair_of = self._drawn_pair if self._is_drawn else self._camera_pair
+        reference, current = pair_of(reference_raw, current_raw)
         return MarkerPair(reference, current, finger, self.sensor)
 
     def marker_image(self, raw: np.ndarray) -> np.ndarray:
-        """Return the (480, 640) uint8 image in {0, 255} of a raw signal, in a form that ``pair`` takes.
+        """Return the (480, 640) uint8 image in {0, 255} of a raw signal, as ``pair`` takes it.
 
-        Raises ContractError: wrong shape or dtype, a frame of another size than the reference, or taxels without a
-        reference; SensorError: no markers, too few of the reference's, dark or dead.
+        Raises ContractError: wrong shape or dtype, a frame of another size than the reference, or
+        taxels without a reference; SensorError: no markers, too few of the reference's, dark or
+        dead.
         """
         if not self._is_drawn:
             return self._camera_image(raw, self._reference, self._view, self._hold)
@@ -140,7 +155,8 @@ class Canonicalizer:
     def markers(self, raw: np.ndarray) -> np.ndarray:
         """Return (M, 2) float32 marker centres, x right and y down, in px of the canonical image.
 
-        Of a camera all that the frame shows, since references are chosen by them: they are held to none.
+        Of a camera all that the frame shows, since references are chosen by them: they are held to
+        none.
 
         Raises ContractError: as ``marker_image``; SensorError: no markers, dark or dead.
         """
@@ -158,7 +174,9 @@ class Canonicalizer:
         count = len(self.spec.layout_mm)
         counts = count // LIKELY_COUNT, count * LIKELY_COUNT
         found = MarkerReference(raw, self._is_dome, counts, self._warn_share)
-        return found, find_view(found.centres_px, self.spec) if self._register else None
+        if not self._register:
+            return found, None
+        return found, find_view(found.centres_px, self.spec)
 
     def _camera_image(
         self,
@@ -173,7 +191,9 @@ class Canonicalizer:
         return self._placed(image, view)
 
     def _placed(self, image: np.ndarray, view: np.ndarray | None) -> np.ndarray:
-        return to_nominal_scale(image, self.spec) if view is None else seen_from(image, view)
+        if view is None:
+            return to_nominal_scale(image, self.spec)
+        return seen_from(image, view)
 
     def _segment(self, raw: np.ndarray) -> Segmentation:
         plan = None if self._reference is None else self._reference.plan
@@ -208,7 +228,7 @@ class Canonicalizer:
         return place_discs(change, self.spec, self._taxel_scales)
 
     def _checked(self, raw: np.ndarray, what: str) -> np.ndarray:
-        """Return a scan's counts (M, 3) int64, or displacements (N, 3) float64, if it came from a live sensor."""
+        """Return the counts (M, 3) int64, or displacements (N, 3) float64, of a live sensor."""
         name = f"{self.sensor} {what}"
         if self.spec.points is not None:
             return check_alive(check_points(raw, name, self.spec.raw_shape), name)

@@ -1,8 +1,11 @@
-"""Free-air references: taken from several frames, refused where they can be known to be in contact, remembered.
+"""Free-air references.
 
-These checks find a touch that moves or changes within the frames, a tared taxel that was pressed at the reference
-(it reads negative once released), and taxels far from a stored resting level. They can't find a steady touch on a gel
-seen by a camera, or on taxels without a stored resting level: it looks like free air.
+Taken from several frames, refused where they can be known to be in contact, remembered.
+
+These checks find a touch that moves or changes within the frames, a tared taxel that was pressed at
+the reference (it reads negative once released), and taxels far from a stored resting level. They
+can't find a steady touch on a gel seen by a camera, or on taxels without a stored resting level: it
+looks like free air.
 """
 
 from __future__ import annotations
@@ -40,10 +43,11 @@ def capture_taxel_reference(
 
     Args:
         scans: consecutive raw scans, at least three.
-        resting_level: (16, 3) counts known to be free air, if any; without it a steady touch can't be seen.
+        resting_level: (16, 3) counts known to be free air, if any; without it a steady touch can't
+            be seen.
 
-    Raises ContractError: too few scans, or one that isn't (16, 3) integers; SensorError: dead, moving between scans, or
-    far from the resting level.
+    Raises ContractError: too few scans, or one that isn't (16, 3) integers; SensorError: dead,
+    moving between scans, or far from the resting level.
     """
     _check_enough(len(scans))
     # (N, 16, 3)
@@ -75,7 +79,8 @@ def capture_camera_reference(
         frames: consecutive camera frames of one size.
         centres_px: their marker centres, from ``Canonicalizer.markers``.
 
-    Raises ContractError: too few frames, or of different sizes; SensorError: markers move between the frames.
+    Raises ContractError: too few frames, or of different sizes; SensorError: markers move between
+    the frames.
     """
     _check_enough(min(len(frames), len(centres_px)))
     if len({frame.shape for frame in frames}) > 1:
@@ -84,17 +89,19 @@ def capture_camera_reference(
         )
     reach_px = MISSED * spacing(centres_px[0])  # beyond it a marker was missed, which is no motion
     nearest_px = [cKDTree(centres).query(centres_px[0])[0] for centres in centres_px[1:]]
-    again_px = [distance[distance < reach_px] for distance in nearest_px]
-    motion = max(
-        float(np.percentile(distance, 90)) if len(distance) else reach_px for distance in again_px
-    )
-    if motion > MAX_MARKER_MOTION_PX:
-        refuse(f"markers still within {MAX_MARKER_MOTION_PX:g} px", f"a motion of {motion:.1f} px")
+    motion_px = 0.0
+    for distance_px in nearest_px:
+        again_px = distance_px[distance_px < reach_px]
+        moved_px = float(np.percentile(again_px, 90)) if len(again_px) else reach_px
+        motion_px = max(motion_px, moved_px)
+    if motion_px > MAX_MARKER_MOTION_PX:
+        wanted = f"markers still within {MAX_MARKER_MOTION_PX:g} px"
+        refuse(wanted, f"a motion of {motion_px:.1f} px")
     return np.median(np.stack(frames), axis=0).astype(np.uint8)
 
 
 def refuse_pressed_reference(delta_counts: np.ndarray) -> None:
-    """Raise SensorError where (M, 3) uSkin counts above the reference show that the reference was pressed."""
+    """Raise SensorError where (M, 3) uSkin counts show that the reference was pressed."""
     released = int((delta_counts[:, 2] < -PRESSED_COUNTS).sum())
     if released >= PRESSED_TAXELS and delta_counts[:, 2].sum() < 0:
         refuse("taxels at or above it", f"{released} of {len(delta_counts)} far below it")
@@ -115,7 +122,9 @@ def refuse(wanted: str, came: str) -> None:
 
 
 class ReferenceMemory[Value]:
-    """Cache of values computed from the latest references: a stream pairs every frame with the same one.
+    """Cache of values computed from the latest references.
+
+    A stream pairs every frame with the same one.
 
     Args:
         most: references remembered; the oldest is forgotten.
@@ -127,7 +136,7 @@ class ReferenceMemory[Value]:
     def get(
         self, key: Hashable, reference: np.ndarray | torch.Tensor, compute: Callable[[], Value]
     ) -> Value:
-        """Return what ``compute`` makes of a reference, from memory where key and content are the same."""
+        """Return the value of a reference: remembered for its key and content, or computed."""
         for known_key, known, value in tuple(self._known):  # another thread may add one
             if known_key == key and same_reference(known, reference):
                 return value
@@ -142,7 +151,10 @@ class ReferenceMemory[Value]:
 
 
 def same_reference(first: np.ndarray | torch.Tensor, second: np.ndarray | torch.Tensor) -> bool:
-    """Return whether two references (numpy or torch) have the same type, shape and content; NaN equals nothing."""
+    """Return whether two references (numpy or torch) have the same type, shape and content.
+
+    NaN equals nothing.
+    """
     alike = (
         type(first) is type(second) and first.dtype == second.dtype and first.shape == second.shape
     )

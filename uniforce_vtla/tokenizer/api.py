@@ -48,7 +48,8 @@ class Tokenizer:
         model: network in eval mode; latents are made on its device.
         config: sizes of the network.
         canonicalizer: facts of the canonicalizer it was trained behind.
-        hash: sha256 over weights, config and canonicalizer facts; checkpoints that use latents store it.
+        hash: sha256 over weights, config and canonicalizer facts; checkpoints that use latents
+            store it.
 
     Args:
         model: network.
@@ -77,9 +78,12 @@ class Tokenizer:
 
     @classmethod
     def from_pretrained(cls, path: str | Path | None = None) -> Tokenizer:
-        """Load a checkpoint folder, or one shipped with the package: ``"small"`` (None) or ``"nano"``.
+        """Load a checkpoint folder, or one shipped with the package.
 
-        Raises CheckpointError: missing, truncated, of another shape, or made behind another canonicalizer.
+        ``"small"`` (None) or ``"nano"``.
+
+        Raises CheckpointError: missing, truncated, of another shape, or made behind another
+        canonicalizer.
         """
         folder = checkpoint_folder(path, "tokenizer")
         facts = read_config(folder)
@@ -113,8 +117,8 @@ class Tokenizer:
             current: (B, H, W) images in contact, as the sensor saw them, of any size.
             finger: finger that wore the sensor; the right finger's images are mirrored.
 
-        Raises ContractError: images of the wrong form or of two sizes, an unknown finger, a reference
-        without markers.
+        Raises ContractError: images of the wrong form or of two sizes, an unknown finger, a
+        reference without markers.
         """
         if isinstance(reference, MarkerPair) == (current is not None):
             wanted = "a MarkerPair alone, or reference and current"
@@ -140,7 +144,10 @@ class Tokenizer:
     def pooled(
         self, reference: Images, current: Images, finger: Finger, grid: int = POOL
     ) -> Latent:
-        """Return latents (B, grid², latent) as heads, calibrations and policies read them; see ``encode``."""
+        """Return latents (B, grid², latent) as heads, calibrations and policies read them.
+
+        See ``encode``.
+        """
         return Latent.of(pool_latent(self.latents(reference, current, finger), grid), self.hash)
 
     def forget_references(self) -> None:
@@ -151,10 +158,10 @@ class Tokenizer:
     def decode(
         self, reference: np.ndarray, z: torch.Tensor, finger: Finger = "left"
     ) -> torch.Tensor:
-        """Return the (B, side, side) canonical image that latents z would show on that reference's sensor.
+        """Return the (B, side, side) canonical image of latents z on the reference's sensor.
 
-        Raises ContractError: a reference of the wrong form or count, or latents of another shape or without an origin;
-        CheckpointError: latents of another tokenizer.
+        Raises ContractError: a reference of the wrong form or count, or latents of another shape or
+        without an origin; CheckpointError: latents of another tokenizer.
         """
         z = own_latent(z, self.hash, "decode")
         wanted = (self.num_patches, self.config.latent)
@@ -219,12 +226,15 @@ def _sizes(facts: dict[str, Any], folder: Path) -> TokenizerConfig:
     try:
         return TokenizerConfig(**facts["model"])
     except (KeyError, TypeError, ContractError) as error:
-        wanted, do = "the fields of TokenizerConfig", "Is this a tokenizer?"
-        raise CheckpointError(expected(f"config of {folder}", wanted, error, do)) from error
+        wanted = "the fields of TokenizerConfig"
+        raise CheckpointError(
+            expected(f"config of {folder}", wanted, error, "Is this a tokenizer?")
+        ) from error
 
 
 def _same_canonicalizer(facts: dict[str, Any], folder: Path) -> dict[str, Any]:
-    stored, running = facts.get(STORED_KEY), canonicalizer_facts()
+    stored = facts.get(STORED_KEY)
+    running = canonicalizer_facts()
     if stored != running:
         do = "Use its version, or pretrain again."
         raise CheckpointError(expected(f"canonicalizer of {folder}", stored, running, do))

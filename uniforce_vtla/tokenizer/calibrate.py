@@ -1,12 +1,12 @@
 """Label-free calibration: fit a new sensor's latents to the known one's on the same grasps.
 
 Both fingers grasp an externally held object for two minutes, half the time small objects, half the
-time tools. Their forces are equal, so their latents should be. The difference depends on the place on
-the pad, so one linear map of the whole pooled latent is fitted, ridge-regressed towards the identity.
-No force is measured.
+time tools. Their forces are equal, so their latents should be. The difference depends on the place
+on the pad, so one linear map of the whole pooled latent is fitted, ridge-regressed towards the
+identity. No force is measured.
 
-The map is used only if left-out grasps are read better with it. Otherwise one gain of the newtons is
-used, or nothing (``calibration_choice.py``).
+The map is used only if left-out grasps are read better with it. Otherwise one gain of the newtons
+is used, or nothing (``calibration_choice.py``).
 """
 
 from __future__ import annotations
@@ -41,7 +41,9 @@ def calibrate(
     config: CalibrationConfig | None = None,
     grasps: Sequence[int] | None = None,
 ) -> Calibration:
-    """Choose and fit a map, a gain or nothing to paired pooled latents; judge it on held-out grasps.
+    """Choose and fit a map, a gain or nothing to paired pooled latents.
+
+    Judge it on held-out grasps.
 
     Args:
         z_new: (n, P, latent) of the sensor to calibrate, canonical frame.
@@ -53,9 +55,9 @@ def calibrate(
         config: share held out, fewest pairs, seed.
         grasps: (n) number of the grasp that a row is of; None where each row is a grasp of its own.
 
-    Raises ContractError: too few pairs or grasps of a class, different shapes, NaN, no origin, grasps
-    that never load the sensors, or a sensor mounted turned by 180° or mirrored; CheckpointError:
-    latents of another tokenizer than the head's.
+    Raises ContractError: too few pairs or grasps of a class, different shapes, NaN, no origin,
+    grasps that never load the sensors, or a sensor mounted turned by 180° or mirrored;
+    CheckpointError: latents of another tokenizer than the head's.
     """
     config = config or CalibrationConfig()
     own_new = own_latent(z_new, head.tokenizer_hash, "calibration")
@@ -95,7 +97,7 @@ def calibrate(
 
 
 def in_plane_turn_rad(read: np.ndarray, known: np.ndarray) -> float:
-    """Return the turn, x towards y, that brings (n, 2) readings closest to known vectors (Procrustes)."""
+    """Return the turn, x towards y, from (n, 2) readings to known vectors (Procrustes)."""
     a = read - read.mean(axis=0)
     b = known - known.mean(axis=0)
     return float(np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum()))
@@ -133,7 +135,7 @@ def _refuse_other_mount(read: np.ndarray, known: np.ndarray, new: str, anchor: s
 def _split(
     classes: np.ndarray, grasps: np.ndarray, config: CalibrationConfig
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return rows that judge, the same share of each class's grasps, and rows to fit, in random order."""
+    """Return rows that judge, a share of each class's grasps, and rows to fit, shuffled."""
     order = np.random.default_rng(config.seed).permutation(len(classes))
     judges: list[int] = []
     for name in OBJECT_CLASSES:
@@ -164,7 +166,7 @@ def _check(
     grasps: np.ndarray,
     config: CalibrationConfig,
 ) -> None:
-    """Raise ContractError where latents, classes and grasps aren't paired, finite, enough or loaded."""
+    """Raise ContractError where pairs aren't matched, finite, enough or loaded."""
     is_paired = len(classes) == len(grasps) == len(z_new)
     if z_new.shape != z_anchor.shape or z_new.ndim != 3 or not is_paired:
         shapes = f"{tuple(z_new.shape)}, {tuple(z_anchor.shape)}"

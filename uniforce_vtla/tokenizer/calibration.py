@@ -1,4 +1,6 @@
-"""A sensor's calibration: a map of its latents, a gain of its newtons, and how well both fingers agree.
+"""A sensor's calibration.
+
+A map of its latents, a gain of its newtons, and how well both fingers agree.
 
 It belongs to one unit. It is fitted by grasps (``calibrate.py``), or by known loads or wipes
 (``gains.py``), and applied by ``ForceSensor``.
@@ -29,7 +31,7 @@ TRUSTED_R2 = 0.9
 
 @dataclass(frozen=True)
 class Agreement:
-    """Force read from the calibrated finger against the anchor's, on held-out grasps of one class."""
+    """Force read by the calibrated finger and by the anchor, on held-out grasps of a class."""
 
     grasps: int
     r2: tuple[float, float, float]  # x, y, z
@@ -39,7 +41,7 @@ class Agreement:
 
 @dataclass(frozen=True)
 class Calibration:
-    """A fitted map or gain, the tokenizer and head it belongs to, and how well the fingers agree."""
+    """A fitted map or gain, the networks it belongs to, and how well the fingers agree."""
 
     map: LatentMap
     tokenizer_hash: str  # whose latents it maps
@@ -55,7 +57,10 @@ class Calibration:
     choice: Choice | None = None  # of grasps; None: of loads or wipes, or older than the choice
 
     def scaled(self, force_N: torch.Tensor) -> torch.Tensor:
-        """Return newtons (…, 3), read after the map, times the gain: of all axes, or of shear alone."""
+        """Return newtons (…, 3), read after the map, times the gain.
+
+        Of all axes, or of shear alone.
+        """
         if not self.through_tool:
             return force_N * self.gain
         return force_N * force_N.new_tensor([self.gain, self.gain, 1.0])
@@ -64,8 +69,8 @@ class Calibration:
     def __call__(self, z: Latent) -> Latent:
         """Return pooled latents (B, P, latent) as the anchor would have given them.
 
-        Raises ContractError: latents of another form or without an origin; CheckpointError: latents of
-        another tokenizer.
+        Raises ContractError: latents of another form or without an origin; CheckpointError: latents
+        of another tokenizer.
         """
         own = own_latent(z, self.tokenizer_hash, f"the calibration of {self.new}")
         wanted = len(self.map.centre)
@@ -89,7 +94,10 @@ class Calibration:
 
     @property
     def reads_grip(self) -> bool:
-        """Whether the sensor reads grip under a tool; a gain of bare presses was never judged: yes."""
+        """Whether the sensor reads grip under a tool.
+
+        A gain of bare presses was never judged: yes.
+        """
         if self.through_tool:
             return False
         return "tool" not in self.agreement or self.agreement["tool"].r2[2] >= TRUSTED_R2
@@ -165,7 +173,10 @@ def _sizes(facts: dict[str, Any]) -> tuple[int, int]:
 
 
 def _stored(facts: dict[str, Any]) -> dict[str, Any]:
-    """Return the fields of a calibration that its config holds; raises as a damaged one makes it."""
+    """Return the fields of a calibration that its config holds.
+
+    Raises as a damaged one makes it.
+    """
     gain = float(facts.get("gain", 1.0))
     if not GAINS[0] <= gain <= GAINS[1]:
         raise ValueError(f"gain {gain}")

@@ -1,6 +1,7 @@
 """Hand descriptor: what a few lines of geometry already say about force, without any learning.
 
-Beside every learnt row stands this one, so that the tokenizer isn't credited for what it didn't need to learn.
+Beside every learnt row stands this one, so that the tokenizer isn't credited for what it didn't
+need to learn.
 """
 
 from typing import NamedTuple
@@ -30,8 +31,8 @@ class Blobs(NamedTuple):
 def describe(reference: np.ndarray, current: np.ndarray) -> np.ndarray:
     """Return (T, 6) float32 descriptors of (T, H, W) images against one (H, W) reference.
 
-    Mean motion in px, divergence and curl of an affine fit to it, mean log growth of markers' areas, share of
-    markers found again.
+    Mean motion in px, divergence and curl of an affine fit to it, mean log growth of markers'
+    areas, share of markers found again.
 
     Raises ContractError: no marker images, or a reference with too few markers.
     """

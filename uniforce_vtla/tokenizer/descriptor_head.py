@@ -1,7 +1,10 @@
-"""Newtons for scores, read by hand: a sensor's own head over hand descriptors, without the tokenizer.
+"""Newtons for scores, read by hand.
 
-A policy may act on the tokenizer's latents. A score must not read forces through the same latents, or both
-err alike and it does not show. A descriptor head knows one sensor and one kind of scene, which is all a score needs.
+A sensor's own head over hand descriptors, without the tokenizer.
+
+A policy may act on the tokenizer's latents. A score must not read forces through the same latents,
+or both err alike and it does not show. A descriptor head knows one sensor and one kind of scene,
+which is all a score needs.
 """
 
 from __future__ import annotations
@@ -28,7 +31,10 @@ SCENE = "wiping"
 
 
 class DescriptorHead:
-    """Reads one sensor's descriptors in one kind of scene; ``sensor`` is the name of the one it was fitted on."""
+    """Reads one sensor's descriptors in one kind of scene.
+
+    ``sensor`` is the name of the one it was fitted on.
+    """
 
     def __init__(self, model: ForceRegressor, sensor: str) -> None:
         self._model = model.eval().requires_grad_(False)
@@ -43,13 +49,14 @@ class DescriptorHead:
         steps: int,
         seed: int = 0,
     ) -> DescriptorHead:
-        """Return a descriptor head fitted to overlapping stretches of (n, 6) descriptors and (n, 3) N per episode."""
+        """Return a head fitted to stretches of (n, 6) descriptors and (n, 3) N per episode."""
         # (m, stretch, 1, 6)
         z = torch.cat([_stretches(_natural(seen), stretch) for seen, _ in episodes])
         force = torch.cat(
             [_stretches(torch.from_numpy(force_N), stretch) for _, force_N in episodes]
         )
-        # it reads the sensor it learnt from, so fine print is welcome: little noise, small spreads kept
+        # it reads the sensor it learnt from, so fine print is welcome: little noise, small spreads
+        # kept
         head = HeadConfig(channels=len(DESCRIPTOR_NAMES), grid=1)
         config = HeadTrainingConfig(head=head, steps=steps, input_noise=0.1, smallest_spread=0.05)
         return cls(train_head(z, force.numpy(), config, seed), sensor)
@@ -82,7 +89,7 @@ class DescriptorHead:
 
     @torch.no_grad()
     def read(self, descriptors: np.ndarray) -> np.ndarray:
-        """Return (n, 3) N, canonical frame, of an episode's (n, 6) descriptors from its first frame on.
+        """Return (n, 3) N, canonical frame, of an episode's (n, 6) descriptors.
 
         Raises ContractError: another shape, or numbers that aren't finite.
         """

@@ -1,6 +1,9 @@
-"""The tokenizer's one entry: marker images of any size → mirrored, letterboxed, area-resized squares.
+"""The tokenizer's one entry.
 
-Training, evaluation and the policy all come through here, so they can't disagree about a resize or a flip.
+Marker images of any size → mirrored, letterboxed, area-resized squares.
+
+Training, evaluation and the policy all come through here, so they can't disagree about a resize or
+a flip.
 """
 
 import numpy as np
@@ -18,13 +21,13 @@ MIN_SIDE_PX = 16
 def prepare(
     images: np.ndarray | torch.Tensor, finger: Finger, side: int, name: str = "marker images"
 ) -> torch.Tensor:
-    """Return (B, 1, side, side) float32 in [0, 1] from (B, H, W) or (H, W) images as the sensor saw them.
+    """Return (B, 1, side, side) float32 in [0, 1] from (B, H, W) or (H, W) images.
 
     The aspect is kept: the longer edge becomes ``side``, the rest stays black. Area averaging turns
     binary markers into grey levels that still tell where an edge lies between two pixels.
 
     Args:
-        images: array or tensor, uint8 in 0–255 or floats in [0, 1], of any size.
+        images: as the sensor saw them; uint8 in 0–255 or floats in [0, 1], of any size.
         finger: finger that wore the sensor; decides the mirror.
         side: pixels per side that the model takes.
         name: name of the images in an error.
@@ -46,17 +49,22 @@ def prepare(
 
 
 def letterbox(images: torch.Tensor, side: int) -> torch.Tensor:
-    """Return (B, 1, side, side) from (B, 1, H, W): area-resized with the aspect kept, centred on black."""
+    """Return (B, 1, side, side) from (B, 1, H, W).
+
+    Area-resized with the aspect kept, centred on black.
+    """
     height, width = images.shape[-2:]
     longer = max(height, width)
-    rows, columns = max(1, round(side * height / longer)), max(1, round(side * width / longer))
+    rows = max(1, round(side * height / longer))
+    columns = max(1, round(side * width / longer))
     small = F.adaptive_avg_pool2d(images, (rows, columns))  # (B, 1, rows, columns)
-    top, left = (side - rows) // 2, (side - columns) // 2
+    top = (side - rows) // 2
+    left = (side - columns) // 2
     return F.pad(small, (left, side - columns - left, top, side - rows - top))
 
 
 def check_images(images: torch.Tensor, name: str) -> torch.Tensor:
-    """Return ``images`` if they are (B, H, W) uint8, or finite floats in [0, 1], of 16 px a side or more.
+    """Return ``images`` if they are (B, H, W) uint8 or floats in [0, 1], 16 px a side or more.
 
     Raises ContractError: anything else.
     """

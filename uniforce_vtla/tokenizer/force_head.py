@@ -1,7 +1,9 @@
-"""Force head: latent force maps → (fx, fy, fz) in newtons, canonical frame. Trained on one source sensor only.
+"""Force head: latent force maps → (fx, fy, fz) in newtons, canonical frame.
 
-ConvGRU + MLP over latent sequences (facts: the form the paper probes frozen encoders with). Training sees no other
-sensor's label.
+Trained on one source sensor only.
+
+ConvGRU + MLP over latent sequences (facts: the form the paper probes frozen encoders with).
+Training sees no other sensor's label.
 """
 
 from __future__ import annotations
@@ -106,7 +108,8 @@ class ForceRegressor(nn.Module):
 
     def forward(self, z: torch.Tensor) -> torch.Tensor:
         """Return (B, T, 3) N for latent sequences (B, T, P, L)."""
-        state, forces = None, []
+        state = None
+        forces = []
         for frame in z.unbind(1):
             force, state = self.step(frame, state)
             forces.append(force)
@@ -114,10 +117,12 @@ class ForceRegressor(nn.Module):
 
 
 class ForceHead:
-    """A trained head, in eval mode. It reads latents of its own tokenizer, as ``Tokenizer.encode`` returns them.
+    """A trained head, in eval mode.
 
-    Every call raises ContractError for a tensor without origin or of another shape, CheckpointError for latents of
-    another tokenizer. ``model`` reads plain tensors, unchecked.
+    It reads latents of its own tokenizer, as ``Tokenizer.encode`` returns them.
+
+    Every call raises ContractError for a tensor without origin or of another shape, CheckpointError
+    for latents of another tokenizer. ``model`` reads plain tensors, unchecked.
 
     Attributes:
         source: the only sensor whose forces it was trained on.
@@ -134,12 +139,14 @@ class ForceHead:
     def from_pretrained(
         cls, source: str | None = None, path: str | Path | None = None
     ) -> ForceHead:
-        """Load the shipped head trained on ``source``, any head's folder, or the head beside a tokenizer's folder.
+        """Load the shipped head of ``source``, a head's folder, or the head beside a tokenizer.
 
-        A head reads the latents of one tokenizer alone: pass ``"nano"`` for the smaller shipped one's. Without a
-        ``source`` a head's own folder is taken as it is, and elsewhere the TacTip's.
+        A head reads the latents of one tokenizer alone: pass ``"nano"`` for the smaller shipped
+        one's. Without a ``source`` a head's own folder is taken as it is, and elsewhere the
+        TacTip's.
 
-        Raises CheckpointError: no head for that source, one of another source, or a checkpoint that doesn't fit.
+        Raises CheckpointError: no head for that source, one of another source, or a checkpoint that
+        doesn't fit.
         """
         part = f"force_head_{source or SOURCE}"
         folder = checkpoint_folder(path, part)
@@ -151,13 +158,17 @@ class ForceHead:
                 raise CheckpointError(
                     expected(str(folder), f"a force head, or {part} beside it", "neither", do)
                 )
-            folder, facts = beside, read_config(beside)
+            folder = beside
+            facts = read_config(beside)
         try:
             config = HeadConfig(**facts["head"])
-            found, tokenizer_hash = str(facts["source"]), str(facts["tokenizer_hash"])
+            found = str(facts["source"])
+            tokenizer_hash = str(facts["tokenizer_hash"])
         except (KeyError, TypeError, ContractError) as error:
-            wanted, do = "head, source, tokenizer_hash", "Is this a force head?"
-            raise CheckpointError(expected(f"config of {folder}", wanted, error, do)) from error
+            wanted = "head, source, tokenizer_hash"
+            raise CheckpointError(
+                expected(f"config of {folder}", wanted, error, "Is this a force head?")
+            ) from error
         if source not in (None, found):
             do = f"Name that sensor, or another folder than {folder}."
             raise CheckpointError(expected("force head's source", source, found, do))
@@ -165,7 +176,10 @@ class ForceHead:
 
     @property
     def hash(self) -> str:
-        """Content hash of weights and source; what is fitted or trained with a head's newtons stores it."""
+        """Content hash of weights and source.
+
+        What is fitted or trained with a head's newtons stores it.
+        """
         return content_hash(self.model, {"source": self.source})
 
     def save(self, path: str | Path) -> Path:
@@ -192,7 +206,7 @@ class ForceHead:
     def step(
         self, z: torch.Tensor, state: torch.Tensor | None
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return force (B, 3) N and the next state for one frame of (B, P, L) latents and those before it."""
+        """Return force (B, 3) N and the next state for one frame of (B, P, L) latents."""
         return self.model.step(self._frames(self._own(z)), state)
 
     def _own(self, z: torch.Tensor) -> torch.Tensor:
@@ -203,7 +217,8 @@ class ForceHead:
         channels = self.model.config.channels
         square = z.ndim == 3 and math.isqrt(z.shape[1]) ** 2 == z.shape[1]
         if not square or z.shape[2] != channels or not len(z) or z.dtype != torch.float32:
-            came, do = f"{z.dtype} {tuple(z.shape)}", "Use the tokenizer it was trained on."
+            came = f"{z.dtype} {tuple(z.shape)}"
+            do = "Use the tokenizer it was trained on."
             raise ContractError(expected("latents", f"float32 (B, P, {channels})", came, do))
         if not bool(z.isfinite().all()):
             raise ContractError(
@@ -226,8 +241,8 @@ class HeadTrainingConfig:
     weight_decay: float = 0.05  # AdamW; keeps to what many cells agree on
     # of an input; a channel constant on the source would else explode elsewhere
     smallest_spread: float = 1e-6
-    # of the standardised input: a source's fine print doesn't transfer. .8 was chosen among .1 … 1.2 on the other
-    # sensors' *training* sequences, never on a frozen set
+    # of the standardised input: a source's fine print doesn't transfer. .8 was chosen among .1 …
+    # 1.2 on the other sensors' *training* sequences, never on a frozen set
     input_noise: float = 0.8
 
 
@@ -236,8 +251,8 @@ def train_head(
 ) -> ForceRegressor:
     """Return a head fitted to latent sequences (n, T, P, L) and their forces (n, T, 3).
 
-    Every step takes a random stretch of random length, single frames included, so that the head works with any
-    history and with none.
+    Every step takes a random stretch of random length, single frames included, so that the head
+    works with any history and with none.
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
@@ -253,8 +268,9 @@ def train_head(
         for _ in range(config.steps):
             frames = int(rng.integers(1, z.shape[1] + 1))
             start = int(rng.integers(0, z.shape[1] - frames + 1))
-            rows, stretch = rng.integers(len(z), size=config.batch), slice(start, start + frames)
-            given, wanted = z[rows][:, stretch], target[rows][:, stretch] / head.force_scale
+            rows = rng.integers(len(z), size=config.batch)
+            given = z[rows, start : start + frames]  # (batch, frames, P, L)
+            wanted = target[rows, start : start + frames] / head.force_scale
             noisy = given + config.input_noise * spread * torch.randn_like(given)
             loss = F.smooth_l1_loss(head(noisy) / head.force_scale, wanted, beta=0.2)
             optimizer.zero_grad()

@@ -2,7 +2,8 @@
 
 A kitchen scale needs no known sensor: three presses give one gain of the newtons. Pressing the tool
 that the fingers hold gives one of shear: a covered flat gel shows shear and hardly grip. Without a
-scale, wiping with the tool between a known finger and the new one does: each carries half the press.
+scale, wiping with the tool between a known finger and the new one does: each carries half the
+press.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ LEAST_R = 0.7  # between the fingers' shear
 
 
 def gain_of_loads(z: Latent, load_N: np.ndarray, head: ForceHead, new: str) -> Calibration:
-    """Return the gain that brings the newtons read of presses (n, P, latent) to their loads (n,) in N.
+    """Return the gain from newtons read of presses (n, P, latent) to their loads (n,) in N.
 
     One gain serves all axes: a stiffer or duller pad answers less to any force.
 
@@ -57,7 +58,8 @@ def gain_through_a_tool(z: Latent, load_N: np.ndarray, head: ForceHead, new: str
         head: of the kind whose newtons the policy knows.
         new: the sensor, in words.
 
-    Raises ContractError: fewer than three loads, none of a hanging tool, or readings that don't follow.
+    Raises ContractError: fewer than three loads, none of a hanging tool, or readings that don't
+    follow.
     """
     known_N = np.asarray(load_N, float)
     shear_N = _newtons(head, z)[:, 1]  # canonical y points down
@@ -88,8 +90,8 @@ def gain_beside_an_anchor(
         new: the sensor to scale, in words.
         anchor: the known one, in words.
 
-    Raises ContractError: latents that aren't paired, too few moments in which the tool is held, or shear
-    that hardly changes or that the fingers disagree about.
+    Raises ContractError: latents that aren't paired, too few moments in which the tool is held, or
+    shear that hardly changes or that the fingers disagree about.
     """
     if z_new.shape != z_anchor.shape:
         came = f"{tuple(z_new.shape)} and {tuple(z_anchor.shape)}"
@@ -133,7 +135,10 @@ def shear_gain(read_N: np.ndarray, known_N: np.ndarray) -> float:
 
 
 def _gain(known_N: np.ndarray, read_N: np.ndarray, do: str) -> float:
-    """Return the gain that brings readings (n,) to known loads (n,); ContractError: they don't follow."""
+    """Return the gain that brings readings (n,) to known loads (n,).
+
+    Raises ContractError: they don't follow.
+    """
     gain = float((known_N * read_N).sum() / max(float((read_N**2).sum()), 1e-9))
     rest_N = float(np.sqrt(((gain * read_N - known_N) ** 2).mean()))
     if not GAINS[0] <= gain <= GAINS[1] or rest_N > REST_SHARE * known_N.mean():

@@ -1,4 +1,4 @@
-"""Latents that carry the hash of their tokenizer, since those of two have one shape and two meanings; pooled maps."""
+"""Latents that carry their tokenizer's hash, since those of two look alike; pooled maps."""
 
 from __future__ import annotations
 
@@ -21,10 +21,13 @@ KEEPS_ORIGIN = frozenset((*PICKS, *MOVES))
 
 
 class Latent(torch.Tensor):
-    """Latents (…, P, L) float32 of one tokenizer, as ``Tokenizer.encode`` returns them; a tensor in all other ways.
+    """Latents (…, P, L) float32 of one tokenizer, as ``Tokenizer.encode`` returns them.
+
+    A tensor in all other ways.
 
     Attributes:
-        tokenizer_hash: the ``hash`` of their tokenizer. Indexing, stacking, reshaping and moving keep it.
+        tokenizer_hash: the ``hash`` of their tokenizer. Indexing, stacking, reshaping and moving
+            keep it.
     """
 
     tokenizer_hash: str
@@ -43,29 +46,35 @@ class Latent(torch.Tensor):
     def __torch_function__(
         cls, func: Callable[..., Any], types: Any, args: Any = (), kwargs: Any = None
     ) -> Any:
-        """Run one of torch's functions; its result has an origin if all of its tensors have the same."""
+        """Run one of torch's functions.
+
+        Its result has an origin if all of its tensors have the same.
+        """
         with torch._C.DisableTorchFunctionSubclass():
             result = func(*args, **(kwargs or {}))
         if getattr(func, "__name__", "") not in KEEPS_ORIGIN:
             return _plain(result)
         joined = args[0] if args and isinstance(args[0], (list, tuple)) else args[:1]
         origins = {getattr(z, "tokenizer_hash", "") for z in joined}
-        return _of_all(result, origins.pop()) if len(origins) == 1 else _plain(result)
+        if len(origins) == 1:
+            return _of_all(result, origins.pop())
+        return _plain(result)
 
 
 def own_latent(z: torch.Tensor, tokenizer_hash: str, reader: str) -> torch.Tensor:
     """Return ``z`` as a plain tensor if it comes from the tokenizer that ``reader`` belongs to.
 
-    Raises ContractError: a tensor that doesn't say where it comes from; CheckpointError: latents of another tokenizer.
+    Raises ContractError: a tensor that doesn't say where it comes from; CheckpointError: latents of
+    another tokenizer.
     """
     if not isinstance(z, Latent):
-        do = "Pass what Tokenizer.encode returned; stored latents become Latent.of(z, tokenizer's hash)."
+        do = "Pass what Tokenizer.encode returned; stored ones become Latent.of(z, tokenizer's hash)."
         raise ContractError(expected(f"latents for {reader}", "a Latent", type(z).__name__, do))
     if z.tokenizer_hash != tokenizer_hash:
-        wanted, came = (f"tokenizer {name[:12]}…" for name in (tokenizer_hash, z.tokenizer_hash))
-        raise CheckpointError(
-            expected(f"latents for {reader}", wanted, came, "Load both of one size or folder.")
-        )
+        wanted = f"tokenizer {tokenizer_hash[:12]}…"
+        came = f"tokenizer {z.tokenizer_hash[:12]}…"
+        do = "Load both of one size or folder."
+        raise CheckpointError(expected(f"latents for {reader}", wanted, came, do))
     return z.as_subclass(torch.Tensor)
 
 
@@ -90,7 +99,10 @@ def as_map(z: torch.Tensor) -> torch.Tensor:
 
 
 def pool_latent(z: torch.Tensor, grid: int = POOL) -> torch.Tensor:
-    """Return (B, grid², L): means over neighbouring patches of (B, P, L), with their origin if they have one."""
+    """Return (B, grid², L).
+
+    Means over neighbouring patches of (B, P, L), with their origin if they have one.
+    """
     cells = as_map(z)
     check_count("grid of pooled latents", grid, cells.shape[-1])
     pooled = F.adaptive_avg_pool2d(cells, grid).flatten(2).transpose(1, 2)

@@ -1,8 +1,9 @@
-"""Whether latents are such as a kind of sensor gives: their distance from what many units of it showed.
+"""Sensor health check: Mahalanobis distance of latents from healthy sensors of the same kind.
 
-A camera that moved, a reference taken under load or markers that come and go still give a latent, and a head still
-reads newtons in it. The distance notices them: healthy units lie close together whatever they touch. It can't notice a
-sensor that answers too little, because that looks like a lighter touch.
+A camera that moved, a reference taken under load or markers that come and go still give a latent,
+and a head still reads newtons in it. The distance notices them: healthy units lie close together
+whatever they touch. It can't notice a sensor that answers too little, because that looks like a
+lighter touch.
 """
 
 from __future__ import annotations
@@ -24,14 +25,18 @@ from uniforce_vtla.tokenizer.weights import (
 # of the mean variance, added to each: directions in which no unit moved must not decide alone
 FLOOR = 0.01
 FREE_LOOKS = 3  # at the start of an episode, before anything is touched
-# how much farther looks may lie once a new reference was taken, in free air and later: what is left then are markers
-# that come and go. With a fifth of them missing (2.0 to 2.5 × the limit) a policy that wasn't stopped wiped six boards
-# of six, three of them clean, none too hard
-RENEWED_TIMES = 2.6, 1.4
+# Factors that relax the limits after re-referencing, in free air and in contact. Markers that come
+# and go are left then: with a fifth of them missing (2.0 to 2.5 × the limit) a policy that wasn't
+# stopped wiped six boards of six, none too hard.
+RENEWED_FREE = 2.6
+RENEWED_RUN = 1.4
 
 
 class FreeAirError(SensorError):
-    """Nothing is touched yet, and the picture is unlike its reference: a new reference may be all it needs."""
+    """Nothing is touched yet, and the picture is unlike its reference.
+
+    A new reference may be all it needs.
+    """
 
 
 class LatentRange(nn.Module):
@@ -52,8 +57,10 @@ class LatentRange(nn.Module):
         self, kind: str, tokenizer_hash: str, size: int, free_limit: float, run_limit: float
     ) -> None:
         super().__init__()
-        self.kind, self.tokenizer_hash = kind, tokenizer_hash
-        self.free_limit, self.run_limit = free_limit, run_limit
+        self.kind = kind
+        self.tokenizer_hash = tokenizer_hash
+        self.free_limit = free_limit
+        self.run_limit = run_limit
         self.register_buffer("mean", torch.zeros(size))
         self.register_buffer("whitening", torch.eye(size))
 
@@ -77,7 +84,7 @@ class LatentRange(nn.Module):
 
     @classmethod
     def from_pretrained(cls, kind: str, path: str | Path | None = None) -> LatentRange:
-        """Load a shipped kind's range for a size of tokenizer ("small" by default, "nano"), or any range's folder.
+        """Load the shipped range of a kind for a size of tokenizer, "small" by default, or a folder.
 
         Raises CheckpointError: no range for that kind, or a checkpoint that doesn't fit.
         """
@@ -101,7 +108,7 @@ class LatentRange(nn.Module):
         )
 
     def distance(self, latents: torch.Tensor) -> torch.Tensor:
-        """Return (B,) Mahalanobis distances of (B, P, L) pooled latents, root mean square over their P · L numbers."""
+        """Return (B,) Mahalanobis distances of (B, P, L) pooled latents, rms over their numbers."""
         whitened = (latents.flatten(1) - self.mean) @ self.whitening
         return whitened.square().mean(dim=1).sqrt()
 
@@ -119,7 +126,9 @@ class HealthMonitor:
     def __init__(
         self, usual: LatentRange, finger: str, looks: int, worn: nn.Module | None = None
     ) -> None:
-        self._usual, self._finger, self._worn = usual, finger, worn
+        self._usual = usual
+        self._finger = finger
+        self._worn = worn
         self._recent: deque[float] = deque(maxlen=looks)
         self.active = True  # False while a policy trains: samples are in no order
         self.reset()
@@ -130,26 +139,35 @@ class HealthMonitor:
             own.to(device)
 
     def reset(self, renewed: bool = False) -> None:
-        """Start an episode, in free air; ``renewed``: once more, with a reference taken just now."""
+        """Start an episode, in free air.
+
+        ``renewed``: once more, with a reference taken just now.
+        """
         self._recent.clear()
         self._seen = 0
-        free_times, run_times = RENEWED_TIMES if renewed else (1.0, 1.0)
-        self._free_limit, self._run_limit = (
-            free_times * self._usual.free_limit,
-            run_times * self._usual.run_limit,
-        )
+        self._free_limit = self._usual.free_limit
+        self._run_limit = self._usual.run_limit
+        if renewed:
+            self._free_limit *= RENEWED_FREE
+            self._run_limit *= RENEWED_RUN
 
     def see(self, latents: torch.Tensor) -> None:
-        """Take in the (B, P, L) pooled latents of one look; of several environments the worst counts.
+        """Take in the (B, P, L) pooled latents of one look.
 
-        Raises SensorError: farther from healthy units than any of them was; FreeAirError at the start of an episode.
+        Of several environments the worst counts.
+
+        Raises SensorError: farther from healthy units than any of them was; FreeAirError at the
+        start of an episode.
         """
         if not self.active:
             return
         worn = latents if self._worn is None else self._worn(latents)
         free, run = self.judge(float(self._usual.distance(worn).max()))
         if free > 1:
-            do = "Let go of everything and take the reference again; look whether the camera or gel has moved."
+            do = (
+                "Let go of everything and take the reference again; "
+                "look whether the camera or gel has moved."
+            )
             raise FreeAirError(self._message("in free air", self._free_limit, free, do))
         if run > 1:
             do = "Look at the sensor; monitor=off goes on without this check."
@@ -157,13 +175,19 @@ class HealthMonitor:
 
     @property
     def health(self) -> float:
-        """Mean distance of the recent readings over the largest allowed one; NaN before the first."""
+        """Mean distance of the recent readings over the largest allowed one.
+
+        NaN before the first.
+        """
         if not self._recent:
             return float("nan")
         return sum(self._recent) / len(self._recent) / self._run_limit
 
     def judge(self, distance: float) -> tuple[float, float]:
-        """Return the mean distance over its limit in free air and over half a second; 0 while that isn't due."""
+        """Return the mean distance over its limit in free air and over half a second.
+
+        0 while that isn't due.
+        """
         self._recent.append(distance)
         self._seen += 1
         mean = sum(self._recent) / len(self._recent)

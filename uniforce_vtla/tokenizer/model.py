@@ -1,6 +1,7 @@
 """The conditional VAE: (reference, current) marker images → latent force map → current image again.
 
-UniForce paper, section "Architecture". Encoder = inverse dynamics, decoder = forward dynamics given a reference.
+UniForce paper, section "Architecture". Encoder = inverse dynamics, decoder = forward dynamics given
+a reference.
 """
 
 from __future__ import annotations
@@ -27,7 +28,10 @@ LOG_VARIANCE_RANGE = (-10.0, 4.0)  # keeps exp() finite however training goes
 
 
 class Posterior(NamedTuple):
-    """Diagonal Gaussian over the latent force map: ``mean`` and ``log_variance``, each (B, P, latent)."""
+    """Diagonal Gaussian over the latent force map.
+
+    ``mean`` and ``log_variance``, each (B, P, latent).
+    """
 
     mean: torch.Tensor
     log_variance: torch.Tensor
@@ -38,7 +42,7 @@ class Posterior(NamedTuple):
 
 
 class ReferenceCache(NamedTuple):
-    """Tensors of a reference that encoding a current frame needs, all with the reference's batch."""
+    """Tensors of a reference that encoding a current frame needs."""
 
     image: torch.Tensor  # (B, 1, S, S) prepared reference
     halved: list[torch.Tensor]  # the same at every scale of the motion channels; empty without them
@@ -57,7 +61,8 @@ class ReferenceCache(NamedTuple):
 def patches(maps: torch.Tensor, side: int) -> torch.Tensor:
     """Cut (B, C, H, W) into patches, (B, P, C·side²), row by row.
 
-    What ``F.unfold`` returns, but contiguous: a linear layer reads a transposed input at a third of the speed.
+    What ``F.unfold`` returns, but contiguous: a linear layer reads a transposed input at a third of
+    the speed.
     """
     B, C, H, W = maps.shape
     cut = maps.reshape(B, C, H // side, side, W // side, side).permute(0, 2, 4, 1, 3, 5)
@@ -98,7 +103,10 @@ class MotionEmbed(nn.Module):
         )
 
     def forward(self, reference: list[torch.Tensor], current: torch.Tensor) -> torch.Tensor:
-        """Return (B, P, D) from the reference at every scale and current images; a batch of 1 serves any B."""
+        """Return (B, P, D) from the reference at every scale and current images.
+
+        A batch of 1 serves any B.
+        """
         levels = [level.expand(len(current), -1, -1, -1) for level in reference]
         maps = motion_channels(levels, current)  # (B, 3·scales, S / 4, S / 4)
         return self.project(patches(maps, self.cells))
@@ -146,7 +154,10 @@ class Encoder(nn.Module):
         self.register_buffer("time", sinusoid(torch.arange(2), config.width), persistent=False)
 
     def encode_reference(self, reference: torch.Tensor) -> ReferenceCache:
-        """Return what the current frame needs of (B, 1, S, S) references; it depends on nothing else."""
+        """Return what the current frame needs of (B, 1, S, S) references.
+
+        It depends on nothing else.
+        """
         tokens = self.embed(reference) + self.time[0]
         halved = [] if self.motion is None else pyramid(reference, self.motion.scales)
         cache = ReferenceCache(reference, halved, [])
@@ -226,7 +237,10 @@ class FlowHead(nn.Module):
         nn.init.zeros_(self.project[1].bias)
 
     def forward(self, tokens: torch.Tensor) -> torch.Tensor:
-        """Return (B, 2, S, S): the shift in x and y, in pixels, from a pixel to its place in the reference."""
+        """Return (B, 2, S, S).
+
+        The shift in x and y, in pixels, from a pixel to its place in the reference.
+        """
         cells = self.project(tokens).transpose(1, 2)  # (B, 2·cells², P)
         size = (self.grid * self.cells, self.grid * self.cells)
         coarse = F.fold(cells, size, self.cells, stride=self.cells)  # (B, 2, S/4, S/4)

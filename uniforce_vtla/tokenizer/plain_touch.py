@@ -1,7 +1,8 @@
 """Touch for a policy without a tokenizer: a hand descriptor, or the marker images themselves.
 
-Controls of the benchmark: the first asks whether learning was needed, the second must fail when a sensor is swapped.
-Views and policies both come through here, so they can't disagree about a mirror or a size.
+Controls of the benchmark: the first asks whether learning was needed, the second must fail when a
+sensor is swapped. Views and policies both come through here, so they can't disagree about a mirror
+or a size.
 """
 
 import numpy as np
@@ -17,7 +18,7 @@ PAIR_SIDE = 32  # px: a GelSight's markers lie four apart, area averaging keeps 
 
 
 def descriptors(reference: np.ndarray, current: np.ndarray, finger: Finger) -> np.ndarray:
-    """Return (B, 6) float32 hand descriptors of (B, H, W) uint8 images against a (H, W) reference, canonical."""
+    """Return (B, 6) float32 descriptors of (B, H, W) uint8 images against a (H, W) reference."""
     before, after = (
         np.ascontiguousarray(to_canonical(image, finger)) for image in (reference, current)
     )

@@ -26,8 +26,9 @@ from uniforce_vtla.tokenizer.force_head import ForceHead, HeadTrainingConfig, tr
 from uniforce_vtla.tokenizer.latent import POOL, pool_latent
 
 BATCH = 15  # contacts drawn at once
-# less noise and more steps than a table's heads: they see 80 units, not 8. Of .1, .4 and .8 what read other TacTips'
-# press in the scene best, by scatter and scale, without a slope that only TacTips have
+# less noise and more steps than a table's heads: they see 80 units, not 8. Of .1, .4 and .8 what
+# read other TacTips' press in the scene best, by scatter and scale, without a slope that only
+# TacTips have
 WORN_HEADS = HeadTrainingConfig(steps=1500, batch=128, input_noise=0.4)
 
 logger = logging.getLogger(__name__)
@@ -49,7 +50,7 @@ class WornSequences:
 
 
 def fit_head(kind: str, tokenizer: Tokenizer, settings: WornSequences | None = None) -> ForceHead:
-    """Return a head that reads newtons in a tokenizer's latents, fitted to simulated units of one kind of sensor."""
+    """Return a head fitted to a tokenizer's latents of simulated sensors of one kind."""
     z, force_N = draw_worn(settings or WornSequences(), kind, tokenizer)
     return ForceHead(train_head(z, force_N, WORN_HEADS, seed=0), kind, tokenizer.hash)
 
@@ -80,7 +81,10 @@ def draw_worn(
 
 
 def _seen(view: WornView, contact: ContactState, tokenizer: Tokenizer) -> list[torch.Tensor]:
-    """Return the (B, P, L) pooled latents of contacts in a list; an empty one where a frame is refused."""
+    """Return the (B, P, L) pooled latents of contacts in a list.
+
+    An empty one where a frame is refused.
+    """
     try:
         images = view.images(contact)
     except SensorError as error:
@@ -111,7 +115,10 @@ def _held(rng: np.random.Generator, settings: WornSequences) -> Iterator[Contact
 def _twist(
     rng: np.random.Generator, force: np.ndarray, bounds: ForceRange, flat: bool
 ) -> np.ndarray:
-    """Return (T,) Nmm of torsion that friction has left beside the shear; none in half of the sequences."""
+    """Return (T,) Nmm of torsion that friction has left beside the shear.
+
+    None in half of the sequences.
+    """
     room = bounds.friction * force[:, 2]
     spare = np.sqrt(np.maximum(1 - (np.hypot(*force[:, :2].T) / np.maximum(room, 1e-9)) ** 2, 0))
     arm_mm = bounds.flat_torsion_arm_mm if flat else bounds.torsion_arm_mm
