@@ -64,12 +64,12 @@ def _mounted(
 
 
 def front_camera(scene: SceneParams) -> Camera:
-    """Stands before the robot and looks back at it over the board; world frame."""
+    """Return the camera before the robot, which sees it over the board; world frame."""
     return _mounted(scene, 0, FRONT_m, FRONT_LOOK_m, 1.0)
 
 
 def wrist_camera(scene: SceneParams) -> Camera:
-    """Rides on the hand and looks past the fingers at the eraser and the board; hand frame."""
+    """Return the camera on the hand, which sees fingers, eraser and board; hand frame."""
     return _mounted(scene, 1, WRIST_m, WRIST_LOOK_m, -1.0)
 
 

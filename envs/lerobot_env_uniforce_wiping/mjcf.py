@@ -128,7 +128,7 @@ def _finger(name: str, side: int, sensor: str, friction: float, pads: PadSetting
 
 
 def _shear_springs(name: str, pads: PadSettings) -> str:
-    """Two stiff slides across the pad; rigid friction would leave the sharing to the solver."""
+    """Return two stiff slides across the pad; rigid friction leaves its load to the solver."""
     spring = (
         f'stiffness="{pads.shear_N_mm * 1000}" damping="{pads.shear_damping_Ns_m}"'
         f' armature="{SHEAR_MASS_kg}"/>'

@@ -91,7 +91,7 @@ class Painter:
         return AMBIENT + (1 - AMBIENT) * np.maximum(normals @ self._light, 0)
 
     def _box_polygons(self, camera: Camera) -> list[list[tuple[np.ndarray, tuple[float, ...]]]]:
-        """Per box, the faces turned towards the camera."""
+        """Return the faces turned towards the camera, by box."""
         axes = self._data.geom_xmat[self._boxes].reshape(-1, 3, 3)
         centers = self._data.geom_xpos[self._boxes]
         corners = centers[:, None] + self._corners @ axes.transpose(0, 2, 1)  # (boxes, 8, 3)
@@ -112,7 +112,7 @@ class Painter:
         return polygons
 
     def _round_polygons(self, camera: Camera) -> list[list[tuple[np.ndarray, tuple[float, ...]]]]:
-        """Per capsule, the hull of its two end discs."""
+        """Return the hull of both end discs, by capsule."""
         axes = self._data.geom_xmat[self._rounds].reshape(-1, 3, 3)[:, :, 2] * self._half[:, None]
         centers = self._data.geom_xpos[self._rounds]
         ends = np.stack([centers + axes, centers - axes], axis=1)  # (rounds, 2, 3)

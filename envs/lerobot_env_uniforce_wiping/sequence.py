@@ -92,7 +92,7 @@ class Sweep:
         return float(self._at[2 * int(np.argmin(np.abs(rows - x_m)))])
 
     def between_rows(self, along_m: float) -> bool:
-        """Whether the tool moves from one row to the next there, along the closing axis."""
+        """Return whether the tool moves from row to row there, along the closing axis."""
         return (
             bool(np.searchsorted(self._at, along_m, side="right") % 2 == 0)
             and along_m < self.length_m

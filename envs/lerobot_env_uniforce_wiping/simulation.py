@@ -242,7 +242,7 @@ class WipeSimulation:
         return (points - self.data.xpos[self._eraser]) @ rotation
 
     def _felt_on_board(self) -> tuple[np.ndarray, float]:
-        """Centre of the felt (2,) and its yaw, in board coordinates."""
+        """Return the felt's centre (2,) and yaw, in board coordinates."""
         board = self.data.xmat[self._board_body].reshape(3, 3)
         center = board.T @ (self.data.xpos[self._eraser] - self.data.xpos[self._board_body])
         axis = board.T @ self.data.xmat[self._eraser].reshape(3, 3)[:, 0]
@@ -267,7 +267,7 @@ class WipeSimulation:
         return center, tool.T @ block.xmat.reshape(3, 3)
 
     def eraser_in_tool(self) -> np.ndarray:
-        """(3,) position of the eraser in the tool frame, m."""
+        """Return (3,) position of the eraser in the tool frame, m."""
         tool = self.data.site_xmat[self._tcp].reshape(3, 3)
         return tool.T @ (self.data.xpos[self._eraser] - self.data.site_xpos[self._tcp])
 

@@ -30,14 +30,14 @@ HOME_q_rad = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.
 
 
 def rotation_z(angle_rad: float) -> np.ndarray:
-    """(4, 4) rotation about z."""
+    """Return (4, 4) rotation about z."""
     c = np.cos(angle_rad)
     s = np.sin(angle_rad)
     return np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
 
 
 def _fixed(a: float, d: float, alpha: float) -> np.ndarray:
-    """(4, 4) of a row of ``DH`` at joint angle 0."""
+    """Return (4, 4) of a row of ``DH`` at joint angle 0."""
     c = np.cos(alpha)
     s = np.sin(alpha)
     return np.array([[1, 0, 0, a], [0, c, -s, -d * s], [0, s, c, d * c], [0, 0, 0, 1]])

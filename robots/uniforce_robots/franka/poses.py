@@ -31,7 +31,7 @@ class ToolPose:
     tilt_rad: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     def ee_to_base(self) -> np.ndarray:
-        """(4, 4) pose of the hand."""
+        """Return (4, 4) pose of the hand."""
         turn = Rotation.from_rotvec(self.tilt_rad) * Rotation.from_euler("z", self.yaw_rad)
         pose = np.eye(4)
         pose[:3, :3] = turn.as_matrix() @ TOOL_DOWN @ TOOL_TO_EE.T

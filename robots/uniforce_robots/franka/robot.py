@@ -192,7 +192,7 @@ class UniforceFranka(Robot):
             self._arm.close()
 
     def measured(self) -> np.ndarray:
-        """(5,) where the robot is, axes as in ``keys.AXES``. Never blocks.
+        """Return (5,) where the robot is, axes as in ``keys.AXES``. Never blocks.
 
         Raises RobotError: not connected, a fault of arm or hand, or a reading too old.
         """

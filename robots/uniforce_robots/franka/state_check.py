@@ -205,7 +205,7 @@ class SendCheck:
 
 
 def _axes(pose: ToolPose) -> np.ndarray:
-    """(7,) x, y, z m, yaw rad, tilt as a rotation vector rad."""
+    """Return (7,) x, y, z m, yaw rad, tilt as a rotation vector rad."""
     return np.array([*pose.position_m, pose.yaw_rad, *pose.tilt_rad], dtype=float)
 
 

@@ -252,8 +252,8 @@ class UniforceSceneCameraConfig(CapturedCameraConfig):
     ``width`` and ``height`` are those delivered: the captured frame's middle in this shape,
     resized.
 
-    Example: ``{"type": "uniforce_scene", "source": "/dev/v4l/by-path/…", "width": 224, "height":
-    224, "capture_width": 640, "capture_height": 480}``
+    Example: ``{"type": "uniforce_scene", "source": "/dev/v4l/by-path/…", "width": 224,
+    "height": 224, "capture_width": 640, "capture_height": 480}``
     """
 
     width: int | None = 640

@@ -190,7 +190,7 @@ class UniforceTeleoperator(Teleoperator):
         self.device.stop()
 
     def rates(self) -> np.ndarray:
-        """(5,) wanted speed of each axis as a share of its limit, −1 … 1; zeros at rest."""
+        """Return (5,) wanted speed of each axis as a share of its limit, −1 … 1; zeros at rest."""
         return np.zeros(len(AXES))
 
     def is_deflected(self) -> bool:

@@ -193,7 +193,7 @@ class UniforceGello(UniforceTeleoperator):
         return self.integrator.towards(pose, elapsed_s, self.measured)
 
     def _pose(self) -> np.ndarray:
-        """(5,) where the GELLO is, as the robot's axes."""
+        """Return (5,) where the GELLO is, as the robot's axes."""
         q, trigger_rad = self._joints_and_trigger()
         if self._last is None:
             self._last = q

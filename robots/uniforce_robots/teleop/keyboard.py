@@ -96,7 +96,7 @@ class TerminalKeys:
                 self.forget()
 
     def rates(self) -> np.ndarray:
-        """(5,) direction of each axis now: −1, 0 or 1; TeleoperatorError: the terminal has gone."""
+        """Return (5,) direction of each axis now: −1, 0 or 1; TeleoperatorError: no terminal."""
         if self._listener is not None:
             _refuse_hung_up()
         rates = np.zeros(len(AXES))
@@ -151,7 +151,7 @@ class UniforceKeyboard(UniforceTeleoperator):
         self.keys.forget()
 
     def rates(self) -> np.ndarray:
-        """(5,) direction of each axis: −1, 0 or 1."""
+        """Return (5,) direction of each axis: −1, 0 or 1."""
         return self.keys.rates()
 
 

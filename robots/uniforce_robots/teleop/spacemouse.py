@@ -276,7 +276,7 @@ class UniforceSpaceMouse(UniforceTeleoperator):
         self.device = SampleReader(SpaceMouseSource(config.device), LIMITS)
 
     def rates(self) -> np.ndarray:
-        """(5,) wanted speed of each axis, −1 … 1; SensorError where the device is lost."""
+        """Return (5,) wanted speed of each axis, −1 … 1; SensorError where the device is lost."""
         state = self._deflection()
         right, forward, up = self.config.signs[:3] * state[:3]
         c = np.cos(self.config.operator_yaw_rad)
@@ -291,7 +291,7 @@ class UniforceSpaceMouse(UniforceTeleoperator):
         return bool(self._deflection().any())
 
     def _deflection(self) -> np.ndarray:
-        """(8,) six axes in −1 … 1 outside the dead band, and two buttons."""
+        """Return (8,) six axes in −1 … 1 outside the dead band, and two buttons."""
         sample = self.device.newest(FOREVER_MS)
         share = np.clip(sample.raw[:6] / FULL_SCALE, -1, 1)
         beyond = np.maximum(np.abs(share) - self.config.deadband, 0) / (1 - self.config.deadband)
