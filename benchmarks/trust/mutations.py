@@ -38,7 +38,11 @@ MUTATIONS: dict[str, tuple[str, str, str]] = {
         "True",
     ),
     "sent: distance unchecked": (SEND, "self._require_near(target, here)", "pass"),
-    "sent: last pose forgotten": (SEND, "self._last, self._last_s = target, now_s", "pass"),
+    "sent: last pose forgotten": (
+        SEND,
+        "self._last = target\n        self._last_s = now_s",
+        "pass",
+    ),
     "sent: a pause buys a jump": (
         SEND,
         "min(max(now_s - self._last_s, 0.0), gap_s)",
@@ -51,13 +55,18 @@ MUTATIONS: dict[str, tuple[str, str, str]] = {
     ),
     "guards: no box": (
         GUARDS,
-        "np.clip(action, np.minimum(self.limits.low, start), np.maximum(self.limits.high, start))",
+        "np.clip(\n            action, np.minimum(self.limits.low, start), "
+        "np.maximum(self.limits.high, start)\n        )",
         "action",
     ),
     "guards: no step": (GUARDS, "self._step(boxed, measured)", "boxed"),
     "guards: no rate": (GUARDS, "self._rate(stepped, last, elapsed_s)", "stepped"),
     "guards: width at any speed": (GUARDS, "limits.speed_width_m_s * elapsed_s", "1.0"),
-    "guards: last target forgotten": (GUARDS, "self._last, self._last_s = sent, now_s", "pass"),
+    "guards: last target forgotten": (
+        GUARDS,
+        "self._last = sent\n        self._last_s = now_s",
+        "pass",
+    ),
     "guards: a pause buys a jump": (
         GUARDS,
         "min(max(now_s - self._last_s, 0.0), gap_s)",
@@ -85,8 +94,8 @@ MUTATIONS: dict[str, tuple[str, str, str]] = {
     ),
     "stream: ramps unslowed": (
         STREAM,
-        "self._slowed(self._ramp.at(now_s), now_s)",
-        "self._ramp.at(now_s)",
+        "self._slowed(goal, now_s)",
+        "goal",
     ),
     "stream: begins at the goal": (
         STREAM,

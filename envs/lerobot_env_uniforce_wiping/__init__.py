@@ -1,6 +1,6 @@
 """The wiping scene: a MuJoCo environment in which touch is needed, and its scripted expert.
 
-Importing it registers the environment type; MuJoCo is loaded with the first use of ``WipeEnv`` or ``WipeExpert``.
+Importing it registers the environment type. ``WipeEnv`` and ``WipeExpert`` load MuJoCo.
 """
 
 from typing import TYPE_CHECKING, Any

@@ -1,4 +1,4 @@
-"""The scene for LeRobot's loops, which end a whole run over one exception: a fault ends its episode alone."""
+"""The scene for LeRobot's loops: a fault ends its own episode, not the whole run."""
 
 import logging
 from typing import Any
@@ -13,10 +13,11 @@ Step = tuple[dict[str, Any], float, bool, bool, dict[str, Any]]
 
 
 class AbortedEpisodes(gymnasium.Wrapper):
-    """Truncate an episode whose sensor or hand fails, unsuccessful, instead of raising; ``info["aborted"]`` says why.
+    """Truncate an episode whose sensor or hand fails; ``info["aborted"]`` says why.
 
-    What a policy is shown for that one step is the last observation, or, where the first look failed, the scene with
-    its sensors as drawn: the other environments of a vector go on, and their policy must not stop for it.
+    The episode counts as failed. Its last step repeats the last observation. Where the first
+    observation failed, it shows the scene with ideal sensors. So the other environments of a vector
+    go on.
     """
 
     def __init__(self, env: WipeEnv) -> None:
@@ -56,10 +57,15 @@ class AbortedEpisodes(gymnasium.Wrapper):
 
     def _as_drawn(self, seed: int | None) -> tuple[dict[str, Any], dict[str, Any]]:
         scene = self._scene
-        left, right = (f"{scene.sensors[finger]}:drawing" for finger in ("left", "right"))
-        return WipeEnv(
-            scene.level.name, left, right, scene.drawn, scene.expose_wrench, gripper=scene.gripper
-        ).reset(seed=seed)
+        ideal = WipeEnv(
+            scene.level.name,
+            f"{scene.sensors['left']}:drawing",
+            f"{scene.sensors['right']}:drawing",
+            scene.drawn,
+            scene.expose_wrench,
+            gripper=scene.gripper,
+        )
+        return ideal.reset(seed=seed)
 
 
 def make_scene(**settings: Any) -> AbortedEpisodes:

@@ -12,14 +12,16 @@ from uniforce_vtla.keys import CAMERAS
 
 FOV_rad = {"front": 0.54, "wrist": 1.35}
 # robot base frame
-FRONT_m, FRONT_LOOK_m = np.array([1.15, -0.05, 0.44]), np.array([0.47, -0.045, 0.045])
+FRONT_m = np.array([1.15, -0.05, 0.44])
+FRONT_LOOK_m = np.array([0.47, -0.045, 0.045])
 # hand frame
-WRIST_m, WRIST_LOOK_m = np.array([0.0, -0.095, 0.045]), np.array([0.0, -0.035, TCP_m + 0.045])
+WRIST_m = np.array([0.0, -0.095, 0.045])
+WRIST_LOOK_m = np.array([0.0, -0.035, TCP_m + 0.045])
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole: ``rotation`` has the camera's right, down and forward axes as rows, world frame."""
+    """A pinhole camera; rows of ``rotation`` are its right, down and forward axes, world frame."""
 
     position_m: np.ndarray
     rotation: np.ndarray
@@ -30,8 +32,8 @@ class Camera:
         return (points_m - self.position_m) @ self.rotation.T
 
     def to_pixels(self, local_m: np.ndarray) -> np.ndarray:
-        """Return (N, 2) pixels x, y of camera-frame points in front of the camera."""
-        return local_m[:, :2] / local_m[:, 2:] * self.focal_px + CAMERA_PX / 2
+        """Return (..., 2) pixels x, y of camera-frame points (..., 3) in front of the camera."""
+        return local_m[..., :2] / local_m[..., 2:] * self.focal_px + CAMERA_PX / 2
 
 
 def look_at(position_m: np.ndarray, target_m: np.ndarray, up: np.ndarray) -> np.ndarray:
@@ -44,7 +46,8 @@ def look_at(position_m: np.ndarray, target_m: np.ndarray, up: np.ndarray) -> np.
 
 def rotation(turn_rad: tuple[float, ...]) -> np.ndarray:
     """Return (3, 3) rotation of a rotation vector."""
-    quaternion, matrix = np.zeros(4), np.zeros(9)
+    quaternion = np.zeros(4)
+    matrix = np.zeros(9)
     angle = float(np.linalg.norm(turn_rad))
     mujoco.mju_axisAngle2Quat(quaternion, np.array(turn_rad) / max(angle, 1e-12), angle)
     mujoco.mju_quat2Mat(matrix, quaternion)
@@ -61,12 +64,12 @@ def _mounted(
 
 
 def front_camera(scene: SceneParams) -> Camera:
-    """Stands before the robot and looks back at it over the board; world frame."""
+    """Return the camera before the robot, which sees it over the board; world frame."""
     return _mounted(scene, 0, FRONT_m, FRONT_LOOK_m, 1.0)
 
 
 def wrist_camera(scene: SceneParams) -> Camera:
-    """Rides on the hand and looks past the fingers at the eraser and the board; hand frame."""
+    """Return the camera on the hand, which sees fingers, eraser and board; hand frame."""
     return _mounted(scene, 1, WRIST_m, WRIST_LOOK_m, -1.0)
 
 

@@ -27,19 +27,19 @@ from uniforce_vtla.keys import AXES, CAMERAS, tactile_name
 class WipeEnv(gymnasium.Env):
     """Grasp the eraser, carry it to the board, wipe the word off, lift.
 
-    Action and state are absolute x, y, z, yaw, width of the tool in the robot base frame (m, m, m, rad, m).
-    ``reset(seed=...)`` rebuilds the scene of that seed exactly; without a seed the next one is drawn from
-    the environment's own generator.
+    Action and state are absolute x, y, z, yaw, width of the tool (m, m, m, rad, m), base frame.
+    ``reset(seed=...)`` rebuilds the scene of that seed exactly. Without a seed the environment's
+    own generator draws one.
 
     Args:
         level: name of a locked level.
-        left_sensor: what the left finger wears, in words (``worn``) or as one unit of any sensor.
-        right_sensor: the same of the right finger.
-        drawn: fingers whose pads are shown; a policy that reads one spares the other's time.
+        left_sensor: sensor on the left finger, as text (``worn``) or one unit of any sensor.
+        right_sensor: sensor on the right finger.
+        drawn: fingers whose pads are shown; fewer are faster.
         expose_wrench: add the true pad wrenches to the observation; for ceiling controls only.
         max_steps: cut episodes earlier or later than the level does.
         render_mode: gymnasium's; pictures are always arrays.
-        gripper: what moves the fingers: "servo", the level's own, or "hand", under the rules of the robot's hand.
+        gripper: "servo", the level's own, or "hand", with the rules of the robot's hand.
     """
 
     metadata: ClassVar[dict[str, Any]] = {
@@ -59,12 +59,14 @@ class WipeEnv(gymnasium.Env):
         gripper: str = "servo",
     ) -> None:
         require_gripper(gripper)
-        self.level, self.gripper = get_level(level), gripper
+        self.level = get_level(level)
+        self.gripper = gripper
         self._wear: dict[Finger, Wear] = {"left": wear(left_sensor), "right": wear(right_sensor)}
         self.sensors: dict[str, str] = {finger: worn(0).kind for finger, worn in self._wear.items()}
         self.drawn = drawn
         self.limits = replace(ScoreLimits(), in_band_share=self.level.in_band_share or 0.0)
-        self.expose_wrench, self.render_mode = expose_wrench, render_mode
+        self.expose_wrench = expose_wrench
+        self.render_mode = render_mode
         self.solver = SolverSettings()  # of the next episode's physics
         self._painter = Painter()
         self._max_episode_steps = max_steps or round(self.level.time_limit_s * CONTROL_HZ)
@@ -78,15 +80,14 @@ class WipeEnv(gymnasium.Env):
             return spaces.Box(0, 255, (*shape, 3), np.uint8)
 
         pixels = {name: picture((CAMERA_PX, CAMERA_PX)) for name in CAMERAS}
-        pixels |= {
-            tactile_name(f, r): picture(MARKER_IMAGE_SHAPE)
-            for f in self.drawn
-            for r in (False, True)
-        }
+        for finger in self.drawn:
+            for reference in (False, True):
+                pixels[tactile_name(finger, reference)] = picture(MARKER_IMAGE_SHAPE)
         state = spaces.Box(-10.0, 10.0, (len(AXES),), np.float32)
         content: dict[str, spaces.Space] = {"pixels": spaces.Dict(pixels), "agent_pos": state}
         if self.expose_wrench:
-            content |= {f"wrench_{f}": spaces.Box(-1e5, 1e5, (4,), np.float32) for f in FINGERS}
+            for finger in FINGERS:
+                content[f"wrench_{finger}"] = spaces.Box(-1e5, 1e5, (4,), np.float32)
         return spaces.Dict(content)
 
     @property
@@ -117,11 +118,13 @@ class WipeEnv(gymnasium.Env):
         return self._recorder.phase
 
     def true_wrench(self) -> dict[Finger, np.ndarray]:
-        """Return finger → (4,) float32 canonical fx, fy, fz N and torsion Nmm, mean over the last step."""
+        """Return finger → (4,) float32 fx, fy, fz N, torsion Nmm, canonical, mean of a step."""
         return {f: self.sim.pads[f].wrench.copy() for f in FINGERS}
 
     def marker_pair(self, finger: Finger) -> tuple[np.ndarray, np.ndarray]:
-        """Return a drawn finger's reference and current marker image, (480, 640) uint8 each; cameras stay unpainted.
+        """Return a drawn finger's reference and current marker image, (480, 640) uint8 each.
+
+        The cameras are not painted.
 
         Raises:
             SensorError: a canonicalizer refuses its frame.
@@ -225,7 +228,8 @@ class WipeEnv(gymnasium.Env):
                 pixels[tactile_name(finger, reference)] = cv2.cvtColor(image, cv2.COLOR_GRAY2RGB)
         observation: dict[str, Any] = {"pixels": pixels, "agent_pos": self.state}
         if self.expose_wrench:
-            observation |= {f"wrench_{f}": w for f, w in self.true_wrench().items()}
+            for finger, wrench in self.true_wrench().items():
+                observation[f"wrench_{finger}"] = wrench
         return observation
 
     def _info(self) -> dict[str, Any]:

@@ -28,7 +28,7 @@ class Script(Protocol):
 
 
 def walk(env: WipeEnv, script: Script, seed: int) -> Iterator[np.ndarray]:
-    """Do the scene of ``seed``: yield each executed (5,) target, the scene standing right after it, until it ends."""
+    """Run the scene of ``seed`` to its end; yield each (5,) target after it was executed."""
     env.start(seed)
     script.reset(env)
     done = False

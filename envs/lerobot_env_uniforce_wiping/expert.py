@@ -1,4 +1,7 @@
-"""The scripted expert: reads the pads' true wrench with noise, sees ink that is left, knows only the nominal layout."""
+"""The scripted expert: reads the pads' true wrench with noise and the ink that is left.
+
+It knows the nominal layout only.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,8 @@ FINGERS_USED: dict[str, tuple[Finger, ...]] = {
 }
 GRAVITY_m_s2 = 9.81
 CLEARANCE_m = 0.008  # above the nominal contact height, where lowering slows down
-FAST_m_s, SLOW_m_s = 0.050, 0.018  # lowering
+FAST_m_s = 0.050  # fastest lowering
+SLOW_m_s = 0.018  # slowest lowering
 LOWERING_GAIN = 3.5  # 1/s: speed per distance left above the clearance
 CLOSING_m_s = 0.040  # gripper in free air
 # of what is held: where a hand that holds by itself is asked to stay, far from asking it to open
@@ -48,10 +52,10 @@ class ExpertNoise:
     grip_sd_N: float = 0.10  # wanted grip, per episode
     pace_sd: float = 0.04  # speeds, per episode
     wander_m: float = 0.0008  # slow sideways drift of the hand
-    # a policy's hand stops some millimetres too low or too high; without demos from there it is lost for good
+    # a policy's hand stops some millimetres too low or too high, and needs demos from there
     grasp_sd_m: float = 0.004  # height of the grasp on the eraser, per episode
     carry_sd_m: float = 0.005  # height of carrying, per episode
-    # across and along the row: where the eraser is set down beside the row's beginning, each time; a policy strays, too
+    # across and along the row: where the eraser is set down, from the row's beginning
     stray_sd_m: tuple[float, float] = (0.004, 0.008)
 
 
@@ -67,14 +71,14 @@ class Contact:
 class TouchSettings:
     """How the expert regulates."""
 
-    # 4 N are enough to wipe; 10 N are an event, and policies' peaks are 1.4 times their means, which spread by .7 N
+    # 4 N are enough to wipe; 10 N are an event. A policy's peaks are 1.4 times its means
     press_N: float = 6.1
-    # friction holds 1.2 times that press on the slipperiest pads; a flat gel that is swapped in reads a leaning eraser
+    # friction holds 1.2 times that press on the slipperiest pads. A flat gel reads a leaning eraser
     # a quarter too low, and 12 N are too deep for it (docs/experiments/tiny_policy.md)
     grip_N: float = 7.5
     lift_from: float = 0.85  # share of the wanted grip at which the grasp is made
-    # share of the wanted press at which sweeping begins, still pressing harder: a policy that reads its press too low
-    # must not wait for the rest in one place
+    # share of the wanted press at which sweeping begins, still pressing harder: a policy that reads
+    # its press too low must not wait for the rest in one place
     sweep_from: float = 0.5
     press_rate_m_s_N: float = 0.0035  # z speed per N of press error
     press_speed_m_s: float = 0.020  # fastest regulation
@@ -82,15 +86,16 @@ class TouchSettings:
     contact_N: float = 1.2  # press that counts as touching the board
 
 
-# against a pull that changes within a second: press in the middle of the band, regulated twice as fast, and a grip that
-# holds what the pull adds (docs/experiments/scene.md)
+# against a pull that changes within a second: press in the middle of the band, regulated twice as
+# fast, and a firmer grip (docs/experiments/scene.md)
 AGAINST_PULL = TouchSettings(press_N=6.0, grip_N=8.5, press_rate_m_s_N=0.008)
 
 
 class TouchRegulator:
-    """Regulates grip and press by touch; keeps no memory beyond its own target.
+    """Regulate grip and press by touch, without memory.
 
-    Where a hand ``holds`` by a force of its own and says so, press alone: a width inside what is held keeps the grasp.
+    A hand that ``holds`` by its own force needs no grip regulation: a width inside the held object
+    keeps the grasp.
     """
 
     def __init__(
@@ -100,11 +105,13 @@ class TouchRegulator:
         settings: TouchSettings,
         holds: Callable[[], bool | None] = lambda: None,
     ) -> None:
-        self._layout, self._contact, self._settings = layout, contact, settings
+        self._layout = layout
+        self._contact = contact
+        self._settings = settings
         self._holds = holds
 
     def close(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
-        """Close fast until a pad touches something, then regulate; made at `lift_from` of the wanted grip."""
+        """Close fast until a pad touches, then regulate; done at `lift_from` of the wanted grip."""
         s = self._settings
         is_held = self._holds()
         if is_held is not None:
@@ -112,7 +119,7 @@ class TouchRegulator:
         return self.hold(target_m, measured), self._contact().grip_N > s.lift_from * s.grip_N
 
     def hold(self, target_m: float, measured: np.ndarray) -> float:
-        """Move the width against the grip error; to a width inside what is held where the hand holds."""
+        """Move the width against the grip error, or inside the object where the hand holds it."""
         if self._holds() is not None:
             step_m = CLOSING_m_s / CONTROL_HZ
             return float(target_m + np.clip(measured[4] - INSIDE_m - target_m, -step_m, step_m))
@@ -123,8 +130,9 @@ class TouchRegulator:
         return float(target_m + speed / CONTROL_HZ)
 
     def lower(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
-        """Go down until the board is touched, then regulate; sweep from `sweep_from` of the wanted press on."""
-        press_N, s = self._contact().press_N, self._settings
+        """Go down to the board, then regulate; done at `sweep_from` of the wanted press."""
+        press_N = self._contact().press_N
+        s = self._settings
         if press_N < s.contact_N:
             return target_m - lowering_speed(target_m, self._layout) / CONTROL_HZ, False
         return self.press(target_m, measured), press_N > s.sweep_from * s.press_N
@@ -148,8 +156,8 @@ class WipeExpert:
         fingers: which pads it reads.
         noise: drawn from the scene's seed, so that an episode repeats exactly.
         settings: set points and rates of its regulation; None: what the level needs.
-        late_steps: control steps by which it feels late. Demonstrations that answer to what a late picture doesn't show
-            yet teach two thirds of the answer (docs/experiments/tiny_policy.md).
+        late_steps: delay of its force reading, control steps. It must match the policy's, or
+            corrections come out a third too small (docs/experiments/tiny_policy.md).
     """
 
     def __init__(
@@ -171,9 +179,12 @@ class WipeExpert:
     def reset(self, env: WipeEnv) -> None:
         """Start a new episode: draw this run's pace, set points and sensor gains."""
         rng = self._rng = np.random.default_rng([env.scene.seed, 4242])
-        n, level = self.noise, env.scene.level
+        n = self.noise
+        level = env.scene.level
         self.settings = self._given or (AGAINST_PULL if level.pull else TouchSettings())
-        self._gain = {f: 1 + n.force_gain_sd * rng.standard_normal() for f in FINGERS}
+        self._gain: dict[Finger, float] = {}
+        for finger in FINGERS:
+            self._gain[finger] = 1 + n.force_gain_sd * rng.standard_normal()
         press = self.settings.press_N + n.press_sd_N * rng.standard_normal()
         grip = self.settings.grip_N + n.grip_sd_N * rng.standard_normal()
         slower = 1 - np.abs(n.pace_sd * rng.standard_normal(3))
@@ -184,7 +195,8 @@ class WipeExpert:
             vertical_m_s=usual.vertical_m_s * slower[1],
             stroke_m_s=usual.stroke_m_s * slower[2],
         )
-        self._phase_rad, self._clock = rng.uniform(0, 2 * np.pi, 2), 0
+        self._phase_rad = rng.uniform(0, 2 * np.pi, 2)
+        self._clock = 0
         self._contact = Contact(0.0, 0.0)
         self._felt.clear()
         level = self._own_heights(level)
@@ -201,8 +213,9 @@ class WipeExpert:
         return np.clip(self._rng.standard_normal(2), -2, 2) * self.noise.stray_sd_m
 
     def _own_heights(self, level: Level) -> Level:
-        """Return the level as this run goes about it: grasped and carried a little higher or lower."""
-        layout, n = level.layout, self.noise
+        """Return the level with this run's own heights of grasp and carrying."""
+        layout = level.layout
+        n = self.noise
         grasp, carry = np.clip(self._rng.standard_normal(2), -2, 2) * (n.grasp_sd_m, n.carry_sd_m)
         own = replace(
             layout,
@@ -235,9 +248,9 @@ class WipeExpert:
 
     def _estimate(self, wrench: dict[Finger, np.ndarray]) -> Contact:
         """Estimate grip and press from the pads it may use; one pad stands for both."""
-        noisy = [
-            wrench[f][:3] * self._gain[f] + self.noise.force_sd_N * self._rng.standard_normal(3)
-            for f in self.fingers
-        ]
+        noisy = []
+        for finger in self.fingers:
+            noise = self.noise.force_sd_N * self._rng.standard_normal(3)
+            noisy.append(wrench[finger][:3] * self._gain[finger] + noise)
         _, up, grip = np.mean(noisy, axis=0)
         return Contact(grip_N=float(grip), press_N=float(self._weight_N - 2 * up))

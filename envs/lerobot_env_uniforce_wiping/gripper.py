@@ -1,8 +1,8 @@
-"""Grippers of the scene: a servo that follows every width, or a hand under the rules of the robot's.
+"""Grippers of the scene: an ideal servo, or a hand with the rules of the robot's.
 
-The level's servo is no gripper that anybody has: it regulates grip by tenths of a millimetre. The Franka Hand takes a
-grasp with a force, holds by itself, and tells its width ten times a second. ``uniforce_vtla.hand.Hand`` decides what it
-is asked for, here as on the robot.
+The servo follows widths by tenths of a millimetre; no real gripper does. The Franka Hand takes a
+grasp with a force, holds by itself, and reports its width ten times a second.
+``uniforce_vtla.hand.Hand`` decides its commands, here as on the robot.
 """
 
 from typing import Protocol
@@ -76,7 +76,7 @@ class Servo:
 
 
 class FrankaHand:
-    """The fingers do what ``Hand`` asks of a hand: grasps of bounded force and moves, one at a time."""
+    """The fingers follow ``Hand``: grasps of bounded force and moves, one at a time."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, seed: int) -> None:
         self._client = SceneHand(model, data, force_share(seed))
@@ -104,16 +104,18 @@ class FrankaHand:
 
 
 class SceneHand:
-    """A ``HandClient`` over the scene's fingers: a set point that runs at the command's speed, and a force limit.
+    """A ``HandClient`` over the scene's fingers: a moving set point and a force limit.
 
     Args:
-        model: of the scene; its force limit of the width's actuator changes with each command.
-        data: of the scene.
+        model: the scene's; each command changes the force limit of the width's actuator.
+        data: the scene's.
         force_share: true force of a grasp over the commanded one.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, force_share: float) -> None:
-        self._model, self._data, self._force_share = model, data, force_share
+        self._model = model
+        self._data = data
+        self._force_share = force_share
         self._addresses = finger_addresses(model)
         self._set_point_m = finger_width(data, self._addresses)
         self._command: HandCommand | None = None  # in flight
@@ -144,7 +146,8 @@ class SceneHand:
 
     def poll(self) -> bool | None:
         """Return how the command in flight ended, once; None while it runs."""
-        outcome, self._outcome = self._outcome, None
+        outcome = self._outcome
+        self._outcome = None
         return outcome
 
     def stop(self) -> None:
@@ -155,7 +158,7 @@ class SceneHand:
         self._set_point_m = finger_width(self._data, self._addresses)
 
     def advance(self, dt_s: float) -> None:
-        """Move the set point; see whether the command has ended, and read the state where it is due."""
+        """Move the set point, end a finished command, and read the state when it is due."""
         command = self._command
         if command is not None:
             end_m = 0.0 if command.force_N > 0 else command.width_m
@@ -201,7 +204,7 @@ def finger_addresses(model: mujoco.MjModel) -> list[int]:
 
 def finger_width(data: mujoco.MjData, addresses: list[int]) -> float:
     """Return the opening between the fingers, m."""
-    return float(sum(data.qpos[address] for address in addresses))
+    return float(sum(data.qpos[addresses]))
 
 
 def force_share(seed: int) -> float:

@@ -1,7 +1,7 @@
 """Hidden from every camera: a slow pull on the hand, and a board that is not quite flat.
 
-Both are Gaussian noise, smoothed by a Gaussian and clipped at two standard deviations. The pull stands for what a
-torque-controlled arm does not know of itself: cables, joint friction, errors of its model.
+Both are Gaussian noise, smoothed by a Gaussian and clipped at two standard deviations. The pull
+stands for the unknowns of a torque-controlled arm: cables, joint friction, model errors.
 """
 
 from dataclasses import dataclass

@@ -1,8 +1,8 @@
 """Ink on the board, worn off by pressure and sliding, with uneven adhesion.
 
-Archard's law above a threshold: felt pressed with less than F₀ glides over the ink, and more wears it by F − F₀ (as in
-Preston's equation with a threshold pressure, but for the felt as a whole: its leading edge presses twice as hard as its
-middle, so that with a threshold per cell a light press would wipe with the edge alone).
+Archard's law above a threshold: felt pressed with less than F₀ glides over the ink, and more wears
+it by F − F₀, as in Preston's equation with a threshold pressure. The threshold is the whole felt's:
+its leading edge presses twice as hard as its middle, and alone would wipe at a light press.
 """
 
 import cv2
@@ -18,15 +18,15 @@ STROKE_m = 0.005  # pen width
 
 def _draw_word(word: str, rows: int, columns: int) -> np.ndarray:
     """Return (rows, columns) float32 in {0, 1}: the word filling the box."""
-    font, thickness = cv2.FONT_HERSHEY_DUPLEX, 3
+    font = cv2.FONT_HERSHEY_DUPLEX
+    thickness = 3
     (width, height), base = cv2.getTextSize(word, font, 1.0, thickness)
     canvas = np.zeros((height + base + 6, width + 6), np.uint8)
     cv2.putText(canvas, word, (3, height + 3), font, 1.0, 255, thickness)
     r, c = np.nonzero(canvas)
     tight = canvas[r.min() : r.max() + 1, c.min() : c.max() + 1]
-    return (cv2.resize(tight, (columns, rows), interpolation=cv2.INTER_AREA) > 100).astype(
-        np.float32
-    )
+    word_box = cv2.resize(tight, (columns, rows), interpolation=cv2.INTER_AREA)
+    return (word_box > 100).astype(np.float32)
 
 
 class InkField:
@@ -37,8 +37,10 @@ class InkField:
 
     def __init__(self, scene: SceneParams) -> None:
         level = scene.level
-        self.rows, self.columns = 150, 210  # cells along board x and y
-        self.wear, self.wear_from_N = level.wear_per_kPa_m, level.wear_from_N
+        self.rows = 150  # cells along board x
+        self.columns = 210  # cells along board y
+        self.wear = level.wear_per_kPa_m
+        self.wear_from_N = level.wear_from_N
         rng = np.random.default_rng([scene.seed, 711])
         noise = rng.standard_normal((self.rows, self.columns)).astype(np.float32)
         noise = cv2.GaussianBlur(noise, (0, 0), ADHESION_CELLS)
@@ -47,15 +49,16 @@ class InkField:
         self.ink = self._first.copy()
         self.version = 0  # grows whenever ink changes, so that renderers know
         self.initial_cells = float(np.count_nonzero(self.ink > VISIBLE))
-        self._counted, self._residual = 0, 1.0
+        self._counted = 0
+        self._residual = 1.0
         x = (np.arange(self.rows) + 0.5 - self.rows / 2) * PIXEL_m
         y = (np.arange(self.columns) + 0.5 - self.columns / 2) * PIXEL_m
         self.x_m, self.y_m = np.meshgrid(x, y, indexing="ij")
 
     def _written(self, scene: SceneParams) -> np.ndarray:
         level = scene.level
-        size = scene.letter_scale * np.array([level.letter_height_m, level.word_length_m])
-        rows, columns = (round(float(extent) / PIXEL_m) for extent in size)
+        rows = round(scene.letter_scale * level.letter_height_m / PIXEL_m)
+        columns = round(scene.letter_scale * level.word_length_m / PIXEL_m)
         top = round(self.rows / 2 - rows / 2 + scene.word_offset_m[0] / PIXEL_m)
         left = round(self.columns / 2 - columns / 2 + scene.word_offset_m[1] / PIXEL_m)
         ink = np.zeros((self.rows, self.columns), np.float32)
@@ -79,14 +82,14 @@ class InkField:
     @property
     def written_box_m(self) -> tuple[np.ndarray, np.ndarray]:
         """(2,) centre and (2,) extent of the first writing, board x and y."""
-        low, high = (
-            np.array([edge(axis[self._first > 0]) for axis in (self.x_m, self.y_m)])
-            for edge in (np.min, np.max)
-        )
+        inked = self._first > 0
+        places_m = np.stack([self.x_m[inked], self.y_m[inked]])
+        low = places_m.min(axis=1)
+        high = places_m.max(axis=1)
         return (low + high) / 2, high - low
 
     def rewrite(self, center_m: np.ndarray, size_m: np.ndarray, strength: float) -> None:
-        """Bring back what was written inside a box on the board, at ``strength`` of its first darkness."""
+        """Bring back the writing inside a box on the board, at ``strength`` of the first ink."""
         half_m = np.asarray(size_m) / 2
         inside = (np.abs(self.x_m - center_m[0]) <= half_m[0]) & (
             np.abs(self.y_m - center_m[1]) <= half_m[1]
@@ -119,10 +122,13 @@ class InkField:
         columns = self._span(center_m[1], reach, self.columns)
         if rows.start >= rows.stop or columns.start >= columns.stop:
             return
-        c, s = np.cos(yaw_rad), np.sin(yaw_rad)
-        dx, dy = self.x_m[rows, columns] - center_m[0], self.y_m[rows, columns] - center_m[1]
+        c = np.cos(yaw_rad)
+        s = np.sin(yaw_rad)
+        dx = self.x_m[rows, columns] - center_m[0]
+        dy = self.y_m[rows, columns] - center_m[1]
         # in felt halves of ±0.5
-        u, v = (c * dx + s * dy) / size_m[0], (c * dy - s * dx) / size_m[1]
+        u = (c * dx + s * dy) / size_m[0]
+        v = (c * dy - s * dx) / size_m[1]
         inside = (np.abs(u) <= 0.5) & (np.abs(v) <= 0.5)
         # bilinear, right moment
         tilt = 1 + 12 * (press[1] / size_m[0] * u + press[2] / size_m[1] * v)

@@ -17,7 +17,8 @@ if GYM_ID not in gymnasium.registry:
 
 
 def _features() -> dict[str, PolicyFeature]:
-    visual, pad = FeatureType.VISUAL, (*MARKER_IMAGE_SHAPE, 3)
+    visual = FeatureType.VISUAL
+    pad = (*MARKER_IMAGE_SHAPE, 3)
     cameras = {camera_key(c): PolicyFeature(visual, (CAMERA_PX, CAMERA_PX, 3)) for c in CAMERAS}
     tactile = {key: PolicyFeature(visual, pad) for key in TACTILE_KEYS}
     axes = (len(AXES),)
@@ -31,7 +32,7 @@ def _features() -> dict[str, PolicyFeature]:
 @EnvConfig.register_subclass("uniforce_wiping")
 @dataclass
 class UniforceWipingConfig(EnvConfig):
-    """Settings of the wiping scene for LeRobot's commands; a sensor swap is ``--env.left_sensor=uskin``."""
+    """Settings of the scene for LeRobot's commands; ``--env.left_sensor=uskin`` swaps a sensor."""
 
     task: str | None = "WipeWhiteboard-v0"
     fps: int = int(CONTROL_HZ)

@@ -33,13 +33,14 @@ class Layout:
 class PadSettings:
     """How pads and the fingers behind them give way."""
 
-    # under a flat face that covers the pad. Finite elements give flat gels 80 to 170 N/mm, of which the time step
-    # carries 24 (40 chatters); a TacTip's dome has 4.2, real ones 3.3 to 4.7
+    # under a flat face that covers the pad. Finite elements give flat gels 80 to 170 N/mm, of which
+    # the time step carries 24 (40 chatters); a TacTip's dome has 4.2, real ones 3.3 to 4.7
     flat_N_mm: float = 24.0
     dome_N_mm: float = 4.2
     stiffest_N_mm: float = 30.0  # of any unit: what the time step carries
-    # Shear, both pads alike, so that a load from outside is shared equally, F_L ≈ F_R: a TacTip (4 N/mm by finite
-    # elements) on a finger that gives way by 12 N/mm. Stiffer springs let one pad carry an eraser that leans
+    # Shear, both pads alike, so that a load from outside is shared equally, F_L ≈ F_R: a TacTip
+    # (4 N/mm by finite elements) on a finger that gives way by 12 N/mm. With stiffer springs one
+    # pad carries a leaning eraser alone
     shear_N_mm: float = 3.0
     shear_damping_Ns_m: float = 12.0  # half critical
 
@@ -71,8 +72,8 @@ class Level:
     light_gain: Range  # brightness of the cameras' pictures
     light_tint: float  # ± gain of each colour
     light_turn_rad: float  # ± direction the light comes from, about each axis
-    # Archard constant: ink worn off per pressure and sliding distance. Clean after one sweep with 6.5 N, after two or
-    # three with 4 N, seldom with less: a hand may err by a factor of two, from 4 to the 9 N whose peaks are too much
+    # Archard constant: ink worn off per pressure and sliding distance. Clean after one sweep with
+    # 6.5 N, after two or three with 4 N, seldom with less. Above 9 N the peaks are too much
     wear_per_kPa_m: float = 14.0
     wear_from_N: float = 2.0  # felt pressed with less glides over the ink
     adhesion_sigma: float = 0.15  # lognormal spread of ink adhesion over the board
@@ -167,9 +168,9 @@ def get_level(name: str) -> Level:
 
 
 def level_hash(level: Level) -> str:
-    """Return 12 hex digits over every number of a level, so that scores name what they were taken on.
+    """Return 12 hex digits over every number of a level, so that scores name their level.
 
-    What a level does not have is left out, so that a new kind of difficulty leaves the other levels' hashes alone.
+    Unset fields are left out, so that a new field leaves the other levels' hashes alone.
     """
     numbers = {name: value for name, value in asdict(level).items() if value is not None}
     text = json.dumps(numbers, sort_keys=True)

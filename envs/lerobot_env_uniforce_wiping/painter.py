@@ -1,7 +1,6 @@
 """Camera pictures without GL: primitives projected and painted far to near with OpenCV.
 
-Flat shaded, deterministic on every machine. Order is fixed where it matters: table, board, ink, then
-everything else by distance.
+Flat shaded, deterministic on every machine. Table, board and ink come first, the rest by distance.
 """
 
 import cv2
@@ -47,8 +46,10 @@ class Painter:
     def reset(self, sim: WipeSimulation) -> None:
         """Start painting a new scene."""
         model = sim.model
-        self._data, self._hand = sim.data, model.body("hand").id
-        self._front, self._wrist = front_camera(sim.scene), wrist_camera(sim.scene)
+        self._data = sim.data
+        self._hand = model.body("hand").id
+        self._front = front_camera(sim.scene)
+        self._wrist = wrist_camera(sim.scene)
         gain = np.array(sim.scene.light_gain)
         self._light = rotation(sim.scene.light_turn_rad) @ LIGHT
         self._background = np.full(
@@ -57,7 +58,8 @@ class Painter:
         self._ink = InkView(sim)
         shown = np.flatnonzero(model.geom_group != HIDDEN_GROUP)
         is_box = model.geom_type[shown] == mujoco.mjtGeom.mjGEOM_BOX
-        self._boxes, self._rounds = shown[is_box], shown[~is_box]
+        self._boxes = shown[is_box]
+        self._rounds = shown[~is_box]
         self._corners = CORNERS * model.geom_size[self._boxes][:, None]  # (boxes, 8, 3)
         self._radius, self._half = model.geom_size[self._rounds][:, :2].T
         self._colours = model.geom_rgba[:, :3].astype(np.float64) * 255 * gain
@@ -66,7 +68,8 @@ class Painter:
 
     def render(self) -> list[np.ndarray]:
         """Return the front and wrist pictures, (224, 224, 3) uint8 RGB each."""
-        body, axes = self._data.xpos[self._hand], self._data.xmat[self._hand].reshape(3, 3)
+        body = self._data.xpos[self._hand]
+        axes = self._data.xmat[self._hand].reshape(3, 3)
         return [self._paint(self._front), self._paint(carried(self._wrist, body, axes))]
 
     def _paint(self, camera: Camera) -> np.ndarray:
@@ -88,7 +91,7 @@ class Painter:
         return AMBIENT + (1 - AMBIENT) * np.maximum(normals @ self._light, 0)
 
     def _box_polygons(self, camera: Camera) -> list[list[tuple[np.ndarray, tuple[float, ...]]]]:
-        """Per box, the faces turned towards the camera."""
+        """Return the faces turned towards the camera, by box."""
         axes = self._data.geom_xmat[self._boxes].reshape(-1, 3, 3)
         centers = self._data.geom_xpos[self._boxes]
         corners = centers[:, None] + self._corners @ axes.transpose(0, 2, 1)  # (boxes, 8, 3)
@@ -97,9 +100,7 @@ class Painter:
         seen = (normals * towards).sum(-1) < 0
         bright = self._brightness(normals)
         local = camera.to_camera(corners.reshape(-1, 3)).reshape(corners.shape)
-        pixels = _fixed(camera.to_pixels(_before(local).reshape(-1, 3))).reshape(
-            *corners.shape[:2], 2
-        )
+        pixels = _fixed(camera.to_pixels(_before(local)))  # (boxes, 8, 2)
         near = local[..., 2].min(axis=1) < NEAR_m
         polygons = []
         for b, geom in enumerate(self._boxes):
@@ -111,13 +112,13 @@ class Painter:
         return polygons
 
     def _round_polygons(self, camera: Camera) -> list[list[tuple[np.ndarray, tuple[float, ...]]]]:
-        """Per capsule, the hull of its two end discs."""
+        """Return the hull of both end discs, by capsule."""
         axes = self._data.geom_xmat[self._rounds].reshape(-1, 3, 3)[:, :, 2] * self._half[:, None]
         centers = self._data.geom_xpos[self._rounds]
         ends = np.stack([centers + axes, centers - axes], axis=1)  # (rounds, 2, 3)
         local = camera.to_camera(ends.reshape(-1, 3)).reshape(ends.shape)
         rings = local[:, :, None] + RING * self._radius[:, None, None, None]
-        pixels = _fixed(camera.to_pixels(_before(rings).reshape(-1, 3))).reshape(len(ends), -1, 2)
+        pixels = _fixed(camera.to_pixels(_before(rings))).reshape(len(ends), -1, 2)
         seen = local[..., 2].min(axis=1) > self._radius + NEAR_m
         bright = float(self._brightness(ROUND_NORMAL))
         return [
@@ -127,7 +128,7 @@ class Painter:
 
 
 def _before(local: np.ndarray) -> np.ndarray:
-    """Keep depths positive so that nothing divides by zero; what is too near is clipped or skipped."""
+    """Keep depths positive, so that nothing divides by zero."""
     safe = local.copy()
     safe[..., 2] = np.maximum(safe[..., 2], NEAR_m)
     return safe
@@ -152,7 +153,8 @@ class InkView:
     """Paints the current ink of a scene; warps only the part of the board that was written on."""
 
     def __init__(self, sim: WipeSimulation) -> None:
-        self._ink, self._data = sim.ink, sim.data
+        self._ink = sim.ink
+        self._data = sim.data
         self._board = sim.model.body("board").id
         rows, columns = np.nonzero(sim.ink.ink)
         self._rows = slice(rows.min() - MARGIN, rows.max() + 1 + MARGIN)

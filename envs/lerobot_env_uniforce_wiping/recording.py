@@ -4,7 +4,6 @@ import numpy as np
 
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ
 from lerobot_env_uniforce_wiping.simulation import WipeSimulation
-from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.evaluation.episode import STEP_FIELDS, EpisodeTrace
 from uniforce_vtla.sensors import get_sensor
 
@@ -15,7 +14,7 @@ WIPING_PRESS_N = 0.5  # first press above this starts the wiping phase
 
 
 class TraceRecorder:
-    """Grows one row per step and knows the phase: 0 before lift, 1 carrying, 2 wiping, 3 lifted off."""
+    """Keep one row per step and the phase: 0 before lift, 1 carrying, 2 wiping, 3 lifted off."""
 
     def __init__(self, simulation: WipeSimulation) -> None:
         self._sim = simulation
@@ -26,17 +25,21 @@ class TraceRecorder:
 
     def record(self) -> None:
         """Append the state after a step."""
-        sim, height_m = self._sim, self._sim.measured[2]
+        sim = self._sim
+        height_m = self._sim.measured[2]
         self._update_phase(height_m)
         if self._count == len(self._rows):
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
-        pads = [sim.pads[finger] for finger in FINGERS]
+        left = sim.pads["left"]
+        right = sim.pads["right"]
         self._rows[self._count] = (
             (self._count + 1) / CONTROL_HZ,
             sim.press_N,
-            *(pad.wrench[2] for pad in pads),
+            left.wrench[2],
+            right.wrench[2],
             self.slip_mm(),
-            *(pad.depth_mm for pad in pads),
+            left.depth_mm,
+            right.depth_mm,
             height_m * 1000,
             sim.slide_m * 1000,
             sim.ink.residual,
@@ -45,9 +48,11 @@ class TraceRecorder:
         self._count += 1
 
     def _update_phase(self, height_m: float) -> None:
-        sim, layout = self._sim, self._sim.scene.level.layout
+        sim = self._sim
+        layout = self._sim.scene.level.layout
         if self.phase == 0 and height_m > LIFT_TOOL_m and self._held():
-            self.phase, self._at_lift = 1, sim.eraser_in_tool()
+            self.phase = 1
+            self._at_lift = sim.eraser_in_tool()
         elif self.phase in (1, 3) and sim.press_N > WIPING_PRESS_N:
             self.phase = 2
         elif (
@@ -71,5 +76,7 @@ class TraceRecorder:
     def trace(self) -> EpisodeTrace:
         """Return what was recorded so far."""
         columns = {name: self._rows[: self._count, i].copy() for i, name in enumerate(STEP_FIELDS)}
-        left, right = (get_sensor(self._sim.sensors[f]).rated_depth_mm for f in FINGERS)
-        return EpisodeTrace(**columns, rated_depth_mm=(left, right))
+        left = get_sensor(self._sim.sensors["left"])
+        right = get_sensor(self._sim.sensors["right"])
+        rated_depth_mm = (left.rated_depth_mm, right.rated_depth_mm)
+        return EpisodeTrace(**columns, rated_depth_mm=rated_depth_mm)

@@ -1,4 +1,4 @@
-"""Ink that comes back behind the eraser while a demonstration is recorded, so that demos show how to go back to it."""
+"""Ink that comes back behind the eraser, so that demonstrations show how to go back to it."""
 
 from dataclasses import dataclass
 
@@ -21,10 +21,10 @@ class RewriteSettings:
 
 
 class Rewrite:
-    """In some episodes part of the writing comes back behind the eraser, for the expert to find when it looks back.
+    """Bring part of the writing back in some episodes, for the expert to find when it looks back.
 
-    Without it demos end with the first sweep, and a policy whose first sweep was too light lifts the eraser and stays
-    there.
+    Without it demos end with the first sweep, and a policy whose first sweep was too light stops
+    after it.
 
     Args:
         seed: the scene's; an episode repeats exactly.
@@ -34,8 +34,9 @@ class Rewrite:
     def __init__(self, seed: int, settings: RewriteSettings | None = None) -> None:
         s = settings or RewriteSettings()
         rng = np.random.default_rng([seed, 779])
-        wanted = rng.random() < s.share
-        self._left_s = float(rng.uniform(*s.after_s)) if wanted else np.inf
+        self._left_s = np.inf
+        if rng.random() < s.share:
+            self._left_s = float(rng.uniform(*s.after_s))
         self._size_m = np.array([rng.uniform(*s.height_m), rng.uniform(*s.length_m)])
         self._place = rng.uniform(-0.3, 0.3, 2)  # of the whole writing's box
         self._strength = float(rng.uniform(*s.strength))

@@ -17,7 +17,7 @@ TASK_TEXTS = (  # the force is part of the task: it is scored
 
 @dataclass(frozen=True)
 class SceneParams:
-    """A frozen scene. Hidden fields never reach an observation, only contact and motion show them."""
+    """A frozen scene. Hidden fields reach no observation; only contact and motion show them."""
 
     seed: int
     level: Level
@@ -50,7 +50,8 @@ class SceneParams:
 
 def draw_scene(seed: int, level_name: str) -> SceneParams:
     """Draw a scene; equal arguments give an equal scene on any machine."""
-    level, rng = get_level(level_name), np.random.default_rng([seed, 20260])
+    level = get_level(level_name)
+    rng = np.random.default_rng([seed, 20260])
     drawn = _drawn(level, rng)
     return SceneParams(
         seed=seed, level=level, **drawn | _drawn_later(level, rng, drawn["word_offset_m"])
@@ -70,11 +71,9 @@ def _drawn(level: Level, rng: np.random.Generator) -> dict[str, Any]:
     def spread(half: float, n: int) -> tuple[float, ...]:
         return tuple(float(v) for v in rng.uniform(-half, half, n))
 
-    layout, friction, place = (
-        level.layout,
-        uniform(level.pad_friction),
-        spread(level.placement_m, 2),
-    )
+    layout = level.layout
+    friction = uniform(level.pad_friction)
+    place = spread(level.placement_m, 2)
     return {
         "pad_friction": (friction, friction),
         "eraser_offset_m": place,

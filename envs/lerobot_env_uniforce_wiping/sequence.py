@@ -1,6 +1,6 @@
 """The wiping sequence every scripted controller shares: where to go next, and when.
 
-How hard to grip and to press is left to a *regulator*: one that uses touch (the expert's), or one without.
+A *regulator* decides how hard to grip and to press: with touch (the expert's), or without.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ LOOKS_BACK = 2  # times a board that is not clean is wiped again: more don't fit
 NEAR_m = 0.002  # arrived
 SLOW_DOWN_m = 0.008  # before a corner
 APPROACH_GAIN = 7.0  # 1/s: speed per distance left, so that moves end softly
-# A soft arm lags behind its command by .3 s, a stiff one by .1 s, and a policy observes neither the command nor the
-# stiffness. Braking early makes the command's own speed show how far it has left to go
+# A soft arm lags behind its command by .3 s, a stiff one by .1 s. A policy observes neither the
+# command nor the stiffness. Braking early makes the speed show how far there is left to go
 # (docs/experiments/tiny_policy.md).
 HEIGHT_GAIN = 2.5  # 1/s
 # a hand beside the row's beginning comes to it on the way down and, what is left, along the stroke
@@ -43,7 +43,7 @@ class Pace:
 
 
 class Regulator(Protocol):
-    """Decides grip and press. Every method maps the current target and measured state to the next target."""
+    """Decides grip and press, each from the current target and the measured state."""
 
     def close(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
         """Return the next width target and whether the grasp is made."""
@@ -64,8 +64,8 @@ class Regulator(Protocol):
 class Sweep:
     """A polyline over the nominal board, by arc length.
 
-    A memoryless policy can follow it: the row's x decides the direction, the end of a row leads to the next
-    row's x, and the last end is left upwards.
+    A memoryless policy can follow it: the row's x decides the direction, the end of a row leads to
+    the next row's x, and the last end is left upwards.
     """
 
     def __init__(self, level: Level) -> None:
@@ -92,7 +92,7 @@ class Sweep:
         return float(self._at[2 * int(np.argmin(np.abs(rows - x_m)))])
 
     def between_rows(self, along_m: float) -> bool:
-        """Whether the tool moves from one row to the next there, along the closing axis."""
+        """Return whether the tool moves from row to row there, along the closing axis."""
         return (
             bool(np.searchsorted(self._at, along_m, side="right") % 2 == 0)
             and along_m < self.length_m
@@ -100,7 +100,9 @@ class Sweep:
 
     def point(self, along_m: float) -> np.ndarray:
         """Return (2,) x, y at an arc length, clamped to the ends."""
-        return np.array([np.interp(along_m, self._at, self.corners[:, i]) for i in range(2)])
+        x = np.interp(along_m, self._at, self.corners[:, 0])
+        y = np.interp(along_m, self._at, self.corners[:, 1])
+        return np.array([x, y])
 
 
 def look_back(env: WipeEnv) -> float | None:
@@ -124,7 +126,7 @@ class WipeSequence:
         target: (5,) the tool's own pose, to start from.
         look: returns the x at which the ink that is left begins, m, None where the board is clean.
         pace: speeds.
-        stray: draws by how much, (2,) m, the hand arrives beside the row it carries the eraser to; None: it doesn't.
+        stray: draws by how much, (2,) m, the hand misses the beginning of a row; None: not at all.
     """
 
     def __init__(
@@ -136,11 +138,14 @@ class WipeSequence:
         pace: Pace | None = None,
         stray: Callable[[], np.ndarray] | None = None,
     ) -> None:
-        self.level, self.regulator, self.pace = level, regulator, pace or Pace()
+        self.level = level
+        self.regulator = regulator
+        self.pace = pace or Pace()
         self.sweep = Sweep(level)
         self.target = np.array(target, dtype=np.float64)
         self.phase = "descend"
-        self._look, self._looks_left = look, LOOKS_BACK
+        self._look = look
+        self._looks_left = LOOKS_BACK
         self._along_m = 0.0
         self._speed_m_s = 0.0
         self._draw_stray = stray or (lambda: np.zeros(2))
@@ -159,15 +164,18 @@ class WipeSequence:
         sideways = np.hypot(speed.get(X, 0.0), speed.get(Y, 0.0))
         slower = min(1.0, self.pace.horizontal_m_s / max(sideways, 1e-9))  # along the straight line
         for axis, wanted in speed.items():
-            limit = self.pace.vertical_m_s if axis == Z else self.pace.horizontal_m_s
-            step = wanted * slower if axis in (X, Y) else np.clip(wanted, -limit, limit)
+            if axis in (X, Y):
+                step = wanted * slower
+            else:
+                limit = self.pace.vertical_m_s if axis == Z else self.pace.horizontal_m_s
+                step = np.clip(wanted, -limit, limit)
             self.target[axis] += step / CONTROL_HZ
         return all(abs(self.target[axis] - value) < NEAR_m for axis, value in goal.items())
 
     def _go_to_height(self, goal_m: float, measured: np.ndarray) -> None:
         """Slew the z target until target and *measured* height are a goal on average.
 
-        A hand that is pushed away comes back half the way. The measured height alone lags too much to be regulated.
+        A hand that is pushed away comes back half the way. The measured height alone lags too much.
         """
         missing_m = goal_m - (self.target[Z] + measured[Z]) / 2
         limit = self.pace.vertical_m_s
@@ -213,7 +221,8 @@ class WipeSequence:
 
     def _wipe(self, measured: np.ndarray) -> bool:
         if self.regulator.lost():  # over a clean board it is done, over ink it goes down again
-            self.phase, self._speed_m_s = "leave" if self._look() is None else "lower", 0.0
+            self.phase = "leave" if self._look() is None else "lower"
+            self._speed_m_s = 0.0
             return False
         shifting = self.sweep.between_rows(self._along_m + SLOW_DOWN_m)
         # drag along the closing axis loads the pads unevenly: hold still and trust the gel
@@ -227,11 +236,13 @@ class WipeSequence:
         return self._along_m >= self.sweep.length_m and not self._again()
 
     def _again(self) -> bool:
-        """Look at the board; where ink is left go back to the phase that lifts and carries the eraser there."""
+        """Look at the board; where ink is left, go back to lifting and carry the eraser there."""
         dirty_x_m = self._look() if self._looks_left else None
         if dirty_x_m is None:
             return False
-        self.phase, self._along_m, self._speed_m_s = "lift", self.sweep.row_at(dirty_x_m), 0.0
+        self.phase = "lift"
+        self._along_m = self.sweep.row_at(dirty_x_m)
+        self._speed_m_s = 0.0
         self._looks_left -= 1
         self._stray_m = self._draw_stray()
         return True

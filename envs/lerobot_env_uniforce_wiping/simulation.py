@@ -20,12 +20,13 @@ LEASH_rad = 0.20
 SPEED_LIMITS = np.array([0.15, 0.15, 0.10, 1.0, 0.15])
 WIDTH_RANGE_m = (0.0, 0.08)
 YAW_RANGE_rad = (-0.5, 0.5)
-GEL_D, GEL_ZETA = 0.5, 0.7  # solimp d and damping ratio: converged in the time step, no chatter
+GEL_D = 0.5  # solimp d: converged in the time step, no chatter
+GEL_ZETA = 0.7  # damping ratio
 IK_DAMPING = 0.05**2 * 1e-2  # of the arm's pose at reset
 IK_STEP_rad = 0.3  # largest joint change per iteration
 # joint angles, rad
 HOME_q = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])
-# World components of a force on a pad, in its canonical image frame: x = +y, y = −z, and z into the pad.
+# A pad's canonical image frame in the world: x = +y, y = −z, z into the pad, along this sign of x.
 INTO_PAD_x = {"left": -1.0, "right": 1.0}
 
 
@@ -33,7 +34,7 @@ INTO_PAD_x = {"left": -1.0, "right": 1.0}
 class PadTruth:
     """Contact of one pad, averaged over a step.
 
-    ``wrench`` is canonical: fx, fy, fz in N and torsion in Nmm; ``depth_mm`` is the mean indentation.
+    ``wrench`` is canonical: fx, fy, fz in N, torsion in Nmm; ``depth_mm`` is the mean indentation.
     """
 
     wrench: np.ndarray
@@ -41,15 +42,15 @@ class PadTruth:
 
 
 class WipeSimulation:
-    """One compiled scene. Frames: everything is in the robot base frame unless named otherwise.
+    """One compiled scene; everything is in the robot base frame unless named otherwise.
 
     Args:
         scene: its numbers.
-        left_sensor: kind that the left finger wears.
-        right_sensor: kind that the right finger wears.
-        solver: of the physics.
-        stiffness: of the left and the right unit over its kind's.
-        gripper: what moves the fingers, one of ``gripper.GRIPPERS``.
+        left_sensor: sensor type on the left finger.
+        right_sensor: sensor type on the right finger.
+        solver: settings of the physics.
+        stiffness: left and right unit's stiffness over its type's nominal one.
+        gripper: one of ``gripper.GRIPPERS``.
     """
 
     def __init__(
@@ -61,7 +62,8 @@ class WipeSimulation:
         stiffness: tuple[float, float] = (1.0, 1.0),
         gripper: str = "servo",
     ) -> None:
-        self.scene, self.solver = scene, solver or SolverSettings()
+        self.scene = scene
+        self.solver = solver or SolverSettings()
         self.sensors = {"left": left_sensor, "right": right_sensor}
         self.model = mujoco.MjModel.from_xml_string(
             build_mjcf(scene, left_sensor, right_sensor, self.solver)
@@ -86,25 +88,33 @@ class WipeSimulation:
         self._skin = {f: m.geom(f"skin_{f}").id for f in FINGERS}
         self._role = np.zeros(m.ngeom, dtype=np.int64)
         self._role[[*self._pad_geom, m.geom("board").id]] = (1, 2, 3)
-        self._eraser, self._tcp = m.body("eraser").id, m.site("tcp").id
-        self._hand, self._board = m.body("hand").id, m.geom("board").id
+        self._eraser = m.body("eraser").id
+        self._tcp = m.site("tcp").id
+        self._hand = m.body("hand").id
+        self._board = m.geom("board").id
         self._board_body = m.body("board").id
         self._reference = m.site("base_tool").pos.copy()
 
     def _set_pad_stiffness(self, over_nominal: dict[Finger, float]) -> None:
-        """Pad stiffness K by formula: MuJoCo's solref then gives K whatever the eraser weighs."""
-        weight, pads = self.model.body_invweight0, self.scene.level.pads
+        """Set solref so that pads have their stiffness K whatever the eraser weighs."""
+        weight = self.model.body_invweight0
+        pads = self.scene.level.pads
         for geom, finger in self._pad_geom.items():
-            flat = get_sensor(self.sensors[finger]).dome_radius_mm is None
-            nominal = pads.flat_N_mm if flat else pads.dome_N_mm
+            if get_sensor(self.sensors[finger]).dome_radius_mm is None:
+                nominal = pads.flat_N_mm
+                points = 4  # a box touches at its corners
+            else:
+                nominal = pads.dome_N_mm
+                points = 1
             K = min(nominal * over_nominal[finger], pads.stiffest_N_mm) * 1000
             mobility = weight[self.model.geom_bodyid[geom], 0] + weight[self._eraser, 0]
-            stiffness = K / (4 if flat else 1) * (1 - GEL_D) * mobility
+            stiffness = K / points * (1 - GEL_D) * mobility
             damping = 2 * GEL_ZETA * np.sqrt(stiffness * GEL_D)
             self.model.geom_solref[geom] = (-stiffness, -damping)
 
     def _draw_hidden(self) -> None:
-        level, seed = self.scene.level, self.scene.seed
+        level = self.scene.level
+        seed = self.scene.seed
         steps = round(level.time_limit_s * CONTROL_HZ)
         self._pull_N = (
             hand_pull(seed, level.pull, steps, CONTROL_HZ) if level.pull else np.zeros((1, 3))
@@ -114,7 +124,8 @@ class WipeSimulation:
         self._steps = 0
 
     def _place_arm(self) -> None:
-        layout, offset = self.scene.level.layout, np.array(self.scene.start_offset_m)
+        layout = self.scene.level.layout
+        offset = np.array(self.scene.start_offset_m)
         start = np.array([*layout.tray_m, layout.start_height_m]) + offset
         solve_arm(self.model, self.data, start, TOOL_DOWN)
         for address in finger_addresses(self.model):
@@ -170,13 +181,13 @@ class WipeSimulation:
         self._wear(press)
 
     def _raise_board(self) -> None:
-        """Put the whole board where it is under the eraser: the felt spans what lies below it."""
+        """Move the whole board to its height under the eraser's middle."""
         if self._uneven is not None:
             height_m = self._uneven.height_m(self._felt_on_board()[0])
             self.model.geom_pos[self._board, 2] = self._flat_m + height_m
 
     def _read_contacts(self, forces: dict[Finger, np.ndarray], press: np.ndarray) -> None:
-        """Add one sample of every contact's force to the sums. Elliptic cones: forces are efc_force itself."""
+        """Add one sample of every contact's force to the sums; elliptic cones: it is efc_force."""
         contact = self.data.contact
         if len(contact.geom) == 0:
             return
@@ -192,9 +203,8 @@ class WipeSimulation:
                 # of the force on the pad, whichever comes first
                 sign = np.where(role[rows, 0] == code, -1.0, 1.0)
                 turn = self.data.efc_force[address[rows] + 3]
-                world = (frame[rows].transpose(0, 2, 1) @ local[rows, :, None])[..., 0] * sign[
-                    :, None
-                ]
+                world = (frame[rows].transpose(0, 2, 1) @ local[rows, :, None])[..., 0]
+                world = world * sign[:, None]
                 twist = frame[rows, 0, :] * (sign * turn)[:, None]
                 forces[finger] += self._on_pad(
                     finger, contact.pos[rows], world, twist, contact.dist[rows]
@@ -212,16 +222,17 @@ class WipeSimulation:
         twist: np.ndarray,
         gap_m: np.ndarray,
     ) -> np.ndarray:
-        """Return canonical fx, fy, fz N, torsion Nmm and mean depth mm of a pad's (C, 3) contacts."""
+        """Return (5,) canonical fx, fy, fz N, torsion Nmm, mean depth mm of a pad's C contacts."""
         tool = self.data.site_xmat[self._tcp].reshape(3, 3)  # x closes, y = world −y, z down
         pad = self.data.geom_xpos[self._skin[finger]]
-        pushes, arms = force @ tool, (point - pad) @ tool
+        pushes = force @ tool
+        arms = (point - pad) @ tool
         total = pushes.sum(axis=0)
         moment_x = np.sum(
             arms[:, 1] * pushes[:, 2] - arms[:, 2] * pushes[:, 1] + twist @ tool[:, 0]
         )
         depth_mm = max(float(-gap_m.mean() * 1000), 0.0)
-        # Image x = world +y = tool −y, image y = world −z = tool z; torsion mirrors with the image.
+        # image x = world +y = tool −y, image y = world −z = tool z; torsion mirrors with the image
         return np.array(
             [-total[1], total[2], INTO_PAD_x[finger] * total[0], -moment_x * 1000, depth_mm]
         )
@@ -231,7 +242,7 @@ class WipeSimulation:
         return (points - self.data.xpos[self._eraser]) @ rotation
 
     def _felt_on_board(self) -> tuple[np.ndarray, float]:
-        """Centre of the felt (2,) and its yaw, in board coordinates."""
+        """Return the felt's centre (2,) and yaw, in board coordinates."""
         board = self.data.xmat[self._board_body].reshape(3, 3)
         center = board.T @ (self.data.xpos[self._eraser] - self.data.xpos[self._board_body])
         axis = board.T @ self.data.xmat[self._eraser].reshape(3, 3)[:, 0]
@@ -249,14 +260,14 @@ class WipeSimulation:
         self.ink.wipe((center + before) / 2, yaw, size, mean, self.slide_m)
 
     def block_from_pad(self, finger: Finger) -> tuple[np.ndarray, np.ndarray]:
-        """Return the block's centre (3,) relative to a pad, m, and its axes (3, 3) as columns; tool frame."""
+        """Return the block's centre (3,) from a pad, m, and axes (3, 3) as columns; tool frame."""
         tool = self.data.site_xmat[self._tcp].reshape(3, 3)
         block = self.data.geom("block")
         center = tool.T @ (block.xpos - self.data.geom_xpos[self._skin[finger]])
         return center, tool.T @ block.xmat.reshape(3, 3)
 
     def eraser_in_tool(self) -> np.ndarray:
-        """(3,) position of the eraser in the tool frame, m."""
+        """Return (3,) position of the eraser in the tool frame, m."""
         tool = self.data.site_xmat[self._tcp].reshape(3, 3)
         return tool.T @ (self.data.xpos[self._eraser] - self.data.site_xpos[self._tcp])
 
@@ -264,8 +275,9 @@ class WipeSimulation:
 def solve_arm(
     model: mujoco.MjModel, data: mujoco.MjData, position_m: np.ndarray, rotation: np.ndarray
 ) -> None:
-    """Set the arm's seven joints so that site ``tcp`` meets a pose, by damped least squares; used at reset only."""
-    site, first = model.site("tcp").id, model.joint("joint1")
+    """Set the arm's seven joints so that site ``tcp`` meets a pose, by damped least squares."""
+    site = model.site("tcp").id
+    first = model.joint("joint1")
     joints = slice(first.qposadr[0], first.qposadr[0] + len(HOME_q))
     columns = slice(first.dofadr[0], first.dofadr[0] + len(HOME_q))
     data.qpos[joints] = HOME_q
@@ -274,11 +286,8 @@ def solve_arm(
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         turn = rotation @ data.site_xmat[site].reshape(3, 3).T
-        axis = (
-            np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-            / 2
-        )
-        error = np.concatenate([position_m - data.site_xpos[site], axis])
+        axis = [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
+        error = np.concatenate([position_m - data.site_xpos[site], np.array(axis) / 2])
         if np.linalg.norm(error) < 1e-6:
             break
         mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], site)

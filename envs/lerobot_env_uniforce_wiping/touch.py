@@ -1,4 +1,4 @@
-"""Contact truth of a pad → its marker image: contact model, raw frame, canonicalizer, as the worn unit has them."""
+"""Contact truth of a pad → its marker image: contact model, raw frame, canonicalizer."""
 
 from collections import deque
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ TOUCHING_N = 0.02  # below this the pad counts as in free air
 
 @dataclass(frozen=True)
 class Load:
-    """Load of a pad at one step: canonical wrench (4,), and where the block lies before it, in the tool frame."""
+    """Load of a pad at one step: canonical wrench (4,), and the block's pose in the tool frame."""
 
     wrench: np.ndarray
     center_m: np.ndarray
@@ -31,10 +31,10 @@ class Load:
 class PadImages:
     """One finger's sensor in the scene; images in its own frame, never flipped.
 
-    ``follow`` looks at every control step, since rubber and cameras are late; ``image`` draws when it is asked.
+    Call ``follow`` at every control step, since rubber and cameras are late; ``image`` draws.
 
     Args:
-        sensor: what the finger wears.
+        sensor: sensor mounted on the finger.
         finger: which finger it is.
         seed: draws the sensor's noise; the same episode shows the same images.
 
@@ -43,7 +43,8 @@ class PadImages:
     """
 
     def __init__(self, sensor: WornSensor, finger: Finger, seed: int) -> None:
-        self.finger, self._worn = finger, sensor
+        self.finger = finger
+        self._worn = sensor
         with self._named():
             self._view = WornView(sensor, seed=2 * seed + (finger == "right"), stream=True)
         self._past: deque[Load] = deque(maxlen=sensor.lag_steps + 1)
@@ -95,17 +96,19 @@ def pad_contact(load: Load, sim: WipeSimulation, finger: Finger) -> ContactState
     if fz < TOUCHING_N:
         return free_air(1)
     force = np.array([[mirror * fx, fy, fz]], dtype=np.float32)
-    return ContactState(
-        eraser_gap(load, sim, finger), force, np.array([mirror * torsion], dtype=np.float32)
-    )
+    torsion_Nmm = np.array([mirror * torsion], dtype=np.float32)
+    return ContactState(eraser_gap(load, sim, finger), force, torsion_Nmm)
 
 
 def eraser_gap(load: Load, sim: WipeSimulation, finger: Finger) -> np.ndarray:
     """Return (1, G, G) gap of the eraser's side face as this pad sees it."""
     mirror = 1.0 if finger == "left" else -1.0
-    layout, center, axes = sim.scene.level.layout, load.center_m, load.axes
+    layout = sim.scene.level.layout
+    center = load.center_m
+    axes = load.axes
     size = np.array([[sim.scene.eraser_length_m, layout.eraser_height_m - FELT_m]]) * 1000
-    along, across = axes[:, 1], axes[:, 0]  # the eraser's long axis; the normal of its side faces
+    along = axes[:, 1]  # the eraser's long axis
+    across = axes[:, 0]  # the normal of its side faces
     angle = np.arctan2(-mirror * along[2], along[1])
     tilt = np.array([[across[1], -mirror * across[2]]]) / across[0]
     middle = np.array([[-mirror * center[1], center[2]]]) * 1000

@@ -1,1 +1,1 @@
-"""Everything with a plug: tactile sensors, arm, teleoperators, recorder, equilibrium pairs, stand-ins."""
+"""All hardware: tactile sensors, arm, teleoperators, recorder, equilibrium pairs, stand-ins."""

@@ -1,7 +1,7 @@
-"""The Franka Research 3 in numbers: its published Denavit–Hartenberg table, joint limits and kinematics.
+"""The Franka Research 3: published Denavit–Hartenberg table, joint limits and kinematics.
 
-Source: Franka documentation, "Robot and interface specifications" (Craig's modified convention). One place for the
-driver's checks, the GELLO and the stand-in; imports numpy alone, so that the stand-in starts without torch.
+Source: Franka documentation, "Robot and interface specifications" (Craig's modified convention).
+Imports numpy alone, so that the stand-in starts without torch.
 """
 
 from dataclasses import dataclass
@@ -30,18 +30,20 @@ HOME_q_rad = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.
 
 
 def rotation_z(angle_rad: float) -> np.ndarray:
-    """(4, 4) rotation about z."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    """Return (4, 4) rotation about z."""
+    c = np.cos(angle_rad)
+    s = np.sin(angle_rad)
     return np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
 
 
 def _fixed(a: float, d: float, alpha: float) -> np.ndarray:
-    """(4, 4) of a row of ``DH`` at joint angle 0."""
-    c, s = np.cos(alpha), np.sin(alpha)
+    """Return (4, 4) of a row of ``DH`` at joint angle 0."""
+    c = np.cos(alpha)
+    s = np.sin(alpha)
     return np.array([[1, 0, 0, a], [0, c, -s, -d * s], [0, s, c, d * c], [0, 0, 0, 1]])
 
 
-# The hand is mounted turned by −45°; its tool point lies 103.4 mm below the flange (Franka Hand manual).
+# The hand is mounted at −45°; its tool point lies 103.4 mm below the flange (Franka Hand manual).
 HAND_TO_FLANGE = _fixed(0, 0.1034, 0) @ rotation_z(-np.pi / 4)
 _FIXED = np.array([_fixed(*row) for row in DH])
 _FLANGE = _fixed(0, FLANGE_m, 0)
@@ -49,20 +51,21 @@ _FLANGE = _fixed(0, FLANGE_m, 0)
 
 @dataclass(frozen=True)
 class Posture:
-    """Where the arm is: ``flange_to_base`` (4, 4), joint axes (7, 3) and origins (7, 3) in the base frame, m."""
+    """Where the arm is, in the base frame."""
 
-    flange_to_base: np.ndarray
-    axes: np.ndarray
-    origins_m: np.ndarray
+    flange_to_base: np.ndarray  # (4, 4), m
+    axes: np.ndarray  # (7, 3) of the joints
+    origins_m: np.ndarray  # (7, 3) of the joints
 
     def jacobian(self, point_m: np.ndarray) -> np.ndarray:
-        """Return (6, 7): joint speeds to the linear and angular velocity of a point of the hand, base frame."""
+        """Return (6, 7): joint speeds → linear and angular velocity of a point, base frame."""
         return np.hstack([np.cross(self.axes, point_m - self.origins_m), self.axes]).T
 
 
 def posture(q_rad: np.ndarray) -> Posture:
     """Return the arm's posture at joint angles (7,)."""
-    c, s = np.cos(q_rad)[:, None], np.sin(q_rad)[:, None]
+    c = np.cos(q_rad)[:, None]
+    s = np.sin(q_rad)[:, None]
     local = _FIXED.copy()
     local[:, :, 0] = _FIXED[:, :, 0] * c + _FIXED[:, :, 1] * s
     local[:, :, 1] = _FIXED[:, :, 1] * c - _FIXED[:, :, 0] * s

@@ -1,4 +1,4 @@
-"""The wiping scene as LeRobot's EnvHub loads it: ``make_env("NAME/REPOSITORY", trust_remote_code=True)``."""
+"""The wiping scene for LeRobot's EnvHub: ``make_env("NAME/REPO", trust_remote_code=True)``."""
 
 from dataclasses import replace
 
@@ -15,11 +15,10 @@ def make_env(n_envs: int = 1, use_async_envs: bool = False, cfg: EnvConfig | Non
     Args:
         n_envs: scenes side by side.
         use_async_envs: a process for each.
-        cfg: its level, sensors and episode_length are taken over; None: the benchmark's level with its own sensors.
+        cfg: gives level, sensors and episode_length; None: the benchmark's own.
     """
-    settings = {
-        name: getattr(cfg, name)
-        for name in (*BENCHMARK.gym_kwargs, "episode_length")
-        if hasattr(cfg, name)
-    }
+    settings = {}
+    for name in (*BENCHMARK.gym_kwargs, "episode_length"):
+        if hasattr(cfg, name):
+            settings[name] = getattr(cfg, name)
     return replace(BENCHMARK, **settings).create_envs(n_envs=n_envs, use_async_envs=use_async_envs)

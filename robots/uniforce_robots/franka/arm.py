@@ -1,7 +1,7 @@
 """A reading of the arm, the faults it can have, and its gains.
 
-Poses are (4, 4) ``ee_to_base``: the frame between the finger tips in the robot's base frame, metres. On a Franka Hand
-the fingers close along that frame's y axis and z points out of the hand.
+Poses are (4, 4) ``ee_to_base``: the frame between the finger tips in the robot's base frame, m.
+On a Franka Hand the fingers close along that frame's y axis and z points out of the hand.
 """
 
 import math
@@ -26,12 +26,18 @@ ERROR_WORDS = {
     "discontinuity": "discontinuity",
     "violation": "limit",
 }
-CLIENT_WORDS = {"incompatible": "version", "infinite or nan": "bad_state", "user stop": "user_stop"}
-CLIENT_WORDS |= {"reflex": "reflex"}
+CLIENT_WORDS = {
+    "incompatible": "version",
+    "infinite or nan": "bad_state",
+    "user stop": "user_stop",
+    "reflex": "reflex",
+    **dict.fromkeys(("timeout", "connection", "network", "tcp", "udp"), "connection"),
+}
 CLIENT_ADVICE = {"realtime": "Set robot.realtime=ignore, or boot a PREEMPT_RT kernel."}
-# by so much the setup may differ from the assumed one
-FRAME_m, FRAME_rad, LOAD_kg = 0.002, 0.02, 0.05
-CLIENT_WORDS |= dict.fromkeys(("timeout", "connection", "network", "tcp", "udp"), "connection")
+# the setup may differ from the assumed one by so much
+FRAME_m = 0.002
+FRAME_rad = 0.02
+LOAD_kg = 0.05
 
 
 @dataclass(frozen=True)
@@ -43,8 +49,8 @@ class ArmState:
     q_rad: np.ndarray  # (7,) joint angles
     dq_rad_s: np.ndarray  # (7,) joint speeds
     ee_to_base: np.ndarray  # (4, 4) measured pose
-    # (6,) the robot's estimate of the external force N and moment Nm at the hand, base frame: from motor currents,
-    # poor near singularities, never the only guard
+    # (6,) the robot's estimate of the external force N and moment Nm at the hand, base frame. From
+    # motor currents: poor near singularities, never the only guard
     wrench_N: np.ndarray
     mode: str  # idle, move, guiding, reflex, user_stopped, recovery or other
     # share of the last 100 control commands that reached the robot in time; 0 without control
@@ -55,16 +61,16 @@ class ArmState:
 
 @dataclass(frozen=True)
 class ArmSetup:
-    """How the robot was set up before this program: other programs and Desk leave such settings behind."""
+    """Settings of the robot that other programs and Desk leave behind."""
 
     flange_to_ee: np.ndarray  # (4, 4) end-effector frame in the flange's, m
-    load_kg: float  # payload beside the hand, which the arm's gravity compensation carries
+    load_kg: float  # payload beside the hand, in the arm's gravity compensation
 
 
 def require_setup(setup: ArmSetup, load_kg: float) -> None:
-    """Refuse an arm whose poses or weights mean something else than the guards assume.
+    """Refuse an arm set up otherwise than the guards assume.
 
-    Raises RobotError: ``frame``: the end effector is not the Franka Hand's, or the load is not ``load_kg``.
+    Raises RobotError: ``frame``: another end effector than the Franka Hand, or another load.
     """
     apart = np.linalg.inv(HAND_TO_FLANGE) @ setup.flange_to_ee
     away_m = float(np.linalg.norm(apart[:3, 3]))
@@ -81,13 +87,14 @@ def require_setup(setup: ArmSetup, load_kg: float) -> None:
 def refuse_stopped(state: ArmState) -> None:
     """Refuse an arm that may not move.
 
-    Raises RobotError: named after what stopped it: ``communication`` (commands came too late), ``discontinuity`` (a
-    command jumped), ``limit`` (of a joint, a speed or power), ``reflex``, ``user_stop`` or ``guiding``.
+    Raises RobotError: named after the cause: ``communication`` (commands came too late),
+    ``discontinuity`` (a command jumped), ``limit`` (of a joint, a speed or power), ``reflex``,
+    ``user_stop`` or ``guiding``.
     """
     if state.mode in STOPPED_MODES:
-        fault = (
-            fault_of_errors(state.errors) if state.mode == "reflex" else STOPPED_MODES[state.mode]
-        )
+        fault = STOPPED_MODES[state.mode]
+        if fault == "reflex":
+            fault = fault_of_errors(state.errors)
         came = f"{state.mode} {', '.join(state.errors)}".strip()
         raise RobotError(
             expected("arm mode", "idle or move", came, "See to the robot, then call recover()."),
@@ -98,14 +105,17 @@ def refuse_stopped(state: ArmState) -> None:
 def fault_of_errors(errors: Iterable[str]) -> str:
     """Return the ``RobotError.fault`` of the robot's own error names."""
     text = " ".join(errors)
-    return next((fault for word, fault in ERROR_WORDS.items() if word in text), "reflex")
+    for word, fault in ERROR_WORDS.items():
+        if word in text:
+            return fault
+    return "reflex"
 
 
 def fault_of(fault: str, text: str, errors: Iterable[str] = ()) -> str:
-    """Return the ``RobotError.fault`` of a client's message; its words are libfranka's wording.
+    """Return the ``RobotError.fault`` of a client's message, by libfranka's words.
 
     Args:
-        fault: what the child process knows of it: ``other`` where only the text says more.
+        fault: the child process's name of it; ``other`` where only the text says more.
         text: the client's message.
         errors: the robot's own error names.
     """
@@ -113,46 +123,51 @@ def fault_of(fault: str, text: str, errors: Iterable[str] = ()) -> str:
         fault = next(
             (named for word, named in CLIENT_WORDS.items() if word in text.lower()), "other"
         )
-    return fault_of_errors((*errors, text)) if fault == "reflex" else fault
+    if fault == "reflex":
+        return fault_of_errors((*errors, text))
+    return fault
 
 
 def advised(text: str) -> str:
-    """Return a client's message with what to do about it, where its own words don't say."""
-    advice = [do for word, do in CLIENT_ADVICE.items() if word in text.lower()]
-    return " ".join((text, *advice))
+    """Return a client's message with advice, where its own words give none."""
+    for word, do in CLIENT_ADVICE.items():
+        if word in text.lower():
+            text = f"{text} {do}"
+    return text
 
 
 @dataclass(frozen=True)
 class Gains:
     """Stiffness of the Cartesian impedance, in the hand's frame, and how far the target may lead.
 
-    The spring's force is bounded by stiffness × ``clip_m`` whatever target comes: the cheapest hard bound there is. Its
-    length, over every turn of a hand that points down, stays below ``limits.FORCE_N``.
+    Stiffness × ``clip_m`` bounds the spring's force whatever target comes. However the hand is
+    turned, the force stays below ``limits.FORCE_N``.
     """
 
     # along the hand's x, y (the fingers close along y) and z
     stiffness_N_m: tuple[float, float, float]
     rotation_Nm_rad: tuple[float, float, float] = (60.0, 60.0, 60.0)  # about the same axes
-    # largest position error the spring sees, along the base frame's x, y, z; and rotation error, about each axis
+    # largest position error the spring sees, along the base's x, y, z; largest rotation error
     clip_m: tuple[float, float, float] = (0.018, 0.018, 0.018)
     clip_rad: float = 0.2
 
     def __post_init__(self) -> None:
         require_in_limits(self)
-        # The clips are along the base's axes and the stiffness along the hand's, which turns about the vertical.
+        # clips are along the base's axes, stiffness along the hand's, turned about the vertical
         level_N = max(self.stiffness_N_m[:2]) * math.hypot(*self.clip_m[:2])
         force_N = math.hypot(level_N, self.stiffness_N_m[2] * self.clip_m[2])
         torque_Nm = max(self.rotation_Nm_rad) * self.clip_rad * math.sqrt(3)
         if force_N > FORCE_N or torque_Nm > TORQUE_Nm:
-            wanted = f"a spring of at most {FORCE_N:g} N and {TORQUE_Nm:g} Nm, stiffness × clip of all axes"
+            most = f"{FORCE_N:g} N and {TORQUE_Nm:g} Nm"
+            wanted = f"a spring of at most {most}, stiffness × clip of all axes"
             came = f"{force_N:.1f} N, {torque_Nm:.1f} Nm"
             raise ContractError(expected("gains", wanted, came, "Soften the arm or clip more."))
 
     def matrix_in_base(self, rotation: np.ndarray) -> np.ndarray:
         """Return the (6, 6) stiffness in the base frame, K = R K_ee Rᵀ for each block.
 
-        A tracker takes its gains in the base frame; with the hand turned, the closing axis is stiff only through
-        off-diagonal terms. ``rotation`` is the (3, 3) of ``ee_to_base``.
+        ``rotation`` is the (3, 3) of ``ee_to_base``. A tracker takes its gains in the base frame:
+        with the hand turned, only off-diagonal terms make the closing axis stiff.
         """
         turn = np.kron(np.eye(2), rotation)  # of both blocks
         return turn @ np.diag([*self.stiffness_N_m, *self.rotation_Nm_rad]) @ turn.T
@@ -160,5 +175,5 @@ class Gains:
 
 # The simulated scene's own stiffness: 800 N/m × 18 mm bounds the press at 14.4 N.
 ROLLOUT = Gains((2000.0, 2000.0, 800.0))
-# For a person who leads the hand: soft but along the closing axis, so that a squeeze does not drag the arm.
+# Led by a person: soft but along the closing axis, so that a squeeze does not drag the arm.
 HAND_GUIDED = Gains((200.0, 2000.0, 200.0), (20.0, 20.0, 20.0))

@@ -1,4 +1,4 @@
-"""A child process that talks JSON lines: what may hang or hold the GIL lives there, and can be killed."""
+"""A child process that talks JSON lines. It may hang or hold the GIL, and can be killed."""
 
 import atexit
 import json
@@ -21,27 +21,28 @@ SCRIPTS = Path(__file__).parent / "children"
 
 
 class Child:
-    """A client in a process of its own, running one of ``children/`` between ``connect`` and ``close``.
+    """A client in its own process: one of ``children/``, from ``connect`` to ``close``.
 
     Args:
         what: for messages, e.g. ``robot at 172.16.0.2``.
         script: file name in ``children/``.
         arguments: its command line.
-        listen: called by the reader thread for each state, as a dict; must be quick. Other lines wait to be asked for.
+        listen: called by the reader thread with each state's fields; must be quick.
     """
 
     def __init__(
         self, what: str, script: str, *arguments: str, listen: Callable[..., None]
     ) -> None:
-        self._what, self._command = what, [sys.executable, str(SCRIPTS / script), *arguments]
+        self._what = what
+        self._command = [sys.executable, str(SCRIPTS / script), *arguments]
         self._listen = listen
         self._process: subprocess.Popen[str] | None = None
         self._answers: queue.Queue[dict] = queue.Queue()
 
     def connect(self, deadline_s: float) -> dict:
-        """Start the process, wait until the client is loaded, then for the connection within the deadline.
+        """Start the process, wait until the client is loaded, then for the connection.
 
-        Returns what the child said when it was connected.
+        Returns the child's line ``connected``.
 
         Raises RobotError: as ``wait``; the process is gone then.
         """
@@ -54,7 +55,7 @@ class Child:
             target=self._read, args=(self._process, self._answers), daemon=True
         )
         self._reader.start()
-        # A program that ends without close(): else its exit meets the reader thread in the middle of a line.
+        # for a program that ends without close(): its exit must not meet the reader mid-line
         atexit.register(self.close)
         try:
             self.wait("loaded", LOAD_s)
@@ -95,7 +96,7 @@ class Child:
             raise RobotError(text, "ended") from error
 
     def wait(self, word: str, deadline_s: float) -> dict:
-        """Wait for the line that says ``word`` and return it; kill the process if it does not come in time.
+        """Return the line that says ``word``; kill the process if it does not come in time.
 
         Raises RobotError: an error came instead, the process ended, or the deadline passed.
         """
@@ -145,7 +146,7 @@ class Child:
         return self._process
 
     def close(self, grace_s: float = END_s) -> None:
-        """Ask the process to end, and kill it if it has not after ``grace_s``. Safe to call twice."""
+        """Ask the process to end; kill it after ``grace_s``. Safe to call twice."""
         atexit.unregister(self.close)
         process, self._process = self._process, None
         if process is None or process.stdin is None or process.stdout is None:

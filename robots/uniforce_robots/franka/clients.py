@@ -1,7 +1,6 @@
 """Arm and hand through the vendor's client, franky, each in a child process (``children/``).
 
-In this process a client would be dangerous: it hangs for ever on a server that does not answer. A child is asked, and
-killed when it does not answer.
+The client hangs for ever on a server that does not answer. A child that does not answer is killed.
 """
 
 import importlib.util
@@ -24,7 +23,8 @@ from uniforce_robots.franka.config import UniforceFrankaConfig
 from uniforce_vtla.errors import RobotError, expected
 from uniforce_vtla.hand import HandCommand, HandReading, OUTER_m
 
-CLIENT, EXTRA = "franky", "franka"
+CLIENT = "franky"
+EXTRA = "franka"
 DISTRIBUTION = "lerobot_policy_pi05_uniforce"
 TURN_rad = 0.01  # the hand's turn after which the gains are expressed in the base frame anew
 STOP_s = 8.0  # braking takes a few tenths of a second, longer beside a busy machine
@@ -68,12 +68,14 @@ class Arm:
         self.setup: ArmSetup | None = None  # read when connecting
 
     def connect(self) -> None:
-        """Open the connection within the configured deadline and set the reflex thresholds. Nothing moves.
+        """Connect within the configured deadline and set the reflex thresholds. Nothing moves.
 
-        Raises RobotError: no answer, another version, or (``frame``) another tool than the guards are made for.
+        Raises RobotError: no answer, another version, or (``frame``) another tool than assumed.
         """
         require_installed()
-        self._state, self._fault, self._controls = None, None, False
+        self._state = None
+        self._fault = None
+        self._controls = False
         said = self._child.connect(self._config.connect_deadline_s)
         try:
             flange_to_ee = np.array(said["flange_to_ee"]).reshape(4, 4).T
@@ -89,20 +91,22 @@ class Arm:
             raise
 
     def _listen(self, **state: Any) -> None:
-        arrays = {name: np.array(state[name]) for name in ("q_rad", "dq_rad_s", "wrench_N")}
-        pose = np.array(state["ee_to_base"]).reshape(4, 4).T
-        self._state = ArmState(
-            **state | arrays | {"ee_to_base": pose, "errors": tuple(state["errors"])}
-        )
+        for name in ("q_rad", "dq_rad_s", "wrench_N"):
+            state[name] = np.array(state[name])
+        state["ee_to_base"] = np.array(state["ee_to_base"]).reshape(4, 4).T
+        state["errors"] = tuple(state["errors"])
+        self._state = ArmState(**state)
 
     def state(self) -> ArmState:
         """Return the newest reading; there are a hundred a second. Never blocks."""
-        fault, state = self._read_fault(), self._state
+        fault = self._read_fault()
+        state = self._state
         if fault is not None and fault.fault not in ROBOT_STOPS:
             raise fault  # a reflex or a stop leaves an arm that can be read
         age_s = float("inf") if state is None else time.monotonic() - state.time_s
         if state is None or age_s > STATE_AGE_s:
-            wanted, do = f"one younger than {STATE_AGE_s} s", "Is the robot alive?"
+            wanted = f"one younger than {STATE_AGE_s} s"
+            do = "Is the robot alive?"
             raise RobotError(expected("arm state", wanted, f"{age_s:.1f} s", do), "connection")
         return state
 
@@ -115,13 +119,15 @@ class Arm:
             raise fault
         if not self._controls:
             refuse_stopped(self.state())
-            self._controls, self._gains_rotation = True, None
+            self._controls = True
+            self._gains_rotation = None
         self._turn_gains(ee_to_base[:3, :3])
         self._child.send("target", pose=ee_to_base.T.ravel().tolist())
 
     def _turn_gains(self, rotation: np.ndarray) -> None:
         """Express the gains in the base frame, at first and when the hand has turned."""
-        known, gains = self._gains_rotation, self._config.gains
+        known = self._gains_rotation
+        gains = self._config.gains
         if known is not None and np.abs(rotation - known).max() <= TURN_rad:
             return
         self._gains_rotation = rotation.copy()
@@ -131,7 +137,7 @@ class Arm:
     def stop(self, at_once: bool = False) -> None:
         """Give up control; the arm comes to rest and holds. Does nothing without control.
 
-        ``at_once`` leaves the braking to the robot: for readings that can't be believed, by which nothing can brake.
+        ``at_once`` leaves the braking to the robot: where the readings can't be believed.
         """
         controls, self._controls = self._controls, False
         if not controls or self._fault is not None or not self._child.is_alive:
@@ -149,7 +155,8 @@ class Arm:
             raise RobotError(
                 "arm: expected a running client, got none. Connect again.", "connection"
             )
-        self._controls, self._fault = False, None
+        self._controls = False
+        self._fault = None
         self._child.forget()  # what was said about the old fault
         self._child.send("recover")
         self._child.wait("recovered", STOP_s)
@@ -171,7 +178,8 @@ class HandClient:
     """A gripper's client."""
 
     def __init__(self, config: UniforceFrankaConfig) -> None:
-        self._config, self._what = config, f"hand at {config.address}"
+        self._config = config
+        self._what = f"hand at {config.address}"
         self._reading: HandReading | None = None
         self._looked_s = 0.0
         self._child = Child(self._what, "hand.py", config.address, listen=self._listen)
@@ -209,7 +217,7 @@ class HandClient:
         self._child.send("stop")
 
     def poll(self) -> bool | None:
-        """Return how the command in flight ended (False: not done, nothing grasped), None while it runs.
+        """Return whether the command in flight succeeded, None while it runs.
 
         Call it often while one runs: the child stops the fingers when it hears nothing for 0.3 s.
         """
@@ -230,11 +238,12 @@ class HandClient:
         return self._reading
 
     def refuse_closed(self) -> None:
-        """Raise when the hand has closed the connection: the client waits on for an answer that never comes.
+        """Raise when the hand has closed the connection: the client would wait for ever.
 
         Looks at most every ``LOOK_s``; called by any thread.
         """
-        now_s, pid = time.monotonic(), self._child.pid
+        now_s = time.monotonic()
+        pid = self._child.pid
         if pid is None or now_s - self._looked_s < LOOK_s:
             return
         self._looked_s = now_s

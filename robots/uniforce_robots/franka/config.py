@@ -1,4 +1,4 @@
-"""Settings of the robot ``uniforce_franka``; nested ones are set as ``--robot.guards.step_m=0.03``."""
+"""Settings of robot ``uniforce_franka``; nested ones are set as ``--robot.guards.step_m=0.03``."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -35,8 +35,8 @@ class UniforceFrankaConfig(RobotConfig):
     # rhythm and watchdog; its ``action_period_s`` follows ``fps``
     stream: StreamSettings = field(default_factory=StreamSettings)
     gripper: HandSettings = field(default_factory=HandSettings)  # how widths become commands
-    # The robot's own stop, at any joint and along any axis. 40 N lies above the press that 800 N/m × 18 mm allows and
-    # below what breaks a gel.
+    # The robot's own stop, at any joint and along any axis. 40 N lies above the press of
+    # 800 N/m × 18 mm and below what breaks a gel.
     reflex_torque_Nm: float = 40.0
     reflex_force_N: float = 40.0
     # for an answer, once the client is loaded; with its start a person waits 3 s
@@ -44,7 +44,7 @@ class UniforceFrankaConfig(RobotConfig):
     realtime: Literal["ignore", "enforce"] = "ignore"  # enforce needs PREEMPT_RT
     # payload beside the hand, as set in Desk; another one at connect is refused
     load_kg: float = 0.0
-    # By name; each is one image of the observation, and a tactile one two: its free-air reference is ``NAME_ref``.
+    # by name; each is one image of the observation. A tactile one has ``NAME_ref`` too, in free air
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
     # fingers so far apart count as open, as a free-air reference needs; 0.08 is the widest
     open_width_m: float = 0.06

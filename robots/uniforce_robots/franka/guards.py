@@ -1,7 +1,7 @@
-"""Guards of an action before it becomes a target: finite → workspace box → step → rate. NaN stops, the rest clamps.
+"""Guards of an action: finite → workspace box → step → rate. NaN stops, the rest clamps.
 
-Behind it stand the check of what is sent (``state_check.SendCheck``), the tracker's clip (stiffness × clip bounds the
-force) and the robot's own reflex.
+Behind them stand the check of each sent pose (``state_check.SendCheck``), the tracker's clip
+(stiffness × clip bounds the force) and the robot's own reflex.
 """
 
 import logging
@@ -29,21 +29,22 @@ class GuardLimits:
     # the workspace box: measure your own
     low: tuple[float, ...] = (0.30, -0.30, 0.005, -np.pi / 2, 0.0)
     high: tuple[float, ...] = (0.70, 0.30, 0.50, np.pi / 2, 0.08)
-    # Largest distance of a target from the measured pose. Wider than the tracker's clip, so that it catches a policy
-    # gone astray rather than one that presses.
+    # Largest distance of a target from the measured pose. Wider than the tracker's clip: it catches
+    # a policy gone astray rather than one that presses.
     step_m: float = 0.05
     step_rad: float = 0.35
     speed_m_s: float = 0.25  # of the target
     speed_rad_s: float = 1.5
     speed_width_m_s: float = 0.1
     longest_gap_s: float = 0.1  # a longer pause counts as this long, so that it does not buy a jump
-    # A hand that points farther from straight down is refused: no action names a tilt, so none could bring it back.
+    # A hand tilted farther from straight down is refused: no action could bring it back.
     tilt_rad: float = 0.15
 
     def __post_init__(self) -> None:
         require_in_limits(self)
         if not np.all(np.less(self.low, self.high)):
-            wanted, came = f"low < high for {AXES}", f"{self.low}, {self.high}"
+            wanted = f"low < high for {AXES}"
+            came = f"{self.low}, {self.high}"
             raise ContractError(expected("workspace box", wanted, came, "Check the config."))
 
 
@@ -63,7 +64,8 @@ class GuardChain:
 
     def start_from(self, axes: np.ndarray) -> None:
         """Count the next action from (5,) axes, where the robot was kept."""
-        self._last, self._last_s = axes, -np.inf
+        self._last = axes
+        self._last_s = -np.inf
 
     def __call__(self, action: np.ndarray, measured: np.ndarray, now_s: float) -> np.ndarray:
         """Return the action that may be sent.
@@ -77,14 +79,17 @@ class GuardChain:
         """
         self._finite(action, measured)
         gap_s = self.limits.longest_gap_s
-        last, elapsed_s = measured, gap_s
+        last = measured
+        elapsed_s = gap_s
         if self._last is not None:
-            last, elapsed_s = self._last, min(max(now_s - self._last_s, 0.0), gap_s)
+            last = self._last
+            elapsed_s = min(max(now_s - self._last_s, 0.0), gap_s)
         boxed = self._note("box", action, self._box(action, measured))
         stepped = self._note("step", boxed, self._step(boxed, measured))
         slowed = self._note("rate", stepped, self._rate(stepped, last, elapsed_s))
         sent = self._box(slowed, last)
-        self._last, self._last_s = sent, now_s
+        self._last = sent
+        self._last_s = now_s
         return sent
 
     def _finite(self, action: np.ndarray, measured: np.ndarray) -> None:
@@ -102,7 +107,7 @@ class GuardChain:
         )
 
     def _box(self, action: np.ndarray, start: np.ndarray) -> np.ndarray:
-        """Clamp to the box; outside it an axis may stay where it starts from and come back, never go farther out."""
+        """Clamp to the box; an axis that starts outside may come back, never go farther."""
         return np.clip(
             action, np.minimum(self.limits.low, start), np.maximum(self.limits.high, start)
         )
@@ -114,7 +119,8 @@ class GuardChain:
         return near
 
     def _rate(self, action: np.ndarray, last: np.ndarray, elapsed_s: float) -> np.ndarray:
-        limits, slow = self.limits, action.copy()
+        limits = self.limits
+        slow = action.copy()
         slow[:3] = towards(last[:3], action[:3], limits.speed_m_s * elapsed_s)
         slow[3] = turn_towards(last[3], action[3], limits.speed_rad_s * elapsed_s)
         reach = limits.speed_width_m_s * elapsed_s
@@ -127,23 +133,26 @@ class GuardChain:
         if acts:
             self.counts[guard] += 1
             if guard not in self._acting:
-                was, became = before.round(4).tolist(), after.round(4).tolist()
+                was = before.round(4).tolist()
+                became = after.round(4).tolist()
                 log.warning("guard %s: %s became %s", guard, was, became)
-        (self._acting.add if acts else self._acting.discard)(guard)
+            self._acting.add(guard)
+        else:
+            self._acting.discard(guard)
         return after
 
 
 def towards(start: np.ndarray, goal: np.ndarray, reach: float) -> np.ndarray:
     """Return the goal, or the point at ``reach`` on the straight way to it."""
     distance = float(np.linalg.norm(goal - start))
-    return goal if distance <= reach else start + (goal - start) * reach / distance
+    if distance <= reach:
+        return goal
+    return start + (goal - start) * reach / distance
 
 
 def turn_towards(start_rad: float, goal_rad: float, reach_rad: float) -> float:
     """Return the goal, or ``reach_rad`` of the shorter turn to it."""
     turn = shortest_turn(start_rad, goal_rad)
-    return (
-        goal_rad
-        if abs(turn) <= reach_rad
-        else start_rad + float(np.clip(turn, -reach_rad, reach_rad))
-    )
+    if abs(turn) <= reach_rad:
+        return goal_rad
+    return start_rad + float(np.clip(turn, -reach_rad, reach_rad))

@@ -1,8 +1,7 @@
-"""Hard limits of every setting of the robot, on one page, and the settings of stream and hand. No config lifts them.
+"""Hard limits of every setting of the robot, and the settings of stream and hand.
 
-A setting says what its owner wants, within these; to allow more, change this file. They are chosen so that a Franka
-Research 3 beside a person stays slow and soft, whatever a file or a command line says. Nothing here has been tried on
-hardware.
+No config lifts a limit; to allow more, change this file. With them a Franka Research 3 beside a
+person stays slow and soft. Nothing here has been tried on hardware.
 """
 
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ def up_to(most: float) -> Range:
     return Range(0, most, above=True)
 
 
-# x, y m (the arm reaches 0.855), z m, yaw rad (joint 7 turns ±3.02), width m (the hand opens to 0.08)
+# x, y m (the arm reaches 0.855), z m, yaw rad (joint 7 turns ±3.02), width m (at most 0.08)
 BOX = (
     Range(-0.9, 0.9),
     Range(-0.9, 0.9),
@@ -72,11 +71,12 @@ HARD_LIMITS: dict[str, dict[str, Range | tuple[Range, ...]]] = {
 def require_in_limits(settings: object) -> None:
     """Check each number of a settings object, tuples number by number, against ``HARD_LIMITS``.
 
-    Raises ContractError: a value that is no finite number, or outside; names the field, the value and the range.
+    Raises ContractError: not a finite number, or outside; names field, value and range.
     """
     name = type(settings).__name__
     for field, allowed in HARD_LIMITS[name].items():
-        what, value = f"{name}.{field}", getattr(settings, field)
+        what = f"{name}.{field}"
+        value = getattr(settings, field)
         if isinstance(allowed, Range):
             _require(what, value, allowed)
             continue
@@ -89,7 +89,7 @@ def require_in_limits(settings: object) -> None:
 
 
 def require_kind(what: str, value: object, kind: type) -> None:
-    """Check that settings are of a class that was checked when it was made; a subclass may have left that out.
+    """Check that settings are of exactly this class: a subclass may check nothing when it is made.
 
     Raises ContractError: anything else.
     """

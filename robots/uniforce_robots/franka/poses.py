@@ -1,7 +1,7 @@
-"""Between the project's five axes and the hand's pose: x, y, z m, yaw rad, width m in the robot's base frame.
+"""Between the five axes (x, y, z m, yaw rad, width m, base frame) and the hand's pose.
 
-At yaw 0 the fingers close along the base's x axis and the tool points down, as in the simulated scene. The scene's tool
-frame closes along x, the Franka Hand along y: a quarter turn about z lies between them.
+At yaw 0 the fingers close along the base's x axis and the tool points down, as in the simulated
+scene. The scene's tool frame closes along x, the Franka Hand along y: a quarter turn about z apart.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ TOOL_TO_EE = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # tool x is the han
 
 @dataclass(frozen=True)
 class ToolPose:
-    """Where the tool is or shall be: ``position_m`` (3,) in the base frame, ``yaw_rad`` about the base's z.
+    """Pose of the tool: ``position_m`` (3,) in the base frame, ``yaw_rad`` about the base's z.
 
-    ``tilt_rad`` (3,) is the rotation vector, base frame, by which the hand points away from straight down. No action
-    names it: it is measured, bounded, and levelled only along a wished motion.
+    ``tilt_rad`` (3,) is the rotation vector from straight down to the hand's direction, base frame.
+    No action names it: it is measured, bounded, and levelled only along a wished motion.
     """
 
     position_m: np.ndarray
@@ -31,7 +31,7 @@ class ToolPose:
     tilt_rad: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     def ee_to_base(self) -> np.ndarray:
-        """(4, 4) pose of the hand."""
+        """Return (4, 4) pose of the hand."""
         turn = Rotation.from_rotvec(self.tilt_rad) * Rotation.from_euler("z", self.yaw_rad)
         pose = np.eye(4)
         pose[:3, :3] = turn.as_matrix() @ TOOL_DOWN @ TOOL_TO_EE.T
@@ -49,7 +49,7 @@ class ToolPose:
 
 
 def _tilt(rotation: np.ndarray) -> np.ndarray:
-    """Return the shortest rotation (3,) that takes straight down to where the hand points, its z axis."""
+    """Return the shortest rotation (3,) from straight down to the hand's z axis."""
     points_x, points_y, points_z = rotation[:, 2]
     axis = np.array([points_y, -points_x, 0.0])  # down × pointing; its length is the angle's sine
     sine = float(np.hypot(points_x, points_y))
@@ -70,7 +70,7 @@ def shortest_turn(from_rad: float, to_rad: float) -> float:
 
 
 def between(start: ToolPose, end: ToolPose, share: float) -> ToolPose:
-    """Return the pose a share in [0, 1] of the way along, turning the shorter way, tilted as at the start."""
+    """Return the pose a share in [0, 1] of the way along, turned the shorter way, start's tilt."""
     position = start.position_m + share * (end.position_m - start.position_m)
     yaw_rad = start.yaw_rad + share * shortest_turn(start.yaw_rad, end.yaw_rad)
     return replace(start, position_m=position, yaw_rad=yaw_rad)

@@ -18,13 +18,12 @@ from uniforce_robots.franka.arm import ArmState
 from uniforce_robots.franka.clients import make_backend
 from uniforce_robots.franka.config import UniforceFrankaConfig
 from uniforce_robots.franka.guards import GuardChain
-from uniforce_robots.franka.hand import Hand, require_open
 from uniforce_robots.franka.poses import ToolPose, by_axis
 from uniforce_robots.franka.stream import ArmStream
 from uniforce_robots.sensors.finger import SampledCamera
 from uniforce_robots.sensors.plain_camera import PlainCamera
 from uniforce_vtla.errors import RobotError, SensorError, UniForceError, expected
-from uniforce_vtla.hand import HandReading
+from uniforce_vtla.hand import Hand, HandReading, require_open
 from uniforce_vtla.keys import AXES
 
 log = logging.getLogger(__name__)
@@ -32,10 +31,10 @@ STRATEGIES = "lerobot.rollout.strategies.core"
 
 
 def forbid_return_motion() -> bool:
-    """Replace the return motion of LeRobot's rollout by a line in the log; return whether a rollout is loaded.
+    """Replace the return motion of LeRobot's rollout by a line in the log.
 
-    It would lead the arm back to where it began, through whatever is there, also one that has just been stopped. The
-    robot can't know those actions from a policy's.
+    It would lead the arm back to its start, through whatever is there, even after a stop. The robot
+    can't tell those actions from a policy's. Return whether a rollout is loaded.
     """
     module = sys.modules.get(STRATEGIES)
     if module is not None:
@@ -50,9 +49,10 @@ def _stay(*_: object, **__: object) -> None:
 class UniforceFranka(Robot):
     """A Franka arm under Cartesian impedance control, with its hand and cameras.
 
-    Actions are absolute targets in the robot's base frame, axes as in ``keys.AXES``: x, y, z m, yaw rad, width m. Each
-    passes the guards, becomes a ramp at 100 Hz, and pulls through a clipped spring. Any fault ends the motion of arm
-    and hand; only ``recover`` allows it again. No call but ``connect``, ``recover`` and ``disconnect`` waits.
+    Actions are absolute targets, base frame, as in ``keys.AXES``: x, y, z m, yaw rad, width m. Each
+    passes the guards, becomes a ramp at 100 Hz, and pulls through a clipped spring. Any fault ends
+    the motion of arm and hand; only ``recover`` allows it again. Only ``connect``, ``recover`` and
+    ``disconnect`` wait.
     """
 
     config_class = UniforceFrankaConfig
@@ -79,29 +79,30 @@ class UniforceFranka(Robot):
 
     @property
     def observation_features(self) -> dict[str, Any]:
-        """Five measured axes, (height, width, 3) for each camera, and again for each finger's reference."""
-        images = {
-            name: (camera.height, camera.width, 3) for name, camera in self.config.cameras.items()
-        }
-        images |= {f"{name}_ref": images[name] for name in self.config.fingers}
-        return {**dict.fromkeys(AXES, float), **images}
+        """Five measured axes, (height, width, 3) for each camera and each finger's reference."""
+        features: dict[str, Any] = dict.fromkeys(AXES, float)
+        for name, camera in self.config.cameras.items():
+            features[name] = (camera.height, camera.width, 3)
+        for name in self.config.fingers:
+            features[f"{name}_ref"] = features[name]
+        return features
 
     @property
     def is_connected(self) -> bool:
-        """Whether arm, hand and cameras are; a fault does not disconnect, so that its data can be kept."""
+        """Whether arm, hand and cameras are; a fault does not disconnect, to keep its data."""
         return self._stream is not None
 
     def calibrate(self) -> None:
-        """Do nothing: the hand is homed on the robot's own page, since that moves the fingers."""
+        """Do nothing: the hand is homed in Desk, since that moves the fingers."""
 
     configure = calibrate
 
     def connect(self, calibrate: bool = True) -> None:
         """Connect arm, hand and cameras. Nothing moves before the first action.
 
-        Raises RobotError: already connected, no answer within the deadline, wrong version, no client installed;
-        SensorError: a camera or finger without signal, another sensor than configured, or no free air for its
-        reference.
+        Raises RobotError: already connected, no answer in time, wrong version, no client installed;
+        SensorError: a camera or finger without signal, another sensor than configured, or no free
+        air for its reference.
         """
         if self.is_connected:
             raise RobotError(
@@ -151,10 +152,10 @@ class UniforceFranka(Robot):
         self.guards.reset()
 
     def recover(self) -> None:
-        """Clear a reflex on an operator's word. Nothing moves; the first target starts from the measured pose.
+        """Clear a reflex on an operator's word. Nothing moves; targets start from where it is.
 
-        Raises:
-            RobotError: the cause is still there (a pressed stop, a hand that is gone), or the robot is not connected.
+        Raises RobotError: the cause is still there (a pressed stop, a hand that is gone), or not
+        connected.
         """
         stream, hand = self._parts()
         stream.stop()  # first: its thread ticks the hand
@@ -163,7 +164,7 @@ class UniforceFranka(Robot):
         self._start_stream(hand)
 
     def disconnect(self) -> None:
-        """Stop the arm where it is, stop the fingers, join every thread, hang up. Safe to call twice."""
+        """Stop arm and fingers where they are, join every thread, hang up. Safe to call twice."""
         counts = self.guard_counts
         stream, self._stream, self._hand = self._stream, None, None
         # last in, first out, and each of them even if another one fails
@@ -180,18 +181,18 @@ class UniforceFranka(Robot):
     def __del__(self) -> None:
         """Let go of an arm that was dropped while connected, without waiting for its thread.
 
-        The collector may run inside ``Thread.start``, under a lock that joining takes: LeRobot's own finaliser, which
-        disconnects, then waits for itself.
+        The collector may run inside ``Thread.start``, under a lock that joining takes. LeRobot's
+        own finaliser disconnects, and would wait for itself.
         """
         stream, self._stream = self._stream, None
         if stream is not None:
-            text = "robot: expected disconnect() before it was dropped, got none. Use it as a context manager."
-            stream.halt(RobotError(text, "ended"))
+            text = "robot: expected disconnect() before it was dropped, got none."
+            stream.halt(RobotError(f"{text} Use it as a context manager.", "ended"))
             self._hand_client.close()
             self._arm.close()
 
     def measured(self) -> np.ndarray:
-        """(5,) where the robot is, axes as in ``keys.AXES``. Never blocks.
+        """Return (5,) where the robot is, axes as in ``keys.AXES``. Never blocks.
 
         Raises RobotError: not connected, a fault of arm or hand, or a reading too old.
         """
@@ -201,12 +202,12 @@ class UniforceFranka(Robot):
 
     @property
     def reading(self) -> tuple[ArmState, HandReading]:
-        """The newest readings of arm and hand, for a recorder. Never blocks; raises RobotError: as ``measured``."""
+        """The newest readings of arm and hand. Never blocks; raises RobotError: as ``measured``."""
         stream, hand = self._parts()
         return stream.state, hand.reading
 
     def stored_facts(self) -> dict[str, Any]:
-        """Return what outlives programs on the robot, as it was when connecting, for a dataset: JSON values."""
+        """Return the robot's lasting settings as found when connecting, as JSON values."""
         setup = self._arm.setup
         if setup is None:
             return {}
@@ -217,15 +218,15 @@ class UniforceFranka(Robot):
 
     @property
     def guard_counts(self) -> dict[str, int]:
-        """How often each guard acted since this object was made; ``watchdog`` since the last connect."""
+        """How often each guard acted so far; ``watchdog`` since the last connect."""
         watchdog = 0 if self._stream is None else self._stream.stale_count
         return {**self.guards.counts, "watchdog": watchdog}
 
     def get_observation(self) -> dict[str, Any]:
         """Return the measured axes and the newest image of each camera.
 
-        Raises RobotError: a fault of arm or hand; SensorError: a camera or finger that is lost, stale, frozen or
-        broken; arm and hand have stopped.
+        Raises RobotError: a fault of arm or hand; SensorError: a camera or finger that is lost,
+        stale, frozen or broken; arm and hand have stopped.
         """
         with self._halting():
             axes = by_axis(self.measured())
@@ -247,7 +248,7 @@ class UniforceFranka(Robot):
         return image
 
     def hold(self) -> None:
-        """Let arm and hand rest where they are, at once; nothing is refused afterwards, old wishes are forgotten."""
+        """Let arm and hand rest where they are, at once; later actions are taken."""
         if self._stream is not None:
             self._stream.hold()
         self.guards.reset()
@@ -255,8 +256,8 @@ class UniforceFranka(Robot):
     def send_action(self, action: dict[str, Any]) -> dict[str, float]:
         """Guard an action and make it the target; return what was sent. Never blocks.
 
-        Raises RobotError: an axis is missing or no finite number, or the robot has a fault. The arm rests then, and
-        every action is refused until ``recover``.
+        Raises RobotError: an axis is missing or no finite number, or the robot has a fault. The arm
+        rests then, and every action is refused until ``recover``.
         """
         with self._halting():
             sent = self._send(action)
@@ -273,7 +274,8 @@ class UniforceFranka(Robot):
                 expected("action", AXES, f"{missing} missing", "Send all five."), "action"
             )
         wanted = np.array([_number(axis, action[axis]) for axis in AXES])
-        measured, rest = self.measured(), stream.resting
+        measured = self.measured()
+        rest = stream.resting
         if rest is not None:  # what was sent before the rest is no place to go on from
             self.guards.start_from(np.array([*rest.position_m, rest.yaw_rad, measured[4]]))
         sent = self.guards(wanted, measured, self._clock())
@@ -318,7 +320,9 @@ def _number(axis: str, value: Any) -> float:
         raise RobotError(
             expected(axis, "a number", reprlib.repr(value), "The robot stops."), "action"
         )
-    number = float(value.item() if hasattr(value, "item") else value)
+    if hasattr(value, "item"):
+        value = value.item()
+    number = float(value)
     if not math.isfinite(number):
         raise RobotError(expected(axis, "a finite number", number, "The robot stops."), "action")
     return number

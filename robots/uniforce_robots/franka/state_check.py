@@ -1,7 +1,7 @@
-"""Two checks that correct nothing but refuse: of what the robot reports, and of a pose that is about to be sent.
+"""Two checks that refuse and correct nothing: of each reading, and of each pose before it is sent.
 
-A report has to be possible: finite, continuous, within the robot's own speed limits, from a clock that advances. A pose
-is checked last, whatever computed it.
+A reading must be finite, continuous, within the robot's own speed limits, from a clock that
+advances. A pose is checked last, whatever computed it.
 """
 
 import numpy as np
@@ -13,17 +13,20 @@ from uniforce_robots.franka.poses import ToolPose, shortest_turn
 from uniforce_vtla.errors import RobotError, expected
 
 JOINT_SPEED_rad_s = 1.2 * DQ_MAX_rad_s  # a fifth more than a joint can do is no measurement
-HAND_SPEED_m_s, HAND_TURN_rad_s = 2.0, 3.0
+HAND_SPEED_m_s = 2.0
+HAND_TURN_rad_s = 3.0
 # after a longer pause the allowed distance is counted from here: a pause excuses no jump
 LONGEST_s = 0.02
-NOISE_m, NOISE_rad = 0.005, 0.05
+NOISE_m = 0.005
+NOISE_rad = 0.05
 RESTART = "restart the robot's controller."
 ROTATION_ERROR = 1e-2  # of RᵀR from the identity
 # closer to its target the spring is not clipped, so a target that moves moves the arm
 LEAD_m = 0.015
-# a target went so far and no joint changed by a single bit, by the robot's clock: a busy computer whose command is late
-# by some milliseconds is no frozen robot
-FROZEN_m, FROZEN_s = 0.003, 0.1
+# a target went so far and no joint changed by a single bit, by the robot's clock: a command that is
+# late by some milliseconds means no frozen robot
+FROZEN_m = 0.003
+FROZEN_s = 0.1
 
 
 class StateCheck:
@@ -32,14 +35,15 @@ class StateCheck:
     def __init__(self) -> None:
         self._last: ArmState | None = None
         self._target_m: np.ndarray | None = None
-        self._unanswered_m, self._changed_s = 0.0, 0.0
+        self._unanswered_m = 0.0
+        self._changed_s = 0.0
 
     def __call__(self, state: ArmState) -> None:
         """Accept a reading.
 
-        Raises RobotError: ``bad_state`` (no numbers, no rotation, a clock that runs backwards), ``force`` (the force
-        estimate is lost), ``speed`` or ``jump`` (faster than the arm can be), ``frozen`` (its target moved and the
-        joints did not change by a single bit).
+        Raises RobotError: ``bad_state`` (no numbers, no rotation, a clock that runs backwards),
+        ``force`` (the force estimate is lost), ``speed`` or ``jump`` (faster than the arm can be),
+        ``frozen`` (its target moved and the joints did not change by a single bit).
         """
         _require_possible(state)
         if self._last is not None:
@@ -52,19 +56,22 @@ class StateCheck:
         if self._target_m is not None and self._last is not None:
             lead_m = float(np.linalg.norm(target_m - self._last.ee_to_base[:3, 3]))
             step_m = float(np.linalg.norm(target_m - self._target_m))
-            self._unanswered_m += step_m if lead_m < LEAD_m else 0.0
+            if lead_m < LEAD_m:
+                self._unanswered_m += step_m
         self._target_m = target_m
 
     def _require_alive(self, last: ArmState, state: ArmState) -> None:
         if not np.array_equal(last.q_rad, state.q_rad) or not self._unanswered_m:
-            self._unanswered_m, self._changed_s = 0.0, state.robot_time_s
+            self._unanswered_m = 0.0
+            self._changed_s = state.robot_time_s
         if self._unanswered_m > FROZEN_m and state.robot_time_s - self._changed_s > FROZEN_s:
             came = f"none while the target moved {1000 * self._unanswered_m:.0f} mm"
             raise _wrong("arm state", "joints that change", came, "frozen")
 
 
 def _require_possible(state: ArmState) -> None:
-    pose, joints = state.ee_to_base, (state.q_rad, state.dq_rad_s)
+    pose = state.ee_to_base
+    joints = (state.q_rad, state.dq_rad_s)
     whole = np.isfinite(pose).all() and all(np.isfinite(row).all() for row in joints)
     if not (whole and np.isfinite(state.robot_time_s)):
         raise _wrong("arm state", "finite numbers", "NaN or infinity", "bad_state")
@@ -75,13 +82,12 @@ def _require_possible(state: ArmState) -> None:
     ):
         raise _wrong("arm state", "a rotation in its pose", rotation.round(3).tolist(), "bad_state")
     if (np.abs(state.dq_rad_s) > JOINT_SPEED_rad_s).any():
-        came, do = (
-            state.dq_rad_s.round(2).tolist(),
-            f"Its encoders or the network are wrong; {RESTART}",
-        )
+        came = state.dq_rad_s.round(2).tolist()
+        do = f"Its encoders or the network are wrong; {RESTART}"
         raise _wrong("joint speed", "within the data sheet's", came, "speed", do)
     if not np.isfinite(state.wrench_N).all():
-        came, do = state.wrench_N.round(2).tolist(), f"Without it nothing bounds a press; {RESTART}"
+        came = state.wrench_N.round(2).tolist()
+        do = f"Without it nothing bounds a press; {RESTART}"
         raise _wrong("force estimate", "finite numbers", came, "force", do)
 
 
@@ -122,37 +128,44 @@ def require_upright(state: ArmState, limit_rad: float) -> None:
         raise RobotError(expected("tilt", wanted, f"{np.degrees(tilt_rad):.0f}°", do), "tilt")
 
 
-HERE_m, HERE_rad = 1e-3, 1e-2  # closer to the measured pose than this a target pulls at nothing
+# closer to the measured pose than this a target pulls at nothing
+HERE_m = 1e-3
+HERE_rad = 1e-2
 ROUNDING = 1e-6
 
 
 class SendCheck:
-    """Keep what was sent last and refuse what is no small step from it.
+    """Keep the last pose sent and refuse one that is no small step from it.
 
-    A pose passes when it is finite; inside the box, or not further out of it than the last one or the arm itself;
-    tilted no further than the limit, the last one or the arm; within speed × time of the last one, unless it is where
-    the arm is; and near the arm.
+    A pose passes when it is finite; inside the box, or no further out than the last one or the arm;
+    tilted no further than the limit, the last one or the arm; within speed × time of the last one,
+    unless it is where the arm is; and near the arm.
     """
 
     def __init__(self, limits: GuardLimits) -> None:
         self._limits = limits
-        self._low, self._high = np.array(limits.low[:4]), np.array(limits.high[:4])
+        self._low = np.array(limits.low[:4])
+        self._high = np.array(limits.high[:4])
         self._last: np.ndarray | None = None
         self._last_s = 0.0
 
     def __call__(self, pose: ToolPose, measured: ToolPose, now_s: float) -> None:
-        """Accept a pose as sent at ``now_s``; raises RobotError: ``guard``: the pose must not be sent."""
-        target, here = _axes(pose), _axes(measured)
-        last = here if self._last is None else self._last
-        gap_s = self._limits.longest_gap_s
-        elapsed_s = gap_s if self._last is None else min(max(now_s - self._last_s, 0.0), gap_s)
+        """Accept a pose as sent at ``now_s``; raises RobotError: ``guard``: it must not be sent."""
+        target = _axes(pose)
+        here = _axes(measured)
+        last = here
+        elapsed_s = gap_s = self._limits.longest_gap_s
+        if self._last is not None:
+            last = self._last
+            elapsed_s = min(max(now_s - self._last_s, 0.0), gap_s)
         if not np.isfinite(target).all():
             raise _refused("finite numbers", target)
         self._require_box(target, last, here)
         self._require_tilt(target, last, here)
         self._require_rate(target, last, here, elapsed_s)
         self._require_near(target, here)
-        self._last, self._last_s = target, now_s
+        self._last = target
+        self._last_s = now_s
 
     def _require_box(self, target: np.ndarray, last: np.ndarray, here: np.ndarray) -> None:
         low = np.minimum(np.minimum(last, here)[:4], self._low) - ROUNDING
@@ -173,13 +186,11 @@ class SendCheck:
         limits = self._limits
         slow = _distance(target, last) <= limits.speed_m_s * elapsed_s + ROUNDING
         if not (slow and _turn(target, last) <= limits.speed_rad_s * elapsed_s + ROUNDING):
-            raise _refused(
-                f"at most {limits.speed_m_s} m/s from {last.round(4).tolist()} in {elapsed_s:.3f} s",
-                target,
-            )
+            way = f"from {last.round(4).tolist()} in {elapsed_s:.3f} s"
+            raise _refused(f"at most {limits.speed_m_s} m/s {way}", target)
 
     def _require_near(self, target: np.ndarray, here: np.ndarray) -> None:
-        """A target was within a step of the arm when it was chosen; since then the arm may have moved a little."""
+        """Refuse a target too far from the arm, which may have moved since it was chosen."""
         limits = self._limits
         reach_m = limits.step_m + limits.speed_m_s * limits.longest_gap_s
         reach_rad = limits.step_rad + limits.speed_rad_s * limits.longest_gap_s
@@ -187,14 +198,14 @@ class SendCheck:
             _distance(target, here) > reach_m + ROUNDING
             or _turn(target, here) > reach_rad + ROUNDING
         ):
-            wanted = f"within {reach_m:.3f} m and {reach_rad:.2f} rad of the arm at {here.round(4).tolist()}"
-            raise _refused(
-                wanted, target, "Not sent: has something pushed the arm away? See to it."
-            )
+            reach = f"{reach_m:.3f} m and {reach_rad:.2f} rad"
+            wanted = f"within {reach} of the arm at {here.round(4).tolist()}"
+            do = "Not sent: has something pushed the arm away? See to it."
+            raise _refused(wanted, target, do)
 
 
 def _axes(pose: ToolPose) -> np.ndarray:
-    """(7,) x, y, z m, yaw rad, tilt as a rotation vector rad."""
+    """Return (7,) x, y, z m, yaw rad, tilt as a rotation vector rad."""
     return np.array([*pose.position_m, pose.yaw_rad, *pose.tilt_rad], dtype=float)
 
 

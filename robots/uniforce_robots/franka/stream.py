@@ -1,8 +1,9 @@
-"""The one thread that owns the arm: reads it and streams targets to it at 100 Hz, between actions that come at 30 Hz.
+"""The one thread that owns the arm: it reads the arm and streams targets to it at 100 Hz.
 
-A policy's steps become ramps; when actions stop coming the target becomes the measured pose, so that a spring that
-pressed lets go; a fault ends the stream and nothing moves until the arm is recovered. Whatever stops the arm stops
-the hand with it. Each reading is checked before it is used, and each pose before it is sent.
+Actions at 30 Hz become ramps. When they stop coming, the target becomes the measured pose, so that
+a pressing spring lets go. A fault ends the stream, and nothing moves until the arm is recovered.
+Whatever stops the arm stops the hand with it. Each reading is checked before it is used, and each
+pose before it is sent.
 """
 
 import logging
@@ -16,11 +17,11 @@ import numpy as np
 from uniforce_robots.franka.arm import UNBELIEVED, ArmState, refuse_stopped
 from uniforce_robots.franka.clients import Arm
 from uniforce_robots.franka.guards import GuardLimits, towards, turn_towards
-from uniforce_robots.franka.hand import Hand
 from uniforce_robots.franka.limits import StreamSettings
 from uniforce_robots.franka.poses import ToolPose, between
 from uniforce_robots.franka.state_check import SendCheck, StateCheck, require_upright
 from uniforce_vtla.errors import RobotError, expected
+from uniforce_vtla.hand import Hand
 
 log = logging.getLogger(__name__)
 JOIN_s = 10.0  # a backend's own deadlines are shorter
@@ -32,7 +33,7 @@ GOOD_RATE = 0.9  # share of commands in time, below which someone should look at
 
 @dataclass(frozen=True)
 class Ramp:
-    """A straight way from one pose to another, begun at a time; before and after it the pose rests."""
+    """A straight way from one pose to another; before and after it the pose rests."""
 
     start: ToolPose
     end: ToolPose
@@ -52,7 +53,7 @@ class ArmStream:
         arm: a connected backend; no other thread may call it until ``stop`` has returned.
         settings: rhythm.
         limits: what is sent obeys them, whatever was submitted.
-        hand: ticked with the arm: what it raises ends the stream, and it stops when the arm does. None: no hand.
+        hand: ticked and stopped with the arm; its faults end the stream. None: no hand.
         clock: seconds, monotonic, the one that stamps the arm's readings.
     """
 
@@ -67,8 +68,11 @@ class ArmStream:
         self.settings = settings or StreamSettings()
         self.stale_count = 0  # how often the watchdog took the target away
         self._limits = limits or GuardLimits()
-        self._arm, self._hand, self._clock = arm, hand, clock
-        self._check_state, self._check_sent = StateCheck(), SendCheck(self._limits)
+        self._arm = arm
+        self._hand = hand
+        self._clock = clock
+        self._check_state = StateCheck()
+        self._check_sent = SendCheck(self._limits)
         self._lock = threading.Lock()
         self._state: ArmState | None = None
         self._ramp: Ramp | None = None
@@ -84,7 +88,7 @@ class ArmStream:
     def start(self) -> None:
         """Read the arm once, so that a state is there, and begin.
 
-        Raises RobotError: no reading, one that can't be, or a hand that doesn't point down (``tilt``).
+        Raises RobotError: no reading, an impossible one, or a hand not pointing down (``tilt``).
         """
         self.read_first()
         self._thread.start()
@@ -101,10 +105,11 @@ class ArmStream:
             log.warning(
                 "hand tilted by %.0f°: levelled along its first %.2f m", np.degrees(tilt_rad), way_m
             )
-        self._robot_time_s, self._advanced_s = state.robot_time_s, self._clock()
+        self._robot_time_s = state.robot_time_s
+        self._advanced_s = self._clock()
 
     def stop(self) -> None:
-        """Let go of the arm and wait for the thread. Safe to call twice; the arm's fault, if any, stays readable."""
+        """Let go of the arm and wait for the thread. Safe to call twice; ``fault`` stays."""
         self._ending.set()
         if self._thread.ident is None:
             return
@@ -129,13 +134,15 @@ class ArmStream:
         self._check()
         with self._lock:
             state = self._read_before()
-        now_s, limit_s = self._clock(), self.settings.state_age_s
+        now_s = self._clock()
+        limit_s = self.settings.state_age_s
         age_s = now_s - state.time_s
         if age_s <= limit_s:
             return state
         if now_s - self._read_s < age_s / 2:  # the client answers with what it said before
             raise _silent(age_s)
-        wanted, do = f"a reading younger than {limit_s} s", "Is the computer overloaded?"
+        wanted = f"a reading younger than {limit_s} s"
+        do = "Is the computer overloaded?"
         raise RobotError(expected("arm state", wanted, f"{age_s:.2f} s", do), "stale")
 
     def _read_before(self) -> ArmState:
@@ -170,9 +177,11 @@ class ArmStream:
 
     @property
     def resting(self) -> ToolPose | None:
-        """Where a hold or the watchdog keeps the arm; None while it follows actions, or before the first one."""
+        """Where a hold or the watchdog keeps the arm; None before and while it follows actions."""
         ramp = self._ramp
-        return ramp.end if ramp is not None and self._holding else None
+        if ramp is not None and self._holding:
+            return ramp.end
+        return None
 
     def _check(self) -> None:
         if self.fault is not None:
@@ -182,10 +191,10 @@ class ArmStream:
         return ToolPose.from_ee(self._read_before().ee_to_base)
 
     def _run(self) -> None:
-        """Stream until asked to end; whatever ends it, the arm is let go and nothing more is taken."""
+        """Stream until asked to end; then let go of the arm, whatever ended it."""
         due = time.monotonic()
         try:
-            # Not a daemon, which would leave the arm pulling: it ends in order when the program does.
+            # no daemon, which would leave the arm pulling: it ends in order when the program does
             while not self._ending.is_set() and threading.main_thread().is_alive():
                 self.tick()
                 due = max(due + 1 / self.settings.rate_hz, time.monotonic())
@@ -241,7 +250,8 @@ class ArmStream:
         """Notice a robot whose clock stands still; its client does so only after a second."""
         now = self._clock()
         if state.robot_time_s != self._robot_time_s:
-            self._robot_time_s, self._advanced_s = state.robot_time_s, now
+            self._robot_time_s = state.robot_time_s
+            self._advanced_s = now
         if now - self._advanced_s > self.settings.state_age_s:
             raise _silent(now - self._advanced_s)
 
@@ -265,10 +275,11 @@ class ArmStream:
             )
         if self._rest_wanted:
             self._rest_here(now_s)
-        return self._ramp.at(now_s) if self._holding else self._slowed(self._ramp.at(now_s), now_s)
+        goal = self._ramp.at(now_s)
+        return goal if self._holding else self._slowed(goal, now_s)
 
     def _slowed(self, goal: ToolPose, now_s: float) -> ToolPose:
-        """Return the goal, or as far towards it as speed × time allows: also a thread that was late makes no jump."""
+        """Return the goal, or as far towards it as speed × time allows: no jump after a delay."""
         if self._sent is None:
             return self._measured()
         limits = self._limits
@@ -281,7 +292,7 @@ class ArmStream:
         )
 
     def _rest_here(self, now_s: float) -> None:
-        """Take the measured pose as target, once: followed for ever it would let the arm sink under any load."""
+        """Take the measured pose as target, once: following it would let the arm sink."""
         here = self._measured()
         self._ramp = Ramp(here, here, now_s, 0.0)
         self._rest_wanted, self._holding = False, True
@@ -301,5 +312,6 @@ class ArmStream:
 
 
 def _silent(for_s: float) -> RobotError:
-    came, do = f"none for {for_s:.2f} s", "Check the cable and the robot's controller."
+    came = f"none for {for_s:.2f} s"
+    do = "Check the cable and the robot's controller."
     return RobotError(expected("arm", "new states from the robot", came, do), "connection")

@@ -1,1 +1,1 @@
-"""Records equilibrium pairs: what two fingers see of one contact, kept only where it was slow and balanced."""
+"""Record equilibrium pairs: two fingers' images of one contact, where it was slow and balanced."""

@@ -1,6 +1,6 @@
 """Forces that a session has covered so far, and those still missing.
 
-Forces are estimates of the same readers that score the pairs: they steer an operator, and label nothing.
+Forces are estimates of the readers that score the pairs. They steer an operator and label nothing.
 """
 
 import numpy as np

@@ -1,12 +1,12 @@
-"""Force on one pad from its markers: a field of their motion, and a small network per kind of sensor that reads it.
+"""Force on one pad: a field of its markers' motion, read by a small network per sensor type.
 
-A field is (3, 8, 8): motion in x and y and growth on a fixed grid, whatever markers a sensor has. Markers are found and
-matched as for the hand descriptor; each cell takes the mean of the markers around it, near ones counting more. A lost
-marker leaves its neighbours in charge. Finger frame in, canonical frame out.
+A field is (3, 8, 8): motion in x and y and growth on a fixed grid, whatever markers a sensor has.
+Markers are found and matched as for the hand descriptor; each grid point takes the weighted mean of
+the markers around it. Finger frame in, canonical frame out.
 
-The network is trained in simulation on many units. It reads marker motion, not the tokenizer's latents, because a tenth
-of the force must be distinguished: on simulated grasps of units it has not seen its shear is off by less than 0.1 N,
-where heads on latents are off by a sixth of the force. Its normal force leans on the shape of what is held and is
+The network is trained in simulation on many units. It reads marker motion, not the tokenizer's
+latents: on simulated grasps of unseen units its shear is off by less than 0.1 N, where heads on
+latents are off by a sixth of the force. Its normal force depends on the shape of the object and is
 corrected per grasp (see ``pair_judge``).
 """
 
@@ -24,9 +24,12 @@ from uniforce_vtla.markers.marker_blobs import spacing
 from uniforce_vtla.tokenizer.descriptor import MIN_MATCHES, find_blobs, match
 from uniforce_vtla.tokenizer.weights import load_model, read_config
 
-GRID, CHANNELS = 8, 3
+GRID = 8
+CHANNELS = 3
 FEATURES = CHANNELS * GRID * GRID
-MOTION_PX, GROWTH = 10.0, 0.2  # what counts as one: typical of a firm contact
+# what counts as one: typical of a firm contact
+MOTION_PX = 10.0
+GROWTH = 0.2
 ASSETS = Path(__file__).parent / "assets"
 HIDDEN = (192, 96)
 
@@ -36,7 +39,7 @@ class TouchField:
 
     Args:
         reference: (480, 640) uint8 marker image in free air, as the sensor saw it.
-        finger: who wears it; the right finger's field is mirrored into the canonical frame.
+        finger: which one; the right finger's field is mirrored into the canonical frame.
 
     Raises ContractError: no marker image, or too few markers.
     """
@@ -50,13 +53,15 @@ class TouchField:
                 expected("reference", f"≥ {MIN_MATCHES} markers", came, "Capture it again.")
             )
         self._reach_px = spacing(self._before.centre_px)
-        y, x = ((np.arange(GRID) + 0.5) * size / GRID for size in MARKER_IMAGE_SHAPE)
+        rows, columns = MARKER_IMAGE_SHAPE
+        y = (np.arange(GRID) + 0.5) * rows / GRID
+        x = (np.arange(GRID) + 0.5) * columns / GRID
         cells = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         distance = np.linalg.norm(cells[:, None] - self._before.centre_px[None], axis=-1)
         self._weight = np.exp(-0.5 * (distance / (0.7 * self._reach_px)) ** 2) + 1e-9  # (cells, M)
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
-        """Return (192,) float32 of one (480, 640) image: motion x, motion y, growth of each cell, row by row."""
+        """Return (192,) float32 of one (480, 640) image: maps of motion x, motion y, growth."""
         after = find_blobs(check_marker_image(image))
         i, j = match(self._before, after, self._reach_px)
         field = np.zeros((GRID * GRID, CHANNELS), np.float32)
@@ -85,8 +90,8 @@ class FingerForce(nn.Module):
         self.register_buffer("spread", torch.ones(FEATURES))
         first, second = HIDDEN
         self.layers = nn.Sequential(
-            nn.Dropout(dropout), nn.Linear(FEATURES, first), nn.GELU(), nn.Linear(first, second), nn.GELU(),
-            nn.Linear(second, 3),
+            nn.Dropout(dropout), nn.Linear(FEATURES, first), nn.GELU(),
+            nn.Linear(first, second), nn.GELU(), nn.Linear(second, 3),
         )  # fmt: skip
 
     def forward(self, field: torch.Tensor) -> torch.Tensor:
@@ -100,11 +105,11 @@ class FingerForce(nn.Module):
 
     @classmethod
     def from_pretrained(cls, sensor: str, folder: str | Path | None = None) -> FingerForce:
-        """Load the reader of a kind of sensor, shipped or from a folder.
+        """Load the reader of a sensor type, shipped or from a folder.
 
         Raises CheckpointError: none for that sensor, or damaged.
         """
-        path = Path(folder) if folder else ASSETS / sensor
+        path = Path(folder or ASSETS / sensor)
         if not path.is_dir():
             known = " | ".join(sorted(p.name for p in ASSETS.glob("*") if p.is_dir()))
             do = "Train one: python -m benchmarks.pair_quality train=true rigs=…"

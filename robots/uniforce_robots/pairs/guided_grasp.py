@@ -1,10 +1,11 @@
-"""Guided grasps in numbers: how the hand moves, what both pads must carry, and what goes wrong now and then.
+"""Guided grasps in numbers: the hand's motion, the load of both pads, and now and then a fault.
 
-Axes: x = the fingers' closing axis is each pad's normal z; loads are canonical (fx, fy shear, fz compression). The
-object is in equilibrium with what holds it from outside, unless one of the faults breaks that:
+Axes: x = the fingers' closing axis is each pad's normal z; loads are canonical (fx, fy shear, fz
+compression). The object is in equilibrium with what holds it from outside, but for the faults:
 
-- ``jerked``: the hand is jerked along the closing axis; object and holder have mass, so one pad must push harder.
-- ``free``: nothing holds the object from outside; pads that face it askew shear it against each other.
+- ``jerked``: the hand is jerked along the closing axis; object and holder have mass, so one pad
+  must push harder.
+- ``free``: nothing holds the object from outside; pads askew to it shear it against each other.
 - ``slipping``: one pad loses its grip and the other takes over its share of the load.
 - ``one_finger``: one pad doesn't touch; the holder pushes back.
 - ``pushed``: the person leans on the hand along the closing axis; the holder pushes back.
@@ -24,7 +25,9 @@ GRIP_N = (2.0, 12.0)  # range of the firmest grip; while guided it varies below 
 SHEAR_SHARE = 0.6  # largest load pulled through the object, as a share of what friction would hold
 SLOW_m_s2 = 0.10  # root mean square acceleration of a hand that is led slowly
 RESIDUAL = 0.01  # root mean square of the small differences no grasp is free of, share of the force
-SPEED_NOISE_m_s, ACCELERATION_NOISE_m_s2 = 0.002, 0.10  # of what the robot measures
+# of the robot's measurements
+SPEED_NOISE_m_s = 0.002
+ACCELERATION_NOISE_m_s2 = 0.10
 GRIP_NOISE = 0.08  # relative standard deviation of the gripper's force estimate, one bias per grasp
 
 
@@ -32,8 +35,8 @@ GRIP_NOISE = 0.08  # relative standard deviation of the gripper's force estimate
 class GraspSettings:
     """How grasps are drawn.
 
-    At first the hand rests while the fingers close to their firmest grip: nothing else loads the pads then, so that
-    each grasp shows how its two fingers compare.
+    At first the hand rests while the fingers close to their firmest grip. Nothing else loads the
+    pads then, so that each grasp shows how its two fingers compare.
     """
 
     rate_hz: float = 15.0  # frames per second
@@ -69,7 +72,9 @@ def draw_grasp(
     The loads asked for stay below the pads' friction.
     """
     fault = str(rng.choice(settings.faults)) if rng.random() < settings.fault_share else "none"
-    T, dt, led = settings.frames, 1 / settings.rate_hz, _after_rest(settings)
+    T = settings.frames
+    dt = 1 / settings.rate_hz
+    led = _after_rest(settings)
     grip = _grip(rng, settings)
     acceleration = SLOW_m_s2 * _wander(rng, T, 3, 4) * led[:, None]
     if fault == "jerked":
@@ -105,9 +110,11 @@ def _faulty(
     elif fault == "slipping":
         mean[:, :2] = _at_least(rng, shear, 0.35 * friction * grip) * _after_rest(settings)[:, None]
         difference[:, :2] += side * rng.uniform(0.3, 0.9) * window[:, None] * mean[:, :2]
-    left, right = mean + difference / 2, mean - difference / 2
+    left = mean + difference / 2
+    right = mean - difference / 2
     if fault == "one_finger":
-        (left if side > 0 else right)[:] *= (1 - window)[:, None] if rng.random() < 0.5 else 0.0
+        lifted = left if side > 0 else right
+        lifted *= (1 - window)[:, None] if rng.random() < 0.5 else 0.0
     return _carried(left, friction), _carried(right, friction)
 
 
@@ -121,7 +128,7 @@ def _carried(load: np.ndarray, friction: float) -> np.ndarray:
 
 
 def _at_least(rng: np.random.Generator, shear: np.ndarray, least: np.ndarray) -> np.ndarray:
-    """Return shear whose size is nowhere below ``least`` (T,): what does not pull can't slip."""
+    """Return shear of at least ``least`` (T,): without a pull nothing slips."""
     size = np.linalg.norm(shear, axis=1)
     along = shear / np.maximum(size, 1e-9)[:, None]
     angle = rng.uniform(-np.pi, np.pi)
@@ -130,7 +137,7 @@ def _at_least(rng: np.random.Generator, shear: np.ndarray, least: np.ndarray) ->
 
 
 def _grip(rng: np.random.Generator, settings: GraspSettings) -> np.ndarray:
-    """(T,) normal force: closing gently to the firmest grip, then slowly looser and tighter below it."""
+    """Return (T,) normal force: closing gently to the firmest grip, then varying below it."""
     T = settings.frames
     peak = np.exp(rng.uniform(*np.log(GRIP_N)))
     closing = np.clip((np.arange(T) + 1) / (0.8 * settings.rest_s * settings.rate_hz), 0, 1)
@@ -139,25 +146,25 @@ def _grip(rng: np.random.Generator, settings: GraspSettings) -> np.ndarray:
 
 
 def _shear(rng: np.random.Generator, grip: np.ndarray, friction: float) -> np.ndarray:
-    """(T, 2) load per finger that the holder pulls through the object, slowly turning."""
+    """Return (T, 2) load per finger that the holder pulls through the object, slowly turning."""
     share = SHEAR_SHARE * friction * rng.random()
     way = _wander(rng, len(grip), 2, 3)
     return share * grip[:, None] * way / np.maximum(1, np.abs(way).max())
 
 
 def _wander(rng: np.random.Generator, frames: int, axes: int, knots: int) -> np.ndarray:
-    """(T, axes) smooth random ways of unit variance through so many knots."""
+    """Return (T, axes) smooth random ways of unit variance through so many knots."""
     at = np.linspace(0, 1, knots + 2)
     return CubicSpline(at, rng.standard_normal((knots + 2, axes)))(np.linspace(0, 1, frames))
 
 
 def _after_rest(settings: GraspSettings) -> np.ndarray:
-    """(T,) 0 while the hand rests, then rising to 1 within 0.2 s."""
+    """Return (T,) 0 while the hand rests, then rising to 1 within 0.2 s."""
     return np.clip((settings.times_s - settings.rest_s) / 0.2, 0, 1)
 
 
 def _window(rng: np.random.Generator, settings: GraspSettings) -> np.ndarray:
-    """(T,) a stretch of the led part with soft ends, 1 inside."""
+    """Return (T,) a stretch of the led part with soft ends, 1 inside."""
     start = rng.uniform(settings.rest_s + 0.1, 0.6 * settings.frames / settings.rate_hz)
     stop = start + rng.uniform(0.3, 0.9)
     return np.clip(
@@ -166,11 +173,12 @@ def _window(rng: np.random.Generator, settings: GraspSettings) -> np.ndarray:
 
 
 def _jerk(rng: np.random.Generator, settings: GraspSettings) -> np.ndarray:
-    """(T,) m/s² of two to four jerks there and back."""
+    """Return (T,) m/s² of two to four jerks there and back."""
     time = settings.times_s
     jerk = np.zeros_like(time)
     for _ in range(rng.integers(2, 5)):
-        at, width = rng.uniform(settings.rest_s + 0.2, time[-1]), rng.uniform(0.08, 0.2)
+        at = rng.uniform(settings.rest_s + 0.2, time[-1])
+        width = rng.uniform(0.08, 0.2)
         shape = (time - at) / width
         jerk += rng.choice([-1, 1]) * rng.uniform(3, 12) * shape * np.exp(0.5 - shape**2 / 2)
     return jerk

@@ -1,15 +1,15 @@
-"""How far a pair is from equilibrium, from what a rig has: two tactile images, the hand's motion, the object's mass.
+"""Estimate a pair's distance from equilibrium: from images, the hand's motion and the mass.
 
-The truth is never used. Three sources, each for what it measures best:
+Three sources, each for what it measures best:
 
-- *shear* from the touch: a difference of a few per cent of the load shows, once the session's own pairs have shown how
-  the two units' shears compare;
-- *normal difference* from the hand's acceleration along the closing axis, mass × acceleration; the touch overrules it
-  only where both fingers' normals disagree by far more than they did in the session so far;
-- *a finger that is not touching* from the touch.
+- *shear* from touch: it shows a difference of a few per cent of the load, once the session's own
+  pairs have shown how the two units' shears compare;
+- *normal difference* from mass × acceleration of the hand along the closing axis; touch overrules
+  it only where both normals disagree by far more than they did in the session so far;
+- *a finger that is not touching* from touch.
 
-How two units' normals compare depends on what is held and where, so every grasp brings its own answer: while the
-fingers close with the hand at rest, both pads carry the same growing force.
+How two units' normals compare depends on the object and the place. Every grasp shows it anew: while
+the fingers close with the hand at rest, both pads carry the same growing force.
 """
 
 from dataclasses import dataclass
@@ -27,7 +27,9 @@ LIMIT = 0.115
 TRUST = 3.0
 SMOOTH = 3  # frames of the moving mean of forces; odd
 ALONE = 0.3  # share of the other finger's normal below which a finger counts as not touching
-REST_SPEED_m_s, REST_ACCELERATION_m_s2 = 0.02, 0.6  # a hand below both is at rest
+# a hand below both is at rest
+REST_SPEED_m_s = 0.02
+REST_ACCELERATION_m_s2 = 0.6
 # of the log ratio of normals, expected of a session that has not shown its own yet
 FIRST_SPREAD = 0.2
 GRASPS_KEPT = 48  # the newest, from which a session's comparison is learnt
@@ -74,7 +76,7 @@ class _Compared(NamedTuple):
 
 
 class PairJudge:
-    """Scores a session's grasps one after the other, and learns from each how the units compare, without any label."""
+    """Score a session's grasps in turn, and learn from each how the units compare, unlabelled."""
 
     def __init__(self) -> None:
         self._shear = np.eye(3, 2)  # takes the right finger's force to the left finger's shear
@@ -110,21 +112,24 @@ class PairJudge:
 
     def _compared(self, grasp: GraspSignals) -> _Compared:
         """Make the right normal comparable by the grasp's own closing."""
-        left, right = _smooth(grasp.left_N), _smooth(grasp.right_N)
-        a, b = np.maximum(left[:, 2], LEAST_N), np.maximum(right[:, 2], LEAST_N)
+        left = _smooth(grasp.left_N)
+        right = _smooth(grasp.right_N)
+        a = np.maximum(left[:, 2], LEAST_N)
+        b = np.maximum(right[:, 2], LEAST_N)
         weight = _rest(grasp) * np.clip(np.minimum(a, b), 0, 3)
         around = np.average(np.log(a), weights=weight + 1e-6)
         terms = np.column_stack([np.ones_like(a), np.log(a) - around])
         # as if from one, four frames
-        prior, pull = np.array([self._log_ratio, 0.0]), np.diag([1.0, 4.0])
+        prior = np.array([self._log_ratio, 0.0])
+        pull = np.diag([1.0, 4.0])
         normal = terms.T @ (weight[:, None] * terms) + pull
         found = np.linalg.solve(normal, terms.T @ (weight * np.log(b / a)) + pull @ prior)
-        low, high = prior[0] - 0.7, prior[0] + 0.7  # a factor of 2: more is a finger not touching
-        found[0] = np.clip(found[0], low, high)
+        # a factor of 2: more is a finger not touching
+        found[0] = np.clip(found[0], prior[0] - 0.7, prior[0] + 0.7)
         return _Compared(left, right, a, b * np.exp(-terms @ found))
 
     def _learn_spread(self) -> float:
-        """Return the spread of the log ratio of normals while guided: robust, and mixed with the first guess."""
+        """Return the spread of the normals' log ratio while guided, mixed with the first guess."""
         deviations = []
         for grasp in self._grasps:
             c = self._compared(grasp)
@@ -133,14 +138,15 @@ class PairJudge:
         seen = np.concatenate(deviations)
         if not len(seen):
             return FIRST_SPREAD
-        own, grasps = 1.4826 * float(np.median(seen)) + 0.02, len(self._grasps)
+        own = 1.4826 * float(np.median(seen)) + 0.02
+        grasps = len(self._grasps)
         return float(
             np.sqrt((SPREAD_GRASPS * FIRST_SPREAD**2 + grasps * own**2) / (SPREAD_GRASPS + grasps))
         )
 
 
 def _rest(grasp: GraspSignals) -> np.ndarray:
-    """(T,) the first frames, until the hand moves for two frames in a row."""
+    """Return (T,) the first frames, until the hand moves for two frames in a row."""
     fast = np.linalg.norm(grasp.velocity_m_s, axis=1) > REST_SPEED_m_s
     moving = fast | (np.linalg.norm(grasp.acceleration_m_s2, axis=1) > REST_ACCELERATION_m_s2)
     twice = moving & np.append(moving[1:], True)
@@ -165,16 +171,19 @@ def _size(shear: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 
 def _compare_shear(left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Return (3, 2) that takes the right force to the left shear: robust, since a part of the pairs is out of balance.
+    """Return (3, 2) that takes the right force to the left shear, robust to unbalanced pairs.
 
-    Least squares whose rows count less the worse they fit (Cauchy weights), from the identity on and pulled towards it:
-    without that, a session that begins with a bad grasp learns that grasp.
+    Least squares with Cauchy weights, from the identity on and pulled towards it: otherwise a
+    session that begins with a bad grasp learns that grasp.
     """
     touching = np.minimum(left[:, 2], right[:, 2]) > TOUCH_N / 2
-    left, right = left[touching], right[touching]
+    left = left[touching]
+    right = right[touching]
     size = np.linalg.norm(left, axis=1)
-    noise, importance = 0.1 + 0.04 * size, 1 / (0.5 + 0.05 * size) ** 2
-    identity, pull = np.eye(3, 2), np.diag(PULL_N2)
+    noise = 0.1 + 0.04 * size
+    importance = 1 / (0.5 + 0.05 * size) ** 2
+    identity = np.eye(3, 2)
+    pull = np.diag(PULL_N2)
     found = identity.copy()
     for axis in range(2):
         solution = identity[:, axis]

@@ -1,8 +1,8 @@
-"""Record equilibrium pairs: guide grasps of one indenter after the other until enough pairs are slow and balanced.
+"""Record equilibrium pairs: guide grasps of each indenter until enough are slow and balanced.
 
-A frame is kept when the hand is slow (``gate``), the score finds it balanced (``pair_judge``), and its force cell is
-not crowded yet (``coverage``). Kept pairs are saved chunk by chunk; a recorder started again goes on where the disk
-stops.
+A frame is kept when the hand is slow (``gate``), the score finds it balanced (``pair_judge``), and
+its bin of force is not crowded yet (``coverage``). Kept pairs are saved chunk by chunk; a recorder
+started again goes on where the disk stops.
 """
 
 from __future__ import annotations
@@ -59,20 +59,23 @@ class SessionReport:
 
 
 class PairRecorder:
-    """One session: references are taken once, then grasps come in; ``show`` is called with the live status."""
+    """One session: references once, then grasps; ``show`` is called with the live status."""
 
     def __init__(
         self, rig: PairRig, store: PairStore, plan: RecordingPlan, show: Callable[[Status], None]
     ) -> None:
-        self._rig, self._store, self._plan, self._show = rig, store, plan, show
+        self._rig = rig
+        self._store = store
+        self._plan = plan
+        self._show = show
         self._judge = PairJudge()
         self.report = SessionReport()
 
     def run(self) -> SessionReport:
         """Record what is missing of every indenter.
 
-        Raises DatasetError: an indenter yields hardly any pairs, or the disk is full; SensorError, RobotError: from the
-        rig; what was saved stays.
+        Raises DatasetError: an indenter yields hardly any pairs, or the disk is full; SensorError,
+        RobotError: from the rig; saved pairs stay.
         """
         missing = [i for i, have in enumerate(self._store.counts) if have < self._plan.pairs]
         if missing:
@@ -103,20 +106,25 @@ class PairRecorder:
         self._judge.learn(track.signals())
         outcomes = pairs.take(track, quality, self._reasons(track, quality))
         self.report.outcomes.update(outcomes)
-        self.report.kept += [
-            (track.frames[0].grasp, k) for k, outcome in enumerate(outcomes) if outcome == KEPT
-        ]
+        for k, outcome in enumerate(outcomes):
+            if outcome == KEPT:
+                self.report.kept.append((track.frames[0].grasp, k))
         self._show(self._status(track, pairs))
 
     def _reasons(self, track: GraspTrack, quality: PairQuality) -> list[str]:
-        """Why each frame would not be kept, "" where it would."""
+        """Return why each frame would not be kept, "" where it would."""
         gate = track.gate(self._rig.rate_hz, self._plan.limits).tolist()
-        flags = zip(gate, quality.flagged, strict=True)
-        return [reason or ("out of balance" if flagged else "") for reason, flagged in flags]
+        reasons = []
+        for reason, flagged in zip(gate, quality.flagged, strict=True):
+            if flagged and not reason:
+                reason = "out of balance"
+            reasons.append(reason)
+        return reasons
 
     def _status(self, track: GraspTrack, pairs: _Pairs) -> Status:
         quality = self._judge.judge(track.signals())
-        error, reason = float(quality.error[-1]), self._reasons(track, quality)[-1]
+        error = float(quality.error[-1])
+        reason = self._reasons(track, quality)[-1]
         coverage = self._store.coverage[pairs.indenter]
         return Status(pairs.indenter + 1, pairs.name, pairs.have, error, reason, coverage)
 
@@ -137,8 +145,11 @@ class _Pairs:
     def __init__(
         self, indenter: int, store: PairStore, plan: RecordingPlan, session: Session
     ) -> None:
-        self.indenter, self.name = indenter, store.indenters[indenter]
-        self._store, self._plan, self._session = store, plan, session
+        self.indenter = indenter
+        self.name = store.indenters[indenter]
+        self._store = store
+        self._plan = plan
+        self._session = session
         self._waiting: list[Pair] = []
         self._cells = store.coverage[indenter].force.copy()  # with those that wait
 
@@ -175,8 +186,9 @@ class _Pairs:
         return KEPT
 
     def _is_due(self) -> bool:
-        """A full chunk, or the last one; the last but one leaves enough for a chunk behind."""
-        waits, after = len(self._waiting), self.missing
+        """Return whether a chunk is full or the last; enough pairs must be left for the last."""
+        waits = len(self._waiting)
+        after = self.missing
         return waits >= MIN_CHUNK and (
             after <= 0 or (waits >= self._plan.chunk and after >= MIN_CHUNK)
         )

@@ -1,6 +1,6 @@
 """Guided grasps in simulation: two units, an indenter, and the images both fingers would see.
 
-Yields what a rig would deliver. The truth beside it is for judging the score, never for the score. Forces are
+Yields the frames of a rig. The truth beside them judges the score and never enters it. Forces are
 canonical (the left finger's frame), so that in equilibrium both are equal.
 """
 
@@ -30,7 +30,7 @@ CANONICAL = np.array([-1.0, 1.0, 1.0])  # the right finger's own x against the c
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """One session's rig: registry names, the seed of units, grasps and noise, and how a hand guides."""
+    """One session's rig: registry names, seed of units, grasps and noise, how a hand guides."""
 
     left_sensor: str = "gelsight"
     right_sensor: str = "tactip"
@@ -47,16 +47,16 @@ class GraspTruth:
 
 
 def equilibrium_error(left_N: np.ndarray, right_N: np.ndarray) -> np.ndarray:
-    """Return (T,) ‖F_left − F_right‖ over the mean of both magnitudes, or over ``FLOOR_N`` where they are lighter.
+    """Return (T,) ‖F_left − F_right‖ over the mean of both magnitudes, at least ``FLOOR_N``.
 
-    Forces are (T, 3), what each pad carries in the canonical frame.
+    Forces are (T, 3), of each pad in the canonical frame.
     """
     mean = (np.linalg.norm(left_N, axis=-1) + np.linalg.norm(right_N, axis=-1)) / 2
     return np.linalg.norm(left_N - right_N, axis=-1) / np.maximum(mean, FLOOR_N)
 
 
 class SimulatedRig:
-    """A ``PairRig``: two units that live for a session, and as many grasps of any indenter as one asks for."""
+    """A ``PairRig``: two units for a session, and any number of grasps of any indenter."""
 
     def __init__(self, rehearsal: Rehearsal) -> None:
         self.rehearsal = rehearsal
@@ -87,14 +87,16 @@ class SimulatedRig:
         grasp = draw_grasp(self._rng, self.rehearsal.grasps, self._true_mass_kg, OPTIONS.friction)
         contacts = self._contacts(indenter, grasp.left_N, grasp.right_N)
         images = {f: images_of(self._fingers[f], contact) for f, contact in contacts.items()}
-        left, right = (self._fingers[f].carried(contact)[0] for f, contact in contacts.items())
+        left_N = self._fingers["left"].carried(contacts["left"])[0]
+        right_N = self._fingers["right"].carried(contacts["right"])[0]
         number = len(self.truths)
-        self.truths.append(GraspTruth(equilibrium_error(left, right * CANONICAL), grasp.fault))
-        moments = zip(
-            grasp.velocity_m_s, grasp.acceleration_m_s2, grasp.grip_N.tolist(), strict=True
-        )
-        seen = ({f: images[f][k] for f in FINGERS} for k in range(len(grasp.grip_N)))
-        return [RigFrame(number, pair, *moment) for pair, moment in zip(seen, moments, strict=True)]
+        self.truths.append(GraspTruth(equilibrium_error(left_N, right_N * CANONICAL), grasp.fault))
+        frames = []
+        for k, grip_N in enumerate(grasp.grip_N.tolist()):
+            pair = {f: images[f][k] for f in FINGERS}
+            velocity = grasp.velocity_m_s[k]
+            frames.append(RigFrame(number, pair, velocity, grasp.acceleration_m_s2[k], grip_N))
+        return frames
 
     def _contacts(
         self, indenter: str, left_N: np.ndarray, right_N: np.ndarray
@@ -102,17 +104,16 @@ class SimulatedRig:
         """Return each finger's contact in its own frame; the place stays the same for a grasp."""
         rng = self._rng
         centre = rng.uniform(-REACH_mm, REACH_mm, 2)
-        angle, scale = rng.uniform(-np.pi, np.pi), rng.uniform(0.85, 1.15)
+        angle = np.array([rng.uniform(-np.pi, np.pi)])
+        scale = np.array([rng.uniform(0.85, 1.15)])
         off = rng.uniform(-1, 1, 2) * MISALIGNED_mm
-        states = [
-            _held(gap_maps([indenter], at[None], np.array([angle]), np.array([scale])), load)
-            for at, load in ((centre, left_N), (centre + off, right_N))
-        ]
-        return {"left": states[0], "right": mirrored(states[1])}
+        left_gap = gap_maps([indenter], centre[None], angle, scale)
+        right_gap = gap_maps([indenter], (centre + off)[None], angle, scale)
+        return {"left": _held(left_gap, left_N), "right": mirrored(_held(right_gap, right_N))}
 
 
 def _held(gap: np.ndarray, load: np.ndarray) -> ContactState:
-    """Return the same object (1, G, G) in each frame of a load (T, 3), nothing where the pad carries nothing."""
+    """Return an object (1, G, G) in each frame of a load (T, 3), none where the load is none."""
     gaps = np.repeat(gap, len(load), axis=0)
     gaps[load[:, 2] <= 0] = np.inf
     return ContactState(

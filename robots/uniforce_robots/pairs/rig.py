@@ -1,9 +1,9 @@
 """Rig of a pair recorder: frames of both fingers with the hand's motion; and the real one.
 
-The real one is a Franka led by hand with two tactile fingers; it has never run on hardware. The hand's velocity and
-acceleration come from its measured poses, by a polynomial through the last moments; the robot must be soft
-(``HAND_GUIDED`` gains). A Franka Hand measures its width, not its force: the grip is the force it is commanded to
-hold with.
+The real one is a Franka led by hand with two tactile fingers; it has never run on hardware. The
+hand's velocity and acceleration come from a polynomial through its last measured poses. The robot
+must be soft (``HAND_GUIDED`` gains). A Franka Hand measures its width, not its force: the grip is
+the commanded force.
 """
 
 import time
@@ -51,7 +51,7 @@ class PairRig(Protocol):
 
 
 class HandMotion:
-    """Velocity and acceleration (3,) of the hand in its own frame: a parabola through the last measured poses."""
+    """Velocity and acceleration (3,) of the hand in its own frame: a parabola through poses."""
 
     def __init__(self) -> None:
         self._times: deque[float] = deque(maxlen=POSES)
@@ -82,8 +82,8 @@ class HandMotion:
 class RobotRig:
     """A ``PairRig`` on a robot that is connected and soft, and fingers that are connected.
 
-    The gripper is commanded to hold with ``grip_N``. ``steer`` is called with each measured pose (5,): it lets a soft
-    arm follow the hand that leads it.
+    The gripper is commanded to hold with ``grip_N``. ``steer`` is called with each measured pose
+    (5,): it lets a soft arm follow the hand that leads it.
     """
 
     def __init__(
@@ -97,15 +97,21 @@ class RobotRig:
         steer: Callable[[np.ndarray], None] = lambda measured: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.sensors, self.rate_hz, self.mass_kg = sensors, rate_hz, mass_kg
-        self._robot, self._fingers, self._grip_N = robot, fingers, grip_N
-        self._steer, self._clock = steer, clock
+        self.sensors = sensors
+        self.rate_hz = rate_hz
+        self.mass_kg = mass_kg
+        self._robot = robot
+        self._fingers = fingers
+        self._grip_N = grip_N
+        self._steer = steer
+        self._clock = clock
         self._grasp = 0
         # widest since they opened, or narrowest since they closed
-        self._is_open, self._turning_m = True, 0.0
+        self._is_open = True
+        self._turning_m = 0.0
 
     def references(self) -> dict[Finger, np.ndarray]:
-        """Return the references taken when the fingers were opened, in free air; ContractError: none was taken."""
+        """Return the free-air references of the open fingers; ContractError: none was taken."""
         return {
             f: np.ascontiguousarray(c.reference_image()[..., 0]) for f, c in self._fingers.items()
         }
@@ -129,10 +135,15 @@ class RobotRig:
 
     def _count_grasps(self, width_m: float) -> int:
         """Return the number of this grasp: it ends, once, when the fingers open."""
-        self._turning_m = (max if self._is_open else min)(self._turning_m, width_m)
-        if self._is_open and width_m < self._turning_m - OPENED_m:
-            self._is_open, self._turning_m = False, width_m
-        elif not self._is_open and width_m > self._turning_m + OPENED_m:
-            self._is_open, self._turning_m = True, width_m
-            self._grasp += 1
+        if self._is_open:
+            self._turning_m = max(self._turning_m, width_m)
+            if width_m < self._turning_m - OPENED_m:
+                self._is_open = False
+                self._turning_m = width_m
+        else:
+            self._turning_m = min(self._turning_m, width_m)
+            if width_m > self._turning_m + OPENED_m:
+                self._is_open = True
+                self._turning_m = width_m
+                self._grasp += 1
         return self._grasp

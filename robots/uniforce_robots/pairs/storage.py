@@ -1,8 +1,8 @@
-"""Kept pairs on disk, twice: as a LeRobot dataset and in the UniForce-pair layout. Each saved chunk survives a kill.
+"""Kept pairs on disk, as a LeRobot dataset and in the UniForce-pair layout; a kill loses no chunk.
 
-The dataset comes first and is the one that counts: a chunk is an episode, committed in one step, marker images exact.
-The layout follows; where a kill leaves it behind, ``PairStore`` writes the missing images from the dataset when it
-opens.
+The dataset comes first and counts: a chunk is an episode, committed in one step, marker images
+exact. The layout follows. Where a kill leaves it behind, ``PairStore`` writes the missing images
+from the dataset when it opens.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.options import absolute
 
-LAYOUT, DATASET = "uniforce_pairs", "lerobot"
+LAYOUT = "uniforce_pairs"
+DATASET = "lerobot"
 PATTERN = "uniforce"
 MIN_CHUNK = 2  # LeRobot computes no statistics of fewer frames
 
@@ -62,35 +63,47 @@ class Pair:
 
     def row(self) -> dict[str, Any]:
         """Return the frame with the dataset's keys, all but the chunk's own."""
-        numbers = {keys.pair_force_key(f): self.force_N[f] for f in FINGERS} | {
+        numbers = {
+            keys.pair_force_key("left"): self.force_N["left"],
+            keys.pair_force_key("right"): self.force_N["right"],
             keys.PAIR_ERROR: [self.error],
             keys.PAIR_VELOCITY: self.frame.velocity_m_s,
             keys.PAIR_ACCELERATION: self.frame.acceleration_m_s2,
             keys.PAIR_GRIP: [self.frame.grip_N],
         }
         row: dict[str, Any] = {key: np.asarray(value, np.float32) for key, value in numbers.items()}
-        return row | {keys.tactile_key(f): self.frame.images[f] for f in FINGERS}
+        for finger, image in self.frame.images.items():
+            row[keys.tactile_key(finger)] = image
+        return row
 
 
 def pair_features() -> dict[str, dict]:
     """Return LeRobot's features dict of recorded pairs."""
     features: dict[str, dict] = {key: video_column(MARKER_VIDEO_SHAPE) for key in keys.TACTILE_KEYS}
-    features |= {keys.pair_force_key(f): vector_column(["fx_N", "fy_N", "fz_N"]) for f in FINGERS}
+    for finger in FINGERS:
+        features[keys.pair_force_key(finger)] = vector_column(["fx_N", "fy_N", "fz_N"])
     features |= {
-        key: vector_column(["x", "y", "z"]) for key in (keys.PAIR_VELOCITY, keys.PAIR_ACCELERATION)
+        keys.PAIR_VELOCITY: vector_column(["x", "y", "z"]),
+        keys.PAIR_ACCELERATION: vector_column(["x", "y", "z"]),
+        keys.PAIR_ERROR: scalar_column("float32"),
+        keys.PAIR_GRIP: scalar_column("float32"),
+        keys.PAIR_INDENTER: flat_column(1, "int64"),
+        keys.PAIR_SESSION: flat_column(1, "int64"),
     }
-    features |= {key: scalar_column("float32") for key in (keys.PAIR_ERROR, keys.PAIR_GRIP)}
-    integers = (keys.PAIR_INDENTER, keys.PAIR_SESSION, *(keys.sensor_key(f) for f in FINGERS))
-    return features | {key: flat_column(1, "int64") for key in integers}
+    for finger in FINGERS:
+        features[keys.sensor_key(finger)] = flat_column(1, "int64")
+    return features
 
 
 class PairStore:
     """Appends chunks, or goes on with what is at ``root``.
 
-    ``lerobot/`` and ``uniforce_pairs/`` lie below the root; sensors are registry names, indenters names in the order of
-    their indices. ``counts`` and ``coverage`` are of each indenter; ``next_session`` numbers one that begins now.
+    ``lerobot/`` and ``uniforce_pairs/`` lie below the root. Sensors are registry names, indenters
+    names in the order of their indices. ``counts`` and ``coverage`` are of each indenter;
+    ``next_session`` is the number of a session that begins now.
 
-    Raises DatasetError: another recorder writes here, or other sensors, rates or features are there.
+    Raises DatasetError: another recorder writes here, or other sensors, rates or features are
+    there.
     """
 
     def __init__(
@@ -101,13 +114,14 @@ class PairStore:
         indenters: tuple[str, ...],
         rate_hz: int,
     ) -> None:
-        self.root, self.indenters = absolute(root), indenters
-        self.dataset, self.layout = self.root / DATASET, self.root / LAYOUT
-        # the layout names left and right by folders, which two sensors of one kind would share
-        same = left_sensor == right_sensor
-        self._names = (
-            (f"{left_sensor}_l", f"{right_sensor}_r") if same else (left_sensor, right_sensor)
-        )
+        self.root = absolute(root)
+        self.indenters = indenters
+        self.dataset = self.root / DATASET
+        self.layout = self.root / LAYOUT
+        self._names = (left_sensor, right_sensor)
+        # the layout names left and right by folders, which two sensors of one type would share
+        if left_sensor == right_sensor:
+            self._names = (f"{left_sensor}_l", f"{right_sensor}_r")
         self._recorder = EpisodeRecorder(
             self.dataset,
             "local/uniforce_pairs",
@@ -129,8 +143,8 @@ class PairStore:
     def add(self, indenter: int, session: Session, pairs: Sequence[Pair]) -> None:
         """Store pairs of one indenter and one session durably.
 
-        Raises ContractError: an unknown indenter, or fewer than two pairs; DatasetError: the disk is full, or a frame
-        could not be stored; what was saved before is intact.
+        Raises ContractError: an unknown indenter, or fewer than two pairs; DatasetError: the disk
+        is full, or a frame could not be stored; earlier pairs are intact.
         """
         if not 0 <= indenter < len(self.indenters) or len(pairs) < MIN_CHUNK:
             came = f"indenter {indenter}, {len(pairs)} pairs"
@@ -162,11 +176,11 @@ class PairStore:
 
     def _go_on(self, source: Source) -> None:
         """Count what is there and bring the layout up to it."""
-        left, right = (keys.pair_force_key(f) for f in FINGERS)
+        left = keys.pair_force_key("left")
+        right = keys.pair_force_key("right")
         columns = source.columns((keys.PAIR_INDENTER, keys.PAIR_SESSION, left, right))
-        indenter, session = (
-            columns[key].reshape(-1) for key in (keys.PAIR_INDENTER, keys.PAIR_SESSION)
-        )
+        indenter = columns[keys.PAIR_INDENTER].reshape(-1)
+        session = columns[keys.PAIR_SESSION].reshape(-1)
         if indenter.max() >= len(self.indenters):
             came = f"indenter {indenter.max()}"
             do = "Give the same indenters as before."
@@ -181,7 +195,7 @@ class PairStore:
             self._catch_up(source, *place, rows=(indenter == place[0]) & (session == place[1]))
 
     def _catch_up(self, source: Source, indenter: int, session: int, rows: np.ndarray) -> None:
-        """Write the layout's images anew where they aren't as many as the dataset's: a kill came in between."""
+        """Write the layout's images anew where they aren't as many as the dataset's."""
         pairs = self.layout / PATTERN / _date(session) / "_".join(self._names) / "marker"
         folders = [pairs / name / self.indenters[indenter] for name in self._names]
         if all(len(list(folder.glob("[0-9]*.jpg"))) == rows.sum() for folder in folders):
@@ -190,16 +204,19 @@ class PairStore:
             shutil.rmtree(folder, ignore_errors=True)
         for episode in source.episodes:
             if rows[episode.start]:
-                references = {
-                    f: _decoded(source, episode, keys.tactile_key(f, True), 1)[0] for f in FINGERS
-                }
-                images = {f: _decoded(source, episode, keys.tactile_key(f)) for f in FINGERS}
+                references = {}
+                images = {}
+                for finger in FINGERS:
+                    reference = _decoded(source, episode, keys.tactile_key(finger, True), 1)
+                    references[finger] = reference[0]
+                    images[finger] = _decoded(source, episode, keys.tactile_key(finger))
                 self._write_layout(indenter, Session(session, references), images)
 
     def _write_layout(
         self, indenter: int, session: Session, images: Mapping[Finger, np.ndarray]
     ) -> None:
-        left, right = session.references["left"], session.references["right"]
+        left = session.references["left"]
+        right = session.references["right"]
         name = self.indenters[indenter]
         pairs = PairRecording(self._names, name, "", left, right, images["left"], images["right"])
         write_uniforce_pairs(self.layout, pairs, PATTERN, _date(session.number))
@@ -212,5 +229,5 @@ def _decoded(source: Source, episode: Episode, key: str, count: int = 0) -> np.n
 
 
 def _date(session: int) -> str:
-    """The layout's second level: a new session has new references, which may not share a folder."""
+    """Return the layout's second level: each session's references need a folder of their own."""
     return f"session_{session:03d}"

@@ -1,8 +1,8 @@
-"""A grasp as it grows: each frame's fields and forces are read once; its gate and pairs can be judged at any time.
+"""A grasp as it grows: each frame is read once; the grasp can be judged at any time.
 
-The gate is quasi-static: a frame counts only while the hand is slow, and has been for a moment. Forces of both fingers
-are equal only where nothing is accelerated. A fast hand also smears a camera's markers and takes the two sensors'
-different delays apart, so speed is limited beside acceleration.
+The gate is quasi-static: a frame counts only while the hand is slow, and has been for a moment.
+Forces of both fingers are equal only where nothing is accelerated. A fast hand also smears a
+camera's markers, and the two sensors' delays differ, so speed is limited beside acceleration.
 """
 
 from dataclasses import dataclass
@@ -38,11 +38,10 @@ def quasi_static(
     rate_hz: float,
     limits: MotionLimits,
 ) -> np.ndarray:
-    """Return why each of T frames doesn't count: (T,) of "fast", "jerked", "settling", "no contact"; "" where it does.
+    """Return (T,) "fast", "jerked", "settling", "no contact", or "" where a frame counts.
 
-    Causal, so that it can be asked anew as frames come.
-
-    Velocity and acceleration (T, 3) are the hand's, ``contact_N`` (T,) is the stronger finger's estimated normal force.
+    Causal, so that it can be asked anew as frames come. Velocity and acceleration (T, 3) are the
+    hand's, ``contact_N`` (T,) is the stronger finger's estimated normal force.
     """
     fast = np.linalg.norm(velocity_m_s, axis=1) > limits.speed_m_s
     jerked = np.linalg.norm(acceleration_m_s2, axis=1) > limits.acceleration_m_s2
@@ -67,13 +66,11 @@ class FingerReaders:
 
 
 class GraspTrack:
-    """Frames of one grasp with what was read off them; images stay, since the good ones are kept.
-
-    ``forces`` hold (3,) N of each frame by finger, canonical.
-    """
+    """Frames of one grasp with their forces, (3,) N by finger, canonical; images stay."""
 
     def __init__(self, mass_kg: float, readers: FingerReaders) -> None:
-        self._mass_kg, self._readers = mass_kg, readers
+        self._mass_kg = mass_kg
+        self._readers = readers
         self.frames: list[RigFrame] = []
         self.forces: dict[Finger, list[np.ndarray]] = {f: [] for f in FINGERS}
 
@@ -94,7 +91,7 @@ class GraspTrack:
         )
 
     def gate(self, rate_hz: float, limits: MotionLimits) -> np.ndarray:
-        """Return why each frame isn't quasi-static, see ``quasi_static``; the firmer finger says what is touched."""
+        """Return why each frame isn't quasi-static, by the firmer finger; see ``quasi_static``."""
         signals = self.signals()
         contact_N = np.maximum(signals.left_N[:, 2], signals.right_N[:, 2])
         return quasi_static(

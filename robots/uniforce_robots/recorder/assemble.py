@@ -39,7 +39,9 @@ def judged_episodes(root: Path, have: int) -> int:
 
 def next_seed(root: Path, have: int, first: int) -> int:
     """Return the seed to go on with: seeds go on where the last session stopped."""
-    return int(read_source(root).columns((SEED,))[SEED].max()) + 1 if have else first
+    if not have:
+        return first
+    return int(read_source(root).columns((SEED,))[SEED].max()) + 1
 
 
 def run_session(
@@ -54,13 +56,13 @@ def run_session(
 ) -> SessionEnd:
     """Connect, record, disconnect; nothing is connected before.
 
-    ``seed`` is that of the first episode of an empty dataset; without ``out`` no progress is shown; tests use another
-    ``open_store`` and store in this process.
+    ``seed`` is that of the first episode of an empty dataset; without ``out`` no progress is shown.
 
-    Raises UniForceError: nothing could be connected, or the dataset was recorded with other settings;
-    KeyboardInterrupt: interrupted twice; everything has been let go.
+    Raises UniForceError: nothing could be connected, or the dataset was recorded with other
+    settings; KeyboardInterrupt: interrupted twice; everything has been let go.
     """
-    steering, interrupts = Steering(teleop), Interrupts()
+    steering = Steering(teleop)
+    interrupts = Interrupts()
     with interrupts.counted(), ExitStack() as closing:
         closing.callback(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(SWITCH_s)
@@ -80,5 +82,6 @@ def run_session(
         changes = agreed_changes(store.root, rig_settings, settings.accept_changes)
         of_cards = {**settings.settings, "rig": rig_settings, "changed": changes}
         settings = replace(settings, settings=of_cards, rig=rig_settings)
-        judged, first = judged_episodes(store.root, have), next_seed(store.root, have, seed)
+        judged = judged_episodes(store.root, have)
+        first = next_seed(store.root, have, seed)
         return RecordingSession(parts, settings, judged, first).run()

@@ -1,4 +1,4 @@
-"""From a command line to devices: ``robot.KEY=…`` and ``teleop.KEY=…`` as LeRobot spells them, or a file."""
+"""From a command line to devices: ``robot.KEY=…``, ``teleop.KEY=…`` as in LeRobot, or a file."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -44,12 +44,12 @@ def read_devices(
     """Return the configs of robot and teleoperator; no robot means the simulated scene.
 
     Args:
-        flags: ``--robot.KEY=…`` and ``--teleop.KEY=…``; dots lead into nested settings, also into one camera's.
+        flags: ``--robot.KEY=…`` and ``--teleop.KEY=…``; dots lead into nested settings.
         franka: whether there is a robot.
         teleop: a name from ``teleoperator_names``.
         file: of LeRobot's form, with ``robot`` and ``teleop``; flags override it.
 
-    Raises ContractError: an unknown name, a file that can't be read, settings that are unknown or refused, by name.
+    Raises ContractError: an unknown name, an unreadable file, unknown or refused settings.
     """
     names = teleoperator_names()
     require_one_of("teleop", teleop, sorted(names), "Name one, or expert.")
@@ -126,14 +126,16 @@ def _camera(name: str, content: Any) -> CameraConfig:
 
 
 def teleoperator_names() -> dict[str, str]:
-    """Return short name → registered name; ours (``keyboard`` → ``uniforce_keyboard``) come before LeRobot's."""
-    known = list(TeleoperatorConfig.get_known_choices())
-    ours = {name.removeprefix("uniforce_"): name for name in known if name.startswith("uniforce_")}
-    return {name: name for name in known} | ours
+    """Return short → registered name; ours, as ``keyboard``, come before LeRobot's."""
+    names = {name: name for name in TeleoperatorConfig.get_known_choices()}
+    for name in list(names):
+        if name.startswith("uniforce_"):
+            names[name.removeprefix("uniforce_")] = name
+    return names
 
 
 def device_settings(part: str, config: RobotConfig | TeleoperatorConfig) -> dict[str, Any]:
-    """Return the settings of ``robot`` or ``teleop`` by dotted name, as a dataset may store them."""
+    """Return the settings of ``robot`` or ``teleop`` by dotted name, for a dataset."""
     kind = RobotConfig if isinstance(config, RobotConfig) else TeleoperatorConfig
     return plain_settings(part, draccus.encode(config, kind))
 
@@ -148,7 +150,7 @@ def make_teleoperator(config: TeleoperatorConfig) -> Teleoperator:
 
 
 def make_robot(config: RobotConfig, teleop: Teleoperator) -> UniforceFranka:
-    """Return the robot, not connected, with the stiffness the teleoperator needs while it steers, if it needs one.
+    """Return the robot, not connected, with the stiffness the teleoperator needs, if any.
 
     Raises ContractError: the config sets another one, which may be softer.
     """

@@ -1,4 +1,4 @@
-"""Room on the disk: an estimate before each episode, and a stop at the next tick where it runs out."""
+"""Room on the disk: an estimate before each episode, and a stop where it runs out."""
 
 import math
 import shutil
@@ -10,8 +10,10 @@ from uniforce_vtla.errors import DatasetError, DiskFullError, expected
 
 MB = 1e6
 MARGIN = 1.5  # over the estimate; scenes differ
-# Bytes per pixel before anything was recorded, from measured files: lossy scene, lossless markers, raw tactile.
-SCENE_B_px, MARKER_B_px, RAW_B_px = 0.05, 0.02, 0.25
+# bytes per pixel before anything was recorded, from measured files
+SCENE_B_px = 0.05  # lossy
+MARKER_B_px = 0.02  # lossless
+RAW_B_px = 0.25  # raw tactile
 COLUMN_B = 8.0  # per number of a column
 
 
@@ -23,27 +25,28 @@ def free_bytes(path: Path) -> int:
 class DiskGuard:
     """Watch the disk a dataset is on; its folder exists.
 
-    ``features`` (LeRobot's) and the ``raw_pixels`` of a tick give the first estimate. ``reserve_MB`` has to stay free,
-    so that a stopped episode can still be stored.
+    ``features`` (LeRobot's) and the ``raw_pixels`` of a tick give the first estimate.
+    ``reserve_MB`` stays free, so that a stopped episode can be stored.
     """
 
     def __init__(
         self, root: Path, features: Mapping[str, dict], raw_pixels: int, reserve_MB: float
     ) -> None:
-        self._root, self._reserve_MB = root, reserve_MB
+        self._root = root
+        self._reserve_MB = reserve_MB
         self._guess_B = (
             sum(_frame_bytes(key, f) for key, f in features.items()) + raw_pixels * RAW_B_px
         )
 
     def estimate_MB(self, frames: int, recorded_frames: int) -> float:  # noqa: N802  a unit
-        """Return what ``frames`` will take; with some recorded already, their own size is the measure."""
+        """Return the MB that ``frames`` will take, by the size of the recorded ones, if any."""
         if not recorded_frames:
             return self._guess_B * frames / MB
         recorded_B = sum(file.stat().st_size for file in self._root.rglob("*") if file.is_file())
         return recorded_B / recorded_frames * frames / MB
 
     def before_episode(self, frames: int, recorded_frames: int) -> str:
-        """Return the estimate in words; raise DiskFullError where an episode of ``frames`` wouldn't fit."""
+        """Return the estimate in words; raise DiskFullError: an episode of ``frames`` won't fit."""
         need_MB = self.estimate_MB(frames, recorded_frames)
         free_MB = self.check(need_MB * MARGIN, f" (episode {need_MB:.0f} MB × {MARGIN} + reserve)")
         return f"{need_MB:.0f} MB, {free_MB / 1000:.1f} GB free"
@@ -54,7 +57,8 @@ class DiskGuard:
         Raises DiskFullError: less than the reserve is left; DatasetError: the disk has gone.
         """
         try:
-            free_MB, wanted_MB = free_bytes(self._root) / MB, beside_MB + self._reserve_MB
+            free_MB = free_bytes(self._root) / MB
+            wanted_MB = beside_MB + self._reserve_MB
         except OSError as error:
             raise DatasetError(
                 expected(str(self._root), "a disk", error, "Was it unplugged?")

@@ -1,4 +1,4 @@
-"""One episode: tick by tick observe, steer, act, store. Whatever ends it, the rig holds before anything is said."""
+"""One episode: observe, steer, act, store at each tick. Whatever ends it, the rig holds first."""
 
 import logging
 import time
@@ -41,7 +41,7 @@ class Parts:
             raise StopRequestedError("interrupted by Ctrl-C")
 
     def events(self, phase: Phase) -> Iterator[list[Event]]:
-        """Yield what the operator orders, once a tick; raise StopRequestedError once the program is to end."""
+        """Yield the operator's orders once a tick; raise StopRequestedError: the program ends."""
         beat = Ticker(self.rig.facts.fps)
         while True:
             beat.wait()
@@ -73,7 +73,9 @@ class Ending:
         """The ending in a word, e.g. ``success`` or ``aborted:stale_touch``."""
         if self.how == "aborted":
             return f"aborted:{self.cause}"
-        return self.outcome if self.how == "judged" else self.how
+        if self.how == "judged":
+            return self.outcome
+        return self.how
 
 
 # attributes of the ``Ending`` that an operator's command makes
@@ -88,17 +90,19 @@ ENDINGS: dict[Command, dict[str, Any]] = {
 }
 
 
-class _Over(Exception):  # noqa: N818  not an error: an operator's command, from wherever in the tick it comes
+class _Over(Exception):  # noqa: N818  an operator's command, from anywhere in a tick
     def __init__(self, ending: dict[str, Any]) -> None:
         super().__init__(ending["how"])
         self.ending = ending
 
 
 class EpisodeLoop:
-    """Run one episode of at most ``max_frames`` rows, each with ``prompt``; their storing is the session's business."""
+    """Run one episode of at most ``max_frames`` rows, each with ``prompt``; don't save it."""
 
     def __init__(self, parts: Parts, prompt: str, max_frames: int) -> None:
-        self._parts, self._prompt, self._max_frames = parts, prompt, max_frames
+        self._parts = parts
+        self._prompt = prompt
+        self._max_frames = max_frames
         self._ticker = Ticker(parts.rig.facts.fps, parts.rig.facts.paced)
         self._notes: list[str] = []
         self._pauses = 0
@@ -116,10 +120,8 @@ class EpisodeLoop:
             fault = error
         except Exception as error:  # a device may be anybody's code: what was recorded is kept
             log.exception("the episode is aborted")
-            came, do = (
-                f"{type(error).__name__}: {error}",
-                "Check the devices; the log has the place.",
-            )
+            came = f"{type(error).__name__}: {error}"
+            do = "Check the devices; the log has the place."
             fault = UniForceError(expected("episode", "no other error than known ones", came, do))
         self._parts.rig.hold()
         if fault is not None:
@@ -167,7 +169,7 @@ class EpisodeLoop:
                 raise _Over(ENDINGS[event.command])
 
     def _pause(self) -> None:
-        """Hold until a person goes on; nothing is stored meanwhile, and the times of the rows show the gap."""
+        """Hold until a person goes on; nothing is stored meanwhile, and row times show the gap."""
         parts = self._parts
         self._pauses += 1
         parts.rig.hold()
@@ -181,7 +183,7 @@ class EpisodeLoop:
         self._ticker.resume()
 
     def _starts(self, axes: np.ndarray) -> bool:
-        """Start to steer; return False, and say why, where a person must first bring the device to rest."""
+        """Start to steer; return False, and say why, where the device must first come to rest."""
         try:
             self._parts.steering.start_from(axes)
         except TeleoperatorError as error:

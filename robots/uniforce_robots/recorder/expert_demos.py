@@ -1,4 +1,4 @@
-"""The scripted expert's demonstrations in the simulated scene: nothing waits, seeds repeat exactly."""
+"""The scripted expert's demonstrations in the simulated scene; seeds repeat exactly."""
 
 import itertools
 from pathlib import Path
@@ -29,11 +29,12 @@ def record_expert(
     keep_failures: bool,
     settings: Settings,
 ) -> int:
-    """Record what is missing; ``uniforce record --help`` says what each setting is. Return how many are new.
+    """Record the missing episodes; return how many are new. See ``uniforce record --help``.
 
     Raises ContractError: an expert that fails too often; DatasetError: see ``EpisodeRecorder``.
     """
-    worn, fps = env.sensors, int(env.metadata["render_fps"])
+    worn = env.sensors
+    fps = int(env.metadata["render_fps"])
     with EpisodeRecorder(root, repo_id, worn["left"], worn["right"], fps) as recorder:
         have = recorder.num_episodes
         first = next_seed(root, have, seed)
@@ -50,21 +51,20 @@ def record_expert(
                     f"seed {seed}: {'clean ' if result.clean else ''}{result.outcome}"
                 )
         if recorder.num_episodes < episodes:
-            wanted, do = f"{episodes} successes", "Try an easier level."
+            wanted = f"{episodes} successes"
+            do = "Try an easier level."
             raise ContractError(expected("expert", wanted, recorder.num_episodes, do))
         return recorder.num_episodes - have
 
 
 def record_episode(env: WipeEnv, recorder: EpisodeRecorder, seed: int) -> EpisodeResult:
-    """Let the expert do one episode, feeling as late as the pads' pictures are; its frames wait in the recorder.
+    """Let the expert do one episode, its force reading as late as the pads' images.
 
-    Ink comes back in most episodes.
+    Its frames wait in the recorder. Ink comes back in most episodes.
     """
     observation, _ = env.reset(seed=seed)
-    expert, rewrite = (
-        WipeExpert(late_steps=max(worn.lag_steps for worn in env.worn.values())),
-        Rewrite(seed),
-    )
+    expert = WipeExpert(late_steps=max(worn.lag_steps for worn in env.worn.values()))
+    rewrite = Rewrite(seed)
     expert.reset(env)
     for step in itertools.count():
         action = np.asarray(expert.act(env), dtype=np.float32)

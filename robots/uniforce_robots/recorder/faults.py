@@ -1,4 +1,4 @@
-"""Every fault of a recording by one name, the ``<cause>`` of ``aborted:<cause>``; Ctrl-C is one too."""
+"""Name every fault of a recording, the ``<cause>`` of ``aborted:<cause>``; Ctrl-C is one too."""
 
 import logging
 import signal
@@ -40,7 +40,7 @@ CAUSES: dict[type[errors.UniForceError], str] = {  # the first that fits
 
 @contextmanager
 def handled(handler: Callable[..., None] | signal.Handlers) -> Iterator[dict[signal.Signals, Any]]:
-    """Handle what stops programs so while the block lasts; yield how each signal was handled before."""
+    """Handle stop signals so while the block lasts; yield how each was handled before."""
     before = {number: signal.signal(number, handler) for number in STOPS}
     try:
         yield before
@@ -66,15 +66,16 @@ def cause_of(error: errors.UniForceError) -> str:
     if isinstance(error, DeviceError):
         return error.cause
     if isinstance(error, errors.RobotError):
-        return name if (name := f"robot_{error.fault}") in ABORT_CAUSES else "robot_other"
+        name = f"robot_{error.fault}"
+        return name if name in ABORT_CAUSES else "robot_other"
     return next(cause for error_type, cause in CAUSES.items() if isinstance(error, error_type))
 
 
 class Interrupts:
     """Ctrl-C, SIGTERM, SIGHUP: the first one ends the session in order.
 
-    Each further Ctrl-C or SIGTERM raises KeyboardInterrupt where it stands; SIGHUP comes from kernel, shell and login
-    manager alike, and nobody insists by it.
+    Each further Ctrl-C or SIGTERM raises KeyboardInterrupt where it stands. SIGHUP comes from
+    kernel, shell and login manager alike, and nobody insists by it.
     """
 
     def __init__(self) -> None:

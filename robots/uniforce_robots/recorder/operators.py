@@ -1,4 +1,4 @@
-"""Operators, who begin an episode and judge it: a person at the keys or a fixed rule; and the person's display."""
+"""Operators begin an episode and judge it: a person at the keys or a rule; and the display."""
 
 import sys
 import time
@@ -25,7 +25,7 @@ class Phase(Enum):
 
 
 class Command(Enum):
-    """Orders of an operator, by key: a letter that LeRobot's and our keyboard teleoperators don't use."""
+    """Orders of an operator, by key: letters that no keyboard teleoperator uses."""
 
     GO = "space"  # begin; pause; go on
     HOLD = "esc"  # hold, in every phase; also the end of a note that is dropped
@@ -68,7 +68,7 @@ class Operator:
 
 
 class Unattended(Operator):
-    """Begins at once, and gives every episode that ended in time the same verdict; a person can look at it later.
+    """Begin at once, and give every episode that ended in time the same verdict.
 
     Raises ContractError: another verdict than ``VERDICTS``.
     """
@@ -82,7 +82,9 @@ class Unattended(Operator):
 
     def poll(self, phase: Phase) -> list[Event]:
         """Begin where there is waiting, judge where judging is due."""
-        return [Event(self._orders[phase])] if phase in self._orders else []
+        if phase in self._orders:
+            return [Event(self._orders[phase])]
+        return []
 
 
 NOTE_S = 30.0  # without a key, after which a note ends
@@ -91,20 +93,22 @@ NOTE_S = 30.0  # without a key, after which a note ends
 class KeyOperator(Operator):
     """A person at a keyboard; digits 1, 2, … add one of ``quick_notes``.
 
-    ``t`` holds the arm and begins a note: meanwhile letters neither steer nor command. Enter ends it, Escape drops it,
-    and it ends by itself where no key came for long, or the episode goes on or is to be judged.
+    ``t`` holds the arm and begins a note: meanwhile letters neither steer nor command. Enter ends
+    it, Escape drops it. It ends by itself where no key came for long, or the episode goes on or is
+    to be judged.
 
-    ``keys`` are those of a keyboard teleoperator, which reads this terminal already; None reads it here.
+    ``keys`` are those of a keyboard teleoperator that reads this terminal; None reads it here.
     """
 
     def __init__(self, keys: TerminalKeys | None = None, quick_notes: Sequence[str] = ()) -> None:
-        self._is_own, self._keys = keys is None, keys or TerminalKeys({})
+        self._is_own = keys is None
+        self._keys = keys or TerminalKeys({})
         self._keys.text_begins = Command.NOTE.value
         self._meanings = {c.value: Event(c) for c in Command if c is not Command.NOTE}
-        self._meanings |= {
-            str(n): Event(Command.NOTE, note) for n, note in enumerate(quick_notes, 1)
-        }
-        self._phase, self._typed_s = Phase.WAITING, 0.0
+        for number, note in enumerate(quick_notes, 1):
+            self._meanings[str(number)] = Event(Command.NOTE, note)
+        self._phase = Phase.WAITING
+        self._typed_s = 0.0
 
     def start(self) -> None:
         """Read the terminal; raises ContractError where there is none."""
@@ -116,12 +120,17 @@ class KeyOperator(Operator):
 
     def poll(self, phase: Phase) -> list[Event]:
         """Return what the keys since the last call mean."""
-        pressed, now_s = self._keys.take_others(), self._keys.clock()
+        pressed = self._keys.take_others()
+        now_s = self._keys.clock()
         goes_on = phase is not self._phase and phase in (Phase.RUNNING, Phase.JUDGING)
         is_left = not pressed and now_s - self._typed_s > NOTE_S
-        events = [self._end_note()] if self.note is not None and (goes_on or is_left) else []
-        events += [self._meaning(key) for key in pressed]
-        self._phase, self._typed_s = phase, now_s if pressed else self._typed_s
+        events = []
+        if self.note is not None and (goes_on or is_left):
+            events.append(self._end_note())
+        for key in pressed:
+            events.append(self._meaning(key))
+            self._typed_s = now_s
+        self._phase = phase
         return [event for event in events if event is not None]
 
     def stop(self) -> None:
@@ -132,7 +141,8 @@ class KeyOperator(Operator):
     def _meaning(self, key: str) -> Event | None:
         if self.note is None:
             if key == Command.NOTE.value:
-                self.note, key = "", Command.HOLD.value
+                self.note = ""
+                key = Command.HOLD.value
             return self._meanings.get(key.lower())
         if key == "enter":
             return self._end_note()
@@ -141,8 +151,10 @@ class KeyOperator(Operator):
             return self._meanings[key]
         if key == "backspace":
             self.note = self.note[:-1]
-        elif len(key) == 1 or key == "space":
-            self.note += " " if key == "space" else key
+        elif key == "space":
+            self.note += " "
+        elif len(key) == 1:
+            self.note += key
         return None
 
     def _end_note(self) -> Event | None:
@@ -153,17 +165,19 @@ class KeyOperator(Operator):
 LINE_EVERY_s = 0.2  # a person reads no faster
 BAR = 20  # characters
 # above them a score has excess force
-WARN_N, STOP_N = ScoreLimits.mean_press_N, ScoreLimits.peak_press_N
+WARN_N = ScoreLimits.mean_press_N
+STOP_N = ScoreLimits.peak_press_N
 
 
 class LiveView:
-    """Writes one line again and again on a terminal, and lines that stay in between; without ``out`` nothing.
+    """Write one line over and over on a terminal, and lasting lines; nothing without ``out``.
 
     ``peak_N`` is the largest force of the episode so far.
     """
 
     def __init__(self, out: TextIO | None, fps: int = 30) -> None:
-        self._out, self._fps = out, fps
+        self._out = out
+        self._fps = fps
         self._moves = out is not None and out.isatty()  # a line can be written over
         self._next_s = self.peak_N = 0.0
         self._mode = ""  # shown last
@@ -179,10 +193,10 @@ class LiveView:
         self._write(f"\r\x1b[K{text}\n" if self._moves else f"{text}\n")
 
     def show_note(self, phase: Phase, note: str | None) -> None:
-        """Show the phase, and the note typed so far, where nothing else is shown; on a terminal, when they change."""
-        mode = (
-            phase.value if note is None else f"note (Enter ends it, Escape drops it): {note[-60:]}_"
-        )
+        """Show the phase, or the note typed so far, on a terminal when they change."""
+        mode = phase.value
+        if note is not None:
+            mode = f"note (Enter ends it, Escape drops it): {note[-60:]}_"
         if self._moves and mode != self._mode:
             self._mode = mode
             self._write(f"\r\x1b[K{mode}")
@@ -192,7 +206,8 @@ class LiveView:
         self.peak_N = max(self.peak_N, float(np.linalg.norm(seen.force_N)))
         now_s = time.perf_counter()
         if self._moves and now_s >= self._next_s:
-            self._next_s, self._mode = now_s + LINE_EVERY_s, ""
+            self._next_s = now_s + LINE_EVERY_s
+            self._mode = ""
             self._write("\r\x1b[K" + self.line(seen, frames))
 
     def _write(self, text: str) -> None:
@@ -201,13 +216,18 @@ class LiveView:
                 self._out.write(text)
                 self._out.flush()
             except OSError:  # the terminal hung up: no episode ends for want of a reader
-                self._out, self._moves = None, False
+                self._out = None
+                self._moves = False
 
     def line(self, seen: Observation, frames: int) -> str:
         """Return the line: time, force as a bar up to its limit, peak, width, oldest sensor."""
         force_N = float(np.linalg.norm(seen.force_N))
         filled = min(round(BAR * force_N / STOP_N), BAR)
-        mark = "!!" if force_N > STOP_N else "! " if force_N > WARN_N else "  "
+        mark = "  "
+        if force_N > STOP_N:
+            mark = "!!"
+        elif force_N > WARN_N:
+            mark = "! "
         oldest, sample = min(seen.samples.items(), key=lambda named: named[1].time_s)
         age_ms = 1000 * (seen.time_s - sample.time_s)
         return (

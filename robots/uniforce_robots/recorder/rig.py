@@ -1,6 +1,6 @@
 """Rig that the recording loop drives, robot and scene alike, and its readings at one tick.
 
-All times of one rig are seconds on one clock: the host's monotonic one on a robot, the scene's own in simulation.
+All times of a rig are seconds on one clock: the host's monotonic one, or the scene's own.
 """
 
 from dataclasses import dataclass, field
@@ -17,12 +17,12 @@ Shape = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class FingerTouch(Picture):
-    """One finger's newest sample; ``image`` is (480, 640) uint8, the marker image as the sensor sees it."""
+    """One finger's newest sample; ``image`` is (480, 640) uint8, the sensor's own marker image."""
 
     reference: np.ndarray  # the same in free air; one array for the whole episode
     # (H, W, 3) uint8 frame or (16, 3) counts, upright; None: no raw signal
     raw: np.ndarray | None = None
-    # of taxels only: the newest scans (size, 16, 3), oldest first, the oldest repeated where there were fewer
+    # of taxels only: the newest scans (size, 16, 3), oldest first and repeated if there are fewer
     window: np.ndarray | None = None
     window_times_s: np.ndarray | None = None  # (size,) when each was taken
 
@@ -37,7 +37,7 @@ class Observation:
     fingers: dict[Finger, FingerTouch]
     # columns, as ``RigFacts.measured`` says
     measured: dict[str, np.ndarray] = field(default_factory=dict)
-    # (3,) of the world on the hand since the references were taken, base frame; on a robot an estimate
+    # (3,) on the hand since the references were taken, base frame; on a robot an estimate
     force_N: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     @property
@@ -61,12 +61,12 @@ class RigFacts:
     measured: dict[str, dict[str, Any]] = field(default_factory=dict)
     # whether ticks keep to the wall clock; False runs as fast as the scene steps
     paced: bool = True
-    # whether it is the scene: ``measured`` holds the true pad wrenches, and it steps only inside an episode
+    # whether it is the scene: ``measured`` holds the true wrenches; it steps in episodes only
     simulated: bool = False
 
 
 class Rig(Protocol):
-    """A robot with its sensors, or the scene. Every method but ``hold`` may raise a UniForceError."""
+    """A robot with its sensors, or the scene. Methods but ``hold`` may raise a UniForceError."""
 
     facts: RigFacts  # what it delivers
     prompt: str | None = None  # the instruction a scene comes with; None where a person gives it
@@ -82,13 +82,13 @@ class Rig(Protocol):
         """Stop, hang up, join every thread. Safe to call twice."""
 
     def axes(self) -> np.ndarray:
-        """(5,) where it is now; works before the first reference."""
+        """Return (5,) where it is now; works before the first reference."""
 
     def begin_episode(self, seed: int) -> None:
-        """Take the free-air references, refusing them where sensors aren't well, or build the scene of ``seed``."""
+        """Take the free-air references, or build the scene of ``seed``; raises: sensors unwell."""
 
     def observe(self) -> Observation:
-        """Return the newest of everything; a camera or finger that is lost, stale, frozen or bad is a DeviceError."""
+        """Return the newest of everything; DeviceError: a sensor is lost, stale, frozen or bad."""
 
     def act(self, action: np.ndarray) -> np.ndarray:
         """Go to (5,) absolute targets; return what was sent after the guards."""
@@ -106,8 +106,8 @@ class Rig(Protocol):
         return None
 
     def stored_facts(self) -> dict[str, Any]:
-        """Return what a connected robot holds beyond the end of programs, as JSON values; a scene has none."""
+        """Return a connected robot's lasting settings, as JSON values; a scene has none."""
         return {}
 
     def summary(self) -> dict[str, Any]:
-        """Return what a card says of the rig: guards that acted, samples lost, settings read back."""
+        """Return facts for a card: guards that acted, samples lost, settings read back."""

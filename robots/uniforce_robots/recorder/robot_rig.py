@@ -38,38 +38,52 @@ GARBAGE_MOST = 5
 
 
 class RobotRig(Rig):
-    """A robot, read and driven through LeRobot's interface and its own readings; not connected at first.
+    """A robot, read and driven through LeRobot's interface and its own readings.
 
-    Its tactile cameras are ``tactile_left`` and ``tactile_right``, everything else looks at the scene. ``window`` taxel
-    scans are kept per tick (17 are one at 500 Hz), and raw tactile frames beside the dataset if ``keep_raw``.
+    Not connected at first. Its tactile cameras are ``tactile_left`` and ``tactile_right``, all
+    others look at the scene. ``window`` taxel scans are kept per tick (17 are one at 500 Hz), and
+    raw tactile frames beside the dataset if ``keep_raw``.
 
     Raises ContractError: a finger without a tactile camera, or a camera of unknown age.
     """
 
     def __init__(self, robot: UniforceFranka, window: int = 17, keep_raw: bool = True) -> None:
-        self.robot, self._window, self._keep_raw = robot, window, keep_raw
+        self.robot = robot
+        self._window = window
+        self._keep_raw = keep_raw
         self._fingers: dict[Finger, TactileFinger] = {f: _finger(robot.cameras, f) for f in FINGERS}
-        worn = {tactile_name(finger): device for finger, device in self._fingers.items()}
-        self._scene: dict[str, SampledCamera | PlainCamera] = {
-            name: camera if isinstance(camera, SampledCamera) else PlainCamera(name, camera)
-            for name, camera in robot.cameras.items()
-            if name not in worn
-        }
-        self._sampled = {n: c for n, c in robot.cameras.items() if isinstance(c, SampledCamera)}
-        self._watches = {name: GarbageWatch(name) for name in self._sampled}
+        tactile = [tactile_name(finger) for finger in FINGERS]
+        self._scene: dict[str, SampledCamera | PlainCamera] = {}
+        self._sampled: dict[str, SampledCamera] = {}
+        self._watches: dict[str, GarbageWatch] = {}
+        for name, camera in robot.cameras.items():
+            if isinstance(camera, SampledCamera):
+                self._sampled[name] = camera
+                self._watches[name] = GarbageWatch(name)
+            if name not in tactile:
+                self._scene[name] = self._sampled.get(name) or PlainCamera(name, camera)
         self._references: dict[Finger, np.ndarray] = {}
         self._rest_N: np.ndarray = np.zeros(3)
-        devices = {finger: device.config for finger, device in self._fingers.items()}
-        taxels = {f for f, config in devices.items() if get_sensor(config.sensor).signal == "taxel"}
+        sensors = {}
+        raw_frames = {}
+        windows = {}
+        for finger, device in self._fingers.items():
+            sensors[finger] = device.config.sensor
+            if get_sensor(device.config.sensor).signal == "taxel":
+                windows[finger] = window
+            elif keep_raw:
+                raw_frames[finger] = device.config.raw_shape
+        cameras = {}
+        for name, config in robot.config.cameras.items():
+            if name not in tactile:
+                cameras[name] = (config.height, config.width, 3)
         self.facts = RigFacts(
             name=robot.name,
             fps=round(robot.config.fps),
-            sensors={finger: config.sensor for finger, config in devices.items()},
-            cameras={
-                n: (c.height, c.width, 3) for n, c in robot.config.cameras.items() if n not in worn
-            },
-            raw_frames={f: c.raw_shape for f, c in devices.items() if keep_raw and f not in taxels},
-            windows={finger: window for finger in FINGERS if finger in taxels},
+            sensors=sensors,
+            cameras=cameras,
+            raw_frames=raw_frames,
+            windows=windows,
             measured={measured_key(name): vector_column(names) for name, names in COLUMNS.items()},
         )
 
@@ -88,7 +102,7 @@ class RobotRig(Rig):
         self.robot.disconnect()
 
     def axes(self) -> np.ndarray:
-        """(5,) where the robot is."""
+        """Return (5,) where the robot is."""
         return self.robot.measured()
 
     def begin_episode(self, seed: int) -> None:
@@ -104,7 +118,9 @@ class RobotRig(Rig):
         """Return the newest of everything, the arm last: it is the fastest."""
         cameras = {name: self._picture(name, camera) for name, camera in self._scene.items()}
         fingers = {finger: self._touch(finger, device) for finger, device in self._fingers.items()}
-        axes, (arm, hand), now_s = self.robot.measured(), self.robot.reading, time.monotonic()
+        axes = self.robot.measured()
+        (arm, hand) = self.robot.reading
+        now_s = time.monotonic()
         columns = {
             "q": arm.q_rad,
             "dq": arm.dq_rad_s,
@@ -139,7 +155,7 @@ class RobotRig(Rig):
         return plain_settings("robot.stored", facts())
 
     def summary(self) -> dict[str, Any]:
-        """Return how often each guard acted so far, and how the sensors read in the background did."""
+        """Return how often each guard acted so far, and counts of the sensors."""
         sensors = {name: _summary(device) for name, device in self._sampled.items()}
         return {"guards": self.robot.guard_counts, "sensors": sensors}
 
@@ -159,7 +175,8 @@ class RobotRig(Rig):
             image = device.marker_image(sample.raw)
             window = _window(device, self._window) if isinstance(device, UniforceUskin) else ()
         raw = sample.raw if window or self._keep_raw else None
-        taken_s, reference = sample.stamp_ns / NS_PER_S, self._references[finger]
+        taken_s = sample.stamp_ns / NS_PER_S
+        reference = self._references[finger]
         return FingerTouch(image, sample.index, taken_s, reference, raw, *window)
 
 
@@ -171,29 +188,24 @@ class GarbageWatch:
         self._seen: deque[tuple[float, int]] = deque()
 
     def look(self, now_s: float, bad: int) -> None:
-        """Take the count so far; raise SensorError where more than ``GARBAGE_MOST`` came within a second."""
+        """Take the count so far; raise SensorError: over ``GARBAGE_MOST`` more within a second."""
         self._seen.append((now_s, bad))
         while now_s - self._seen[0][0] > GARBAGE_OVER_s:
             self._seen.popleft()
         came = bad - self._seen[0][1]
         if came > GARBAGE_MOST:
             wanted = f"≤ {GARBAGE_MOST} bad pieces in {GARBAGE_OVER_s:g} s"
-            raise SensorError(
-                expected(
-                    self._name, wanted, came, "Check cable, power and what else is on the bus."
-                )
-            )
+            do = "Check cable, power and what else is on the bus."
+            raise SensorError(expected(self._name, wanted, came, do))
 
 
 def _finger(cameras: Mapping[str, Camera], finger: Finger) -> TactileFinger:
     name = tactile_name(finger)
     device = cameras.get(name)
     if not isinstance(device, TactileFinger) or device.config.finger != finger:
-        came = (
-            "none"
-            if device is None
-            else f"{type(device).__name__} for {getattr(device, 'config', None)}"
-        )
+        came = "none"
+        if device is not None:
+            came = f"{type(device).__name__} for {getattr(device, 'config', None)}"
         do = f"List it in the robot's cameras, with finger={finger}."
         raise ContractError(expected(name, "a uniforce_tactile or uniforce_uskin camera", came, do))
     return device
@@ -205,7 +217,8 @@ def _window(device: UniforceUskin, size: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _summary(device: SampledCamera) -> dict[str, Any]:
-    rate_hz, settings = round(device.rate_hz, 2), device.settings_read_back
+    rate_hz = round(device.rate_hz, 2)
+    settings = device.settings_read_back
     return {
         "rate_hz": rate_hz,
         **asdict(device.counts),

@@ -1,6 +1,6 @@
-"""One tick as a row of the dataset, the columns it needs beside the usual ones, and memory that carries rows across.
+"""One tick as a row of the dataset, its further columns, and shared memory for rows.
 
-Rows go to the storing process through memory that both share: nothing is pickled.
+Rows go to the storing process through that memory: nothing is pickled.
 """
 
 import ctypes
@@ -36,10 +36,8 @@ def further_columns(facts: RigFacts) -> dict[str, dict[str, Any]]:
     for camera in facts.cameras:
         columns[keys.time_key(camera)] = scalar_column("float64")
         columns[keys.age_key(camera)] = scalar_column("float32")
-    columns |= {
-        keys.index_key(source): scalar_column("int64")
-        for source in (*facts.cameras, *facts.sensors)
-    }
+    for source in (*facts.cameras, *facts.sensors):
+        columns[keys.index_key(source)] = scalar_column("int64")
     for finger, size in facts.windows.items():
         columns[keys.counts_key(finger)] = flat_column(TAXEL_NUMBERS, "int32")
         columns[keys.window_key(finger)] = flat_column(size * TAXEL_NUMBERS, "int32")
@@ -61,7 +59,7 @@ def make_row(
 ) -> dict[str, Any]:
     """Return a row for ``EpisodeRecorder.add``.
 
-    ``requested`` and ``sent`` are (5,) what the teleoperator asked for and what went to the robot; ``stamps_s`` has one
+    ``requested`` (5,) is the teleoperator's target, ``sent`` (5,) the robot's. ``stamps_s`` has one
     time per ``keys.STAMP_NAMES``. Times are on the rig's clock, and stored relative to ``begun_s``.
     """
     row: dict[str, Any] = {
@@ -71,7 +69,8 @@ def make_row(
         keys.STAMPS: np.array(stamps_s) - begun_s,
         **seen.measured,
     }
-    row |= {keys.camera_key(camera): picture.image for camera, picture in seen.cameras.items()}
+    for camera, picture in seen.cameras.items():
+        row[keys.camera_key(camera)] = picture.image
     for finger, touch in seen.fingers.items():
         row |= _touch(finger, touch, begun_s)
     for source, sample in seen.samples.items():
@@ -127,7 +126,9 @@ class RowSlots:
 
         Raises ContractError: a key missing or too many, another shape or dtype.
         """
-        whole = {**row, **{_raw(finger): frame for finger, frame in raw.items()}}
+        whole = dict(row)
+        for finger, frame in raw.items():
+            whole[_raw(finger)] = frame
         places = self._slot(slot)
         odd = sorted(whole.keys() ^ places.keys())
         if odd:
@@ -137,7 +138,8 @@ class RowSlots:
         for key, place in places.items():
             value = np.asarray(whole[key])
             if value.shape != place.shape or value.dtype != place.dtype:
-                wanted, came = f"{place.shape} {place.dtype}", f"{value.shape} {value.dtype}"
+                wanted = f"{place.shape} {place.dtype}"
+                came = f"{value.shape} {value.dtype}"
                 raise ContractError(expected(key, wanted, came, "Convert it before add()."))
             np.copyto(place, value)
 

@@ -1,4 +1,4 @@
-"""Episodes until the dataset holds as many as wanted: wait, take references, record, judge, store, and go on."""
+"""Episodes until the dataset holds as many as wanted: wait, reference, record, judge, store."""
 
 import itertools
 import time
@@ -14,7 +14,10 @@ from uniforce_vtla import errors
 MIN_FRAMES = 2  # of an aborted episode worth keeping: LeRobot stores no shorter one
 ABORTS_IN_A_ROW = 3  # end an unattended session: a fault that comes back each time needs a person
 RETRY_s = 0.1  # between two tries to begin, unattended
-FAULT, DISK_FULL, INTERRUPTED = 3, 4, 130  # exit codes
+# exit codes
+FAULT = 3
+DISK_FULL = 4
+INTERRUPTED = 130
 
 
 @dataclass(frozen=True)
@@ -32,7 +35,7 @@ class SessionSettings:
     # of its ticks that an episode may miss; one that missed more is ``aborted:late``
     late_share: float = 0.1
     settings: dict[str, Any] = field(default_factory=dict)  # of the whole command, for the cards
-    # of robot and teleoperator or of the scene, by dotted name: a dataset's later sessions have to have them alike
+    # of robot and teleoperator or of the scene, by dotted name; alike in all sessions of a dataset
     rig: dict[str, Any] = field(default_factory=dict)
     accept_changes: bool = False  # whether other settings than a dataset's own will do
 
@@ -71,9 +74,12 @@ class RecordingSession:
     """
 
     def __init__(self, parts: Parts, settings: SessionSettings, judged: int, seed: int) -> None:
-        self._parts, self._settings = parts, settings
-        self._judged, self._seed = judged, seed
-        self._fps, self._is_attended = parts.rig.facts.fps, parts.operator.is_attended
+        self._parts = parts
+        self._settings = settings
+        self._judged = judged
+        self._seed = seed
+        self._fps = parts.rig.facts.fps
+        self._is_attended = parts.operator.is_attended
         self._say = parts.view.say
         self._endings: list[Ending] = []
         self._quits = False
@@ -81,15 +87,18 @@ class RecordingSession:
 
     def run(self) -> SessionEnd:
         """Record what is missing."""
-        code, at_once = 0, False
+        code = 0
+        at_once = False
         try:
             while self._judged < self._settings.episodes and not self._quits:
                 at_once = self._attempt(at_once)
             message = f"{self._judged} of {self._settings.episodes} episodes"
         except StopRequestedError as error:
-            code, message = INTERRUPTED, str(error)
+            code = INTERRUPTED
+            message = str(error)
         except _End as end:
-            code, message = end.exit_code, str(end)
+            code = end.exit_code
+            message = str(end)
         return SessionEnd(code, message, tuple(self._endings))
 
     def _attempt(self, at_once: bool) -> bool:
@@ -99,12 +108,12 @@ class RecordingSession:
         frames = round(self._settings.episode_s * self._fps)
         if self._quits or not self._prepare(frames):
             return False
-        prompts, own = self._settings.prompts, self._parts.rig.prompt
-        if not prompts and own is None:
+        prompts = self._settings.prompts or (self._parts.rig.prompt,)
+        prompt = prompts[self._judged % len(prompts)]
+        if prompt is None:
             raise errors.ContractError(
                 errors.expected("prompts", "an instruction", "none", "Give at least one.")
             )
-        prompt = prompts[self._judged % len(prompts)] if prompts else str(own)
         begun = datetime.now(UTC).isoformat(timespec="milliseconds")
         self._parts.view.begin(f"episode {self._judged + 1}/{self._settings.episodes}: {prompt}")
         ending = self._judge(self._not_late(EpisodeLoop(self._parts, prompt, frames).run()))
@@ -115,8 +124,9 @@ class RecordingSession:
         return ending.how == "rerecord"
 
     def _not_late(self, ending: Ending) -> Ending:
-        """Return the ending, ``aborted:late`` where it would count but too many ticks are missing."""
-        ticks, allowed = ending.ticks, self._settings.late_share
+        """Return the ending, ``aborted:late`` where it would count but missed too many ticks."""
+        ticks = ending.ticks
+        allowed = self._settings.late_share
         if ending.how not in ("judged", "open") or ticks.late_share <= allowed:
             return ending
         do = "Free the computer, record fewer pixels, or set late_share."
@@ -152,14 +162,15 @@ class RecordingSession:
         return event.command in (Command.GO, Command.QUIT)
 
     def _switch_off(self, why: str) -> None:
-        """Hold, and steer no more until a person says so: nothing goes on by itself because a plug found its socket."""
+        """Hold, and steer no more until a person says so: nothing goes on by itself."""
         self._parts.rig.hold()
         self._is_off = True
         self._say(f"{why} (v clears it and steers again)")
 
     def _drive(self, driving: bool) -> bool:
-        """Let a person move the robot between episodes; return whether that worked. A scene only steps inside one."""
-        rig, steering = self._parts.rig, self._parts.steering
+        """Let a person move the robot between episodes; return whether it worked. Not a scene."""
+        rig = self._parts.rig
+        steering = self._parts.steering
         drives = self._settings.drive_between and self._is_attended and not rig.facts.simulated
         if self._is_off or not drives:
             return False
@@ -180,7 +191,8 @@ class RecordingSession:
         except errors.DatasetError as error:
             raise _end(error) from error
         self._say(f"the episode may take {room}")
-        deadline_s, said = time.monotonic() + self._settings.unwell_s, ""
+        deadline_s = time.monotonic() + self._settings.unwell_s
+        said = ""
         while True:
             self._parts.refuse_interrupted()
             try:
@@ -197,7 +209,7 @@ class RecordingSession:
             time.sleep(RETRY_s)
 
     def _judge(self, ending: Ending) -> Ending:
-        """Return the ending with an outcome: the rig's where it knows better than a person, else the operator's."""
+        """Return the ending with an outcome: the rig's own verdict, else the operator's."""
         if ending.cause == "teleop" and self._parts.interrupts.count:
             # a terminal that hangs up takes its keys along
             return replace(ending, cause="interrupt")
@@ -221,7 +233,8 @@ class RecordingSession:
         return ending
 
     def _store(self, ending: Ending, card: dict[str, Any]) -> None:
-        recorder, frames = self._parts.recorder, self._parts.recorder.num_frames
+        recorder = self._parts.recorder
+        frames = self._parts.recorder.num_frames
         keeps = ending.how == "judged" or (ending.how == "aborted" and self._settings.keep_aborted)
         try:
             if not keeps or frames < MIN_FRAMES:
@@ -264,10 +277,14 @@ class RecordingSession:
             raise StopRequestedError(ending.message)
         if ending.cause == "disk_full":
             raise _End(DISK_FULL, ending.message)
-        said, of_robot = f"{ending.label}: {ending.message}", ending.cause.startswith("robot_")
+        said = f"{ending.label}: {ending.message}"
+        of_robot = ending.cause.startswith("robot_")
         recent = [past.how for past in self._endings[-ABORTS_IN_A_ROW:]]
         if not self._is_attended and recent == ["aborted"] * ABORTS_IN_A_ROW:
             raise _End(FAULT, f"{ABORTS_IN_A_ROW} times in a row, {said}")
         if not self._is_attended and (of_robot or ending.cause in ("teleop", "storage", "other")):
             raise _End(FAULT, said)
-        (self._switch_off if self._is_attended else self._say)(said)
+        if self._is_attended:
+            self._switch_off(said)
+        else:
+            self._say(said)

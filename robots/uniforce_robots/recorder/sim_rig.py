@@ -13,7 +13,7 @@ from uniforce_vtla.keys import CAMERAS, tactile_name, truth_wrench_key
 
 
 class SimRig(Rig):
-    """A scene at its own clock, or at the wall's if ``paced``; sensors are captured at the observation itself."""
+    """A scene at its own clock, or at the wall's if ``paced``; sensors are never late."""
 
     def __init__(self, env: WipeEnv, paced: bool = True) -> None:
         self.env = env
@@ -31,7 +31,7 @@ class SimRig(Rig):
         return self.env.task
 
     def now_s(self) -> float:
-        """Seconds since the scene was built."""
+        """Return the seconds since the scene was built."""
         return self._step / self.facts.fps
 
     def connect(self) -> None:
@@ -43,13 +43,14 @@ class SimRig(Rig):
         self.env.close()
 
     def axes(self) -> np.ndarray:
-        """(5,) where the tool is."""
+        """Return (5,) where the tool is."""
         return self.env.state.astype(np.float64)
 
     def begin_episode(self, seed: int) -> None:
         """Build the scene of ``seed``; its pads are in free air."""
         self._seen, _ = self.env.reset(seed=seed)
-        self._step, self.is_done = 0, False
+        self._step = 0
+        self.is_done = False
         pixels = self._seen["pixels"]
         self._references = {
             f: pixels[tactile_name(f, reference=True)][..., 0].copy() for f in FINGERS
@@ -57,7 +58,9 @@ class SimRig(Rig):
 
     def observe(self) -> Observation:
         """Return the scene as it is after the last step."""
-        pixels, now_s, step = self._seen["pixels"], self.now_s(), self._step
+        pixels = self._seen["pixels"]
+        now_s = self.now_s()
+        step = self._step
         images = {f: pixels[tactile_name(f)][..., 0] for f in FINGERS}
         return Observation(
             time_s=now_s,

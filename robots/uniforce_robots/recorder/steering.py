@@ -1,4 +1,4 @@
-"""Any LeRobot teleoperator whose actions are the five absolute axes, as a function of the measured ones."""
+"""Any LeRobot teleoperator whose actions are the five absolute axes, from measured to target."""
 
 import logging
 from collections.abc import Iterator
@@ -19,8 +19,10 @@ log = logging.getLogger(__name__)
 class Steering:
     """Drive by a teleoperator; TeleoperatorError where it fails.
 
-    Beyond LeRobot's interface it uses what is there: ``start_from(axes)`` at each start, ``send_feedback(axes)`` where
-    ``feedback_features`` lists the five axes. Not connected at first; ContractError: its actions aren't the five axes.
+    Beyond LeRobot's interface it uses ``start_from(axes)`` at each start if there is one, and
+    ``send_feedback(axes)`` where ``feedback_features`` lists the five axes. Not connected at first.
+
+    Raises ContractError: its actions aren't the five axes.
     """
 
     def __init__(self, teleop: Teleoperator) -> None:

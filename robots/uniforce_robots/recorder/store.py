@@ -1,9 +1,10 @@
-"""The recorder in a process of its own: whatever it takes to encode and store, no tick of the loop waits for it.
+"""The recorder in a process of its own: no tick of the loop waits for encoding and storing.
 
-Python threads share one lock; with eight videos encoded in the loop's own process a tick takes 90 ms instead of 15.
-Rows go through shared memory, orders and answers through a pipe, one answer to each order. Where the loop's process
-dies the pipe ends: what was ordered is finished, the running episode is dropped, and the dataset is free for the next
-session. That is why this is no ``ProcessPoolExecutor``, whose workers outlive a killed parent.
+Python threads share one lock; with eight videos encoded in the loop's own process a tick takes 90
+ms instead of 15. Rows go through shared memory, orders and answers through a pipe, one answer to
+each order. Where the loop's process dies the pipe ends: orders are finished, the running episode is
+dropped, and the dataset is free for the next session. Hence no ``ProcessPoolExecutor``, whose
+workers outlive a killed parent.
 """
 
 import logging
@@ -47,7 +48,7 @@ WARM_UP_FRAMES = 3  # the first ones import, open and allocate for half a second
 
 @dataclass(frozen=True)
 class StoreSettings:
-    """Where to: the dataset's folder, LeRobot's name for it, and how many MB must stay free on the disk."""
+    """The dataset's folder, LeRobot's name for it, and how many MB must stay free on the disk."""
 
     root: Path
     repo_id: str
@@ -83,10 +84,11 @@ class StoreGoneError(DatasetError):
 
 
 class StoreProcess:
-    """``EpisodeRecorder`` elsewhere. An error of ``add`` shows at a later call, at the latest at ``save``.
+    """``EpisodeRecorder`` in another process. An error of ``add`` shows at a later call.
 
-    The child starts in the background; the first question waits until it is ready, and raises what kept it from it.
-    A folder that can't be written to is a DatasetError at once. ``num_frames`` are those of the running episode.
+    That is ``save`` at the latest. The child starts in the background; the first question waits
+    until it is ready, and raises its error. A folder that can't be written to is a DatasetError at
+    once. ``num_frames`` are those of the running episode.
     """
 
     def __init__(self, facts: RigFacts, settings: StoreSettings) -> None:
@@ -104,7 +106,7 @@ class StoreProcess:
         self._pipe, other = context.Pipe()
         given = (other, self._slots, facts, settings)
         self._process = context.Process(target=serve, args=given, name="store", daemon=True)
-        # Signals go to the whole group; the child inherits that they are ignored: the loop gives the orders.
+        # Signals go to the whole group; the child ignores them: the loop gives the orders.
         with handled(signal.SIG_IGN):
             self._process.start()
         self.pid = self._process.pid or 0
@@ -125,8 +127,8 @@ class StoreProcess:
     ) -> None:
         """Hand a row over; see ``EpisodeRecorder.add``.
 
-        Raises DroppedFrameError: the child is a second behind; DatasetError, ContractError: an earlier row could not be
-        stored.
+        Raises DroppedFrameError: the child is a second behind; DatasetError, ContractError: an
+        earlier row could not be stored.
         """
         self._known()
         while self._has_answer() or self._unanswered >= SLOTS:
@@ -141,7 +143,7 @@ class StoreProcess:
         self.num_frames += 1
 
     def save(self, *outcome: Any, **more: Any) -> None:
-        """Make the episode durable; arguments as for ``EpisodeRecorder.save``. Waits until it is."""
+        """Make the episode durable, and wait; arguments as for ``EpisodeRecorder.save``."""
         self._finish("save", outcome, more)
 
     def discard(self) -> None:
@@ -156,7 +158,7 @@ class StoreProcess:
     def close(self) -> None:
         """Let the child finish and end; one that isn't ready yet has nothing to finish.
 
-        Raises DiskFullError: no room for the last of it; the child has ended, and what was saved is whole.
+        Raises DiskFullError: no room for the last of it; the child has ended, saved data is whole.
         """
         try:
             if self._stored is None:
@@ -178,10 +180,10 @@ class StoreProcess:
             self._process.join()
         self._pipe.close()
 
-    # --- the pipe ----------------------------------------------------------------------------------------------------
+    # --- the pipe -----------------------------------------------------------------------------
 
     def _known(self) -> tuple[int, int]:
-        """Return how many episodes and frames are stored; raises what kept the child from starting."""
+        """Return how many episodes and frames are stored; raises the child's error at its start."""
         while self._stored is None:
             self._take_answer(START_s)
         return self._stored
@@ -236,7 +238,7 @@ def _gone() -> StoreGoneError:
     return StoreGoneError(expected("storing process", "one that runs", "one that ended", do))
 
 
-# --- the child -------------------------------------------------------------------------------------------------------
+# --- the child --------------------------------------------------------------------------------
 
 
 def serve(pipe: Connection, slots: RowSlots, facts: RigFacts, settings: StoreSettings) -> None:
@@ -256,14 +258,12 @@ def serve(pipe: Connection, slots: RowSlots, facts: RigFacts, settings: StoreSet
 
 
 def _warm_up(recorder: EpisodeRecorder, facts: RigFacts) -> None:
-    """Record a few black frames and forget them, so that the first real ones are as fast as the others."""
-    kinds = {
-        k: (f["shape"], f["dtype"]) for k, f in recorder.features.items() if k not in RECORDERS_OWN
-    }
-    row = {
-        k: np.zeros(shape, "uint8" if kind == "video" else kind)
-        for k, (shape, kind) in kinds.items()
-    }
+    """Record and forget a few black frames, so that the first real ones are as fast as others."""
+    row = {}
+    for key, feature in recorder.features.items():
+        if key not in RECORDERS_OWN:
+            dtype = feature["dtype"]
+            row[key] = np.zeros(feature["shape"], "uint8" if dtype == "video" else dtype)
     raw = {finger: np.zeros(shape, np.uint8) for finger, shape in facts.raw_frames.items()}
     for _ in range(WARM_UP_FRAMES):
         recorder.add(row, "warm-up", raw)
@@ -271,7 +271,7 @@ def _warm_up(recorder: EpisodeRecorder, facts: RigFacts) -> None:
 
 
 def _obey_all(pipe: Connection, slots: RowSlots, recorder: EpisodeRecorder) -> None:
-    """Do each order and answer it; after an error the rest of an episode is ignored, its save too."""
+    """Do and answer each order; after an error ignore the rest of an episode, its save too."""
     order: tuple[Any, ...] = ("ready",)
     broken = False
     while True:

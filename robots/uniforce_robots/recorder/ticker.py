@@ -29,7 +29,7 @@ class TickStats:
 
 
 class Ticker:
-    """Wait for the beats of ``rate_hz``; the first one is now. Not ``paced``, for a scene, it never waits."""
+    """Wait for the beats of ``rate_hz``; the first one is now. Not ``paced``, it never waits."""
 
     def __init__(
         self,
@@ -38,11 +38,15 @@ class Ticker:
         clock: Callable[[], float] = time.perf_counter,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self._period_s, self._paced, self._clock, self._sleep = 1 / rate_hz, paced, clock, sleep
+        self._period_s = 1 / rate_hz
+        self._paced = paced
+        self._clock = clock
+        self._sleep = sleep
         self._due_s = clock()
         self._times: list[float] = []
         self._late_s: list[float] = []
-        self._paused_s, self._missed = 0.0, 0
+        self._paused_s = 0.0
+        self._missed = 0
 
     def resume(self) -> None:
         """Go on after a pause that shall not count: the next beat is one period away."""
@@ -72,6 +76,5 @@ class Ticker:
             return TickStats(count, missed=self._missed)
         span_s = self._times[-1] - self._times[0] - self._paused_s
         p50, p99, most = np.percentile(np.array(self._late_s) * 1000, (50, 99, 100)).tolist()
-        return TickStats(
-            count, (count - 1) / span_s if span_s > 0 else 0.0, p50, p99, most, self._missed
-        )
+        mean_hz = (count - 1) / span_s if span_s > 0 else 0.0
+        return TickStats(count, mean_hz, p50, p99, most, self._missed)

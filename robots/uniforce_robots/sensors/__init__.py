@@ -2,7 +2,8 @@
 
 Importing this package registers ``uniforce_tactile``, ``uniforce_uskin`` and ``uniforce_scene``.
 
-device → ``SampleReader`` (thread, newest stamped samples) → ``TactileFinger`` (reference, marker image) → robot.
+device → ``SampleReader`` (thread, newest stamped samples)
+→ ``TactileFinger`` (reference, marker image) → robot.
 """
 
 from uniforce_robots.sensors.config_uniforce import (

@@ -1,9 +1,9 @@
-"""A camera as a source of frames: opened with its settings, every one read back, checked for size, in RGB.
+"""A camera as a source of RGB frames: settings are made, read back, and sizes checked.
 
-A gel's picture must not change by itself: exposure, white balance and gain are locked, since a camera that brightens
-when pressed would look like force.  Order (V4L2 through OpenCV): pixel format first, since it decides which sizes
-exist; size, rate, buffer; then the automatics off before the values they would overwrite.  Control values were
-never tried on hardware here: what a camera refuses is an error that names the control, and None leaves it alone.
+Exposure, white balance and gain are locked: a camera that brightens when pressed would look like
+force. Order (V4L2 through OpenCV): pixel format first, since it decides which sizes exist; size,
+rate, buffer; then the automatics off before the values they would overwrite. Control values were
+never tried on hardware. A refused setting is an error that names the control; None leaves it alone.
 """
 
 from collections.abc import Callable
@@ -27,7 +27,10 @@ CaptureFactory = Callable[[str], cv2.VideoCapture]
 
 
 def open_capture(source: str) -> cv2.VideoCapture:
-    """Return a capture of a device number or path (best ``/dev/v4l/by-path/…``); LostSensorError: nothing there."""
+    """Return a capture of a device number or path, best ``/dev/v4l/by-path/…``.
+
+    Raises LostSensorError: nothing there.
+    """
     path = Path(f"/dev/video{source}" if source.isdigit() else source)
     if not path.exists():
         do = "List cameras with `ls /dev/v4l/by-path`."
@@ -36,24 +39,24 @@ def open_capture(source: str) -> cv2.VideoCapture:
 
 
 def first_node(source: str) -> str:
-    """Return the /dev/videoN with the pictures of a device whose later node ``source`` is, "" where it is the first.
+    """Return the /dev/videoN that has the pictures of ``source``'s camera, "" if ``source`` has.
 
-    Many cameras have a second one that carries metadata alone.
+    Many cameras have a second node that carries metadata alone.
     """
     name = f"video{source}" if source.isdigit() else Path(source).resolve().name
     node = SYS_VIDEO / name
     if not (node / "index").is_file() or int((node / "index").read_text()) == 0:
         return ""
     device = (node / "device").resolve()
-    firsts = [other.parent for other in SYS_VIDEO.glob("*/index") if int(other.read_text()) == 0]
-    return next(
-        (f"/dev/{first.name}" for first in firsts if (first / "device").resolve() == device),
-        "another one",
-    )
+    for index in SYS_VIDEO.glob("*/index"):
+        first = index.parent
+        if int(index.read_text()) == 0 and (first / "device").resolve() == device:
+            return f"/dev/{first.name}"
+    return "another one"
 
 
 class FrameSource(SampleSource):
-    """Base of a camera and a stream: frames (H, W, 3) uint8 RGB of the size asked for, stamped on arrival."""
+    """Base of a camera and a stream: (H, W, 3) uint8 RGB of the asked size, stamped on arrival."""
 
     def __init__(self, config: CapturedCameraConfig) -> None:
         super().__init__(without_credentials(f"{config.label} ({config.source})"))
@@ -82,8 +85,9 @@ class CameraSource(FrameSource):
         self._failed = 0
 
     def _connect(self, undo: ExitStack) -> None:
-        """Open and set the camera; raises LostSensorError, or WrongSensorError where it refuses a setting."""
-        self._capture, self._failed = self._factory(self._config.source), 0
+        """Open and set the camera; raises LostSensorError, or WrongSensorError for a setting."""
+        self._capture = self._factory(self._config.source)
+        self._failed = 0
         undo.callback(self._capture.release)
         if not self._capture.isOpened():
             do = self._advice("Is it plugged in, and used by no other program?")
@@ -94,7 +98,8 @@ class CameraSource(FrameSource):
         is_now = {name: float(self._capture.get(prop)) for name, prop, _ in wanted}
         for name, _, value in wanted:
             if name != "buffer" and abs(is_now[name] - value) > TOLERANCE:  # few report the buffer
-                do = "Set one it offers (`v4l2-ctl --list-formats-ext --list-ctrls`); exposure and gain may be null."
+                offers = "`v4l2-ctl --list-formats-ext --list-ctrls`"
+                do = f"Set one it offers ({offers}); exposure and gain may be null."
                 raise WrongSensorError(
                     expected(f"{self.name}, {name}", f"{value:g}", f"{is_now[name]:g}", do)
                 )
@@ -106,7 +111,8 @@ class CameraSource(FrameSource):
         if ok and bgr is not None:
             self._failed = 0
             return [self._stamped(bgr)]
-        self._failed, self.counts.bad = self._failed + 1, self.counts.bad + 1
+        self._failed += 1
+        self.counts.bad += 1
         if self._failed >= FAILED_READS:
             came = f"{self._failed} failed reads in a row"
             do = self._advice("Was it unplugged? Trying again.")
@@ -115,11 +121,9 @@ class CameraSource(FrameSource):
 
     def _advice(self, otherwise: str) -> str:
         first = first_node(self._config.source)
-        return (
-            f"It is a camera's metadata node, or another later one: give source={first}."
-            if first
-            else otherwise
-        )
+        if first:
+            return f"It is a camera's metadata node, or another later one: give source={first}."
+        return otherwise
 
 
 def settings_in_order(config: CapturedCameraConfig) -> list[tuple[str, int, float]]:

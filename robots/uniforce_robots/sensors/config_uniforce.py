@@ -1,8 +1,8 @@
-"""Settings of the tactile fingers, as LeRobot camera configs: a robot lists them like any other camera.
+"""Settings of the tactile fingers, as LeRobot camera configs.
 
-How a patch or camera is turned on its finger is one of them: raw stays raw, what is shown is brought upright. Which way
-a uSkin's rows run on a finger wasn't seen on hardware; ``uniforce touch check=orientation`` finds it. A camera may sit
-at any angle; ``check=angle`` finds that.
+A patch or camera may be mounted turned; its samples are brought upright. Which way a uSkin's rows
+run on a finger wasn't seen on hardware: ``uniforce touch check=orientation`` finds it. A camera may
+sit at any angle: ``check=angle`` finds that.
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ FULL_SCALE = 65_535
 
 @dataclass(frozen=True)
 class Orientation:
-    """Mirror first (left and right change places), then turn; ContractError: no angle of one turn."""
+    """Mirror left and right first, then turn; ContractError: no angle of one turn."""
 
     # counter-clockwise as the marker image shows it, from 0 to below 360; taxels by quarters
     rotation_deg: float = 0
@@ -43,8 +43,8 @@ class Orientation:
     def of_counts(self, counts: np.ndarray) -> np.ndarray:
         """Return (16, 3) uint16 counts with taxels moved to their place and shear turned along.
 
-        Counts are unsigned around mid-scale, so turning shear round mirrors it there; differences to a reference that
-        was turned by as much come out exactly turned. Turns by quarters only: configs of taxels allow no others.
+        Counts are unsigned around mid-scale, so a reversed shear is mirrored there; differences to
+        an equally turned reference come out exactly turned. By quarters only.
         """
         # rows from the bottom, columns from the left; x right, y up
         grid: np.ndarray = counts.reshape(SIDE, SIDE, 3).copy()
@@ -58,7 +58,7 @@ class Orientation:
         return grid.reshape(TAXEL_SHAPE)
 
     def of_frame(self, frame: np.ndarray) -> np.ndarray:
-        """Return a camera frame (H, W, 3) turned; by quarters exactly, else about its middle and of its own size."""
+        """Return a camera frame (H, W, 3) turned: by quarters exactly, else about its middle."""
         turned = frame[:, ::-1] if self.flip else frame
         if self.rotation_deg in TURNS:
             return np.ascontiguousarray(np.rot90(turned, round(self.rotation_deg / 90)))
@@ -70,7 +70,7 @@ class Orientation:
 
 
 SIDEWAYS = (90, 270)  # rotations that make rows of columns
-# Hard limits of what says that a sensor is dead: no config disarms a check, as ``franka.limits`` has it for the robot.
+# Hard limits of the checks for a dead sensor: no config disarms one, as in ``franka.limits``.
 HARD_LIMITS = {
     "fps": Range(1, 1000),
     "max_age_ms": Range(0, 1000, above=True),
@@ -90,9 +90,9 @@ class SampledCameraConfig(CameraConfig):
     source: str = ""  # where it is
     max_age_ms: float = 200.0  # an older sample is refused; 6 frames at 30 fps
     connect_ms: float = 5000.0  # the first sample must come within
-    # equal samples in a row that mean a frozen sensor. 6: .2 s at 30 fps, and the loop must look yet
+    # equal samples in a row that mean a frozen sensor; 6 are .2 s at 30 fps
     frozen_after: int = 6
-    # counter-clockwise, below 360; taxels by quarters. See `uniforce touch check=orientation` and check=angle
+    # counter-clockwise, below 360; taxels by quarters. `uniforce touch` finds it, see above
     rotation_deg: float = 0.0
 
     def __post_init__(self) -> None:
@@ -113,7 +113,8 @@ class SampledCameraConfig(CameraConfig):
 class CapturedCameraConfig(SampledCameraConfig):
     """Settings of every USB camera or MJPEG stream.
 
-    ``source`` is a device number, /dev/v4l/by-path/… (two C270s have no serial numbers), or http://…
+    ``source`` is a device number, /dev/v4l/by-path/… (two C270s have no serial numbers), or
+    http://…
     """
 
     # px asked of the camera; null takes what comes, as a stream needs
@@ -174,7 +175,8 @@ class TactileFingerConfig(SampledCameraConfig):
 class UniforceTactileCameraConfig(TactileFingerConfig, CapturedCameraConfig):
     """A GelSight or TacTip behind a USB camera, or an MJPEG stream.
 
-    Example: ``{"type": "uniforce_tactile", "sensor": "tactip", "finger": "right", "source": "/dev/v4l/by-path/…"}``
+    Example: ``{"type": "uniforce_tactile", "sensor": "tactip", "finger": "right",
+    "source": "/dev/v4l/by-path/…"}``
     """
 
     sensor: str = "gelsight"  # gelsight | tactip
@@ -199,7 +201,7 @@ class UniforceTactileCameraConfig(TactileFingerConfig, CapturedCameraConfig):
 
     @property
     def raw_shape(self) -> tuple[int, int, int]:
-        """(rows, columns, 3) of the camera's own frames, upright; ContractError where the size is the camera's."""
+        """(rows, columns, 3) of the camera's upright frames; ContractError: no size was set."""
         if self.capture_width is None or self.capture_height is None:
             do = "A dataset needs to know the size of raw frames."
             raise ContractError(expected("capture_width, capture_height", "numbers", "null", do))
@@ -215,7 +217,8 @@ class UniforceUskinConfig(TactileFingerConfig):
 
     ``source`` is a serial port or host:port, as ``link`` says.
 
-    Example: ``{"type": "uniforce_uskin", "finger": "left", "link": "slcan", "source": "/dev/serial/by-id/…"}``
+    Example: ``{"type": "uniforce_uskin", "finger": "left", "link": "slcan",
+    "source": "/dev/serial/by-id/…"}``
     """
 
     sensor: str = "uskin"
@@ -244,12 +247,13 @@ class UniforceUskinConfig(TactileFingerConfig):
 @CameraConfig.register_subclass("uniforce_scene")
 @dataclass(kw_only=True)
 class UniforceSceneCameraConfig(CapturedCameraConfig):
-    """A camera that looks at the scene: like LeRobot's ``opencv``, but stamped, reopened, and refused once frozen.
+    """A scene camera: like LeRobot's ``opencv``, but stamped, reopened, and refused once frozen.
 
-    ``width`` and ``height`` are those delivered: the middle of what was captured, in this shape, made smaller.
+    ``width`` and ``height`` are those delivered: the captured frame's middle in this shape,
+    resized.
 
-    Example: ``{"type": "uniforce_scene", "source": "/dev/v4l/by-path/…", "width": 224, "height": 224,
-    "capture_width": 640, "capture_height": 480}``
+    Example: ``{"type": "uniforce_scene", "source": "/dev/v4l/by-path/…", "width": 224,
+    "height": 224, "capture_width": 640, "capture_height": 480}``
     """
 
     width: int | None = 640
@@ -257,7 +261,7 @@ class UniforceSceneCameraConfig(CapturedCameraConfig):
 
     @property
     def capture_size(self) -> tuple[int | None, int | None]:
-        """(width, height) asked of the camera, by default what is delivered; its frames are turned after that."""
-        sideways = self.rotation_deg in SIDEWAYS
-        width, height = (self.height, self.width) if sideways else (self.width, self.height)
-        return self.capture_width or width, self.capture_height or height
+        """(width, height) asked of the camera before turning, by default as delivered."""
+        if self.rotation_deg in SIDEWAYS:
+            return self.capture_width or self.height, self.capture_height or self.width
+        return self.capture_width or self.width, self.capture_height or self.height

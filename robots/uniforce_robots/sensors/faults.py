@@ -1,4 +1,4 @@
-"""How a tactile device fails, one class per way.  Each is also the exception LeRobot's camera contract names."""
+"""Faults of a tactile device, one class each, also as LeRobot's camera contract names them."""
 
 from uniforce_vtla.errors import SensorError
 
@@ -16,7 +16,7 @@ class FrozenSensorError(SensorError):
 
 
 class WrongSensorError(SensorError):
-    """The device answers, but it isn't what the config says: size, rate, setting, number of taxels."""
+    """The device isn't the one of the config: size, rate, setting, number of taxels."""
 
 
 class SimulatedSensorError(SensorError):

@@ -1,8 +1,8 @@
-"""Cameras read in the background, as LeRobot cameras: scene cameras, and tactile fingers whatever their sensor.
+"""Scene cameras and tactile fingers, read in the background, as LeRobot cameras.
 
-device → ``SampleReader`` → for a finger: free-air reference, canonical marker image.  A dataset stores data from
-here: the marker image as the sensor sees it (never mirrored), the raw signal beside it, the time it was taken and its
-age.  A sensor that is lost, stale or frozen is an error, never an old or empty image.
+device → ``SampleReader`` → for a finger: free-air reference, canonical marker image. A dataset
+stores the marker image as the sensor sees it (never mirrored), the raw signal, its time and its
+age. A sensor that is lost, stale or frozen is an error, never an old or empty image.
 """
 
 import threading
@@ -82,7 +82,7 @@ class SampledCamera(Camera):
     def connect(self, warmup: bool = True) -> None:
         """Open the device and wait for its first sample.
 
-        Raises SensorError: no device, no samples, another sensor than configured, or a reference taken in contact.
+        Raises SensorError: no device, no samples, another sensor, or a reference in contact.
         """
         if self.is_connected:
             return
@@ -102,7 +102,7 @@ class SampledCamera(Camera):
         return self.async_read(READ_MS)
 
     def async_read(self, timeout_ms: float = 200.0) -> np.ndarray:
-        """Return the image of a sample not delivered before, waiting for it; raises as ``read_latest``."""
+        """Wait for a sample not delivered before; return its image. Raises as ``read_latest``."""
         sample = self.next_touch(self._last_index, timeout_ms)
         self._last_index = sample.index
         return self._image(sample.raw)
@@ -110,19 +110,21 @@ class SampledCamera(Camera):
     def read_latest(self, max_age_ms: float | None = None) -> np.ndarray:
         """Return the newest sample's image at once; None takes the config's ``max_age_ms``.
 
-        Raises StaleSensorError: older than that, or none yet (also a TimeoutError); LostSensorError: not connected or
-        unplugged (also a ConnectionError); FrozenSensorError: the content stopped changing; SensorError: no markers in
-        the frame, or taxels all zero; ContractError: taxels without a reference.
+        Raises StaleSensorError: older than that, or none yet (also a TimeoutError);
+        LostSensorError: not connected or unplugged (also a ConnectionError); FrozenSensorError: the
+        content stopped changing; SensorError: no markers in the frame, or taxels all zero;
+        ContractError: taxels without a reference.
         """
         return self._image(self.latest(max_age_ms).raw)
 
     def latest(self, max_age_ms: float | None = None) -> Sample:
-        """Return the newest raw sample, upright, with its time and age; raises as ``read_latest``."""
-        limit_ms = self.config.max_age_ms if max_age_ms is None else max_age_ms
-        return self._upright(self._reader.newest(limit_ms))
+        """Return the newest raw sample, upright, with time and age; raises as ``read_latest``."""
+        if max_age_ms is None:
+            max_age_ms = self.config.max_age_ms
+        return self._upright(self._reader.newest(max_age_ms))
 
     def next_touch(self, after: int, timeout_ms: float = READ_MS) -> Sample:
-        """Return the newest raw sample after index ``after``, waiting for it; raises as ``read_latest``."""
+        """Wait for and return a raw sample after index ``after``; raises as ``read_latest``."""
         return self._upright(self._reader.wait_newer(after, timeout_ms))
 
     @property
@@ -142,7 +144,7 @@ class SampledCamera(Camera):
 
     @property
     def settings_read_back(self) -> dict[str, float]:
-        """Settings that a camera's driver reported when it was opened, for a dataset; else empty."""
+        """Settings reported by a camera's driver when it was opened; else empty."""
         return self._source.settings_read_back
 
     def _upright(self, sample: Sample) -> Sample:
@@ -152,7 +154,8 @@ class SampledCamera(Camera):
 class TactileFinger(SampledCamera):
     """A tactile sensor with LeRobot's camera interface.
 
-    ``read``, ``async_read`` and ``read_latest`` return (480, 640, 3) uint8: the marker image, three equal channels.
+    ``read``, ``async_read`` and ``read_latest`` return the marker image, (480, 640, 3) uint8, its
+    channels equal.
     """
 
     def __init__(self, config: TactileFingerConfig, source: SampleSource) -> None:
@@ -164,7 +167,7 @@ class TactileFinger(SampledCamera):
     def connect(self, warmup: bool = True) -> None:
         """Open the device and wait for its first sample.
 
-        Raises SensorError: no device, no samples, another sensor than configured, or a reference taken in contact;
+        Raises SensorError: no device, no samples, another sensor, or a reference in contact;
         DatasetError: one of LeRobot's recorders connects it and would store its images with loss.
         """
         delivers = getattr(self.config, "delivers", "markers")  # cameras may deliver raw frames
@@ -180,17 +183,18 @@ class TactileFinger(SampledCamera):
             self.take_reference()
 
     def window(self, size: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return stamps (size,) ns and upright data (size, ...) of the newest samples; see ``SampleReader.window``."""
+        """Return stamps (size,) ns and upright data (size, ...); see ``SampleReader.window``."""
         stamps_ns, data = self._reader.window(size, self.config.max_age_ms)
         return stamps_ns, np.stack([self._orientation.upright(raw) for raw in data])
 
     def take_reference(self) -> np.ndarray:
-        """Take the free-air reference from the next samples; return its marker image (480, 640) uint8.
+        """Take the free-air reference; return its marker image (480, 640) uint8.
 
-        Raises:
-            SensorError: in contact as far as that can be known (see ``markers.reference``), lost, or without markers.
+        Raises SensorError: in contact as far as that can be known (see ``markers.reference``),
+        lost, or without markers.
         """
-        samples, index = [], -1
+        samples = []
+        index = -1
         for _ in range(self.config.reference_samples):
             sample = self.next_touch(index)
             samples.append(sample.raw)
@@ -205,13 +209,14 @@ class TactileFinger(SampledCamera):
 
     @property
     def reference_raw(self) -> np.ndarray:
-        """The free-air signal everything is compared with; ContractError before ``take_reference``."""
+        """The free-air signal; ContractError before ``take_reference``."""
         return self._taken()[0]
 
     def reference_image(self) -> np.ndarray:
-        """Return the reference's marker image, (480, 640, 3) uint8, for ``observation.images.tactile_*_ref``.
+        """Return the reference's marker image, (480, 640, 3) uint8, for ``…tactile_*_ref``.
 
-        The same array every time until the next reference, not writeable; ContractError before ``take_reference``.
+        The same array until the next reference, not writeable; ContractError before
+        ``take_reference``.
         """
         return self._taken()[1]
 
@@ -231,7 +236,7 @@ class TactileFinger(SampledCamera):
 
 
 class UniforceTactileCamera(TactileFinger):
-    """GelSight and TacTip: a gel or dome behind a USB camera, which ``factory`` opens (tests script one)."""
+    """GelSight and TacTip: a gel or dome behind a USB camera, which ``factory`` opens."""
 
     def __init__(
         self, config: UniforceTactileCameraConfig, factory: CaptureFactory = open_capture
@@ -258,7 +263,8 @@ class UniforceTactileCamera(TactileFinger):
 class UniforceUskin(TactileFinger):
     """A uSkin patch, its counts drawn as the marker image; see ``TactileFinger``.
 
-    ``latest().raw`` is (16, 3) uint16 counts before any baseline, from ``source`` or what ``config.link`` names.
+    ``latest().raw`` is (16, 3) uint16 counts before any baseline, from ``source`` or
+    ``config.link``.
     """
 
     capacity = 1024  # 2 s at 500 scans/s
@@ -272,12 +278,12 @@ class UniforceUskin(TactileFinger):
 
     def _median(self, samples: list[np.ndarray]) -> np.ndarray:
         level = self.config.resting_level
-        if level and not Path(level).is_file():
+        if not level:
+            return capture_taxel_reference(samples, resting_level=None)
+        if not Path(level).is_file():
             do = "Save one with numpy.save, or leave it empty."
             raise ContractError(expected("resting_level", "a .npy file", level, do))
-        return capture_taxel_reference(
-            samples, resting_level=read_array(Path(level)) if level else None
-        )
+        return capture_taxel_reference(samples, resting_level=read_array(Path(level)))
 
 
 def _as_rgb(image: np.ndarray) -> np.ndarray:
@@ -285,7 +291,7 @@ def _as_rgb(image: np.ndarray) -> np.ndarray:
 
 
 class UniforceSceneCamera(SampledCamera):
-    """A camera that looks at the scene; delivers (height, width, 3) uint8 RGB; ``factory`` opens it."""
+    """A scene camera; delivers (height, width, 3) uint8 RGB; ``factory`` opens it."""
 
     def __init__(
         self, config: UniforceSceneCameraConfig, factory: CaptureFactory = open_capture
@@ -296,24 +302,28 @@ class UniforceSceneCamera(SampledCamera):
         return upright
 
     def _upright(self, sample: Sample) -> Sample:
-        width, height, turned = self.width, self.height, super()._upright(sample)
+        width = self.width
+        height = self.height
+        turned = super()._upright(sample)
         if width is None or height is None or turned.raw.shape[:2] == (height, width):
             return turned
-        small = cv2.resize(
-            middle(turned.raw, width / height), (width, height), interpolation=cv2.INTER_AREA
-        )
+        part = middle(turned.raw, width / height)
+        small = cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA)
         return replace(turned, raw=small)
 
 
 def make_frame_source(config: CapturedCameraConfig, factory: CaptureFactory) -> SampleSource:
     """Return the source that ``config.source`` names: a stream or a device."""
-    is_stream = config.source.startswith(("http://", "https://"))
-    return StreamSource(config) if is_stream else CameraSource(config, factory)
+    if config.source.startswith(("http://", "https://")):
+        return StreamSource(config)
+    return CameraSource(config, factory)
 
 
 def middle(image: np.ndarray, aspect: float) -> np.ndarray:
-    """Return the largest middle part of an (H, W, 3) image that is ``aspect`` times as wide as high."""
+    """Return the largest middle part of an (H, W, 3) image, ``aspect`` times as wide as high."""
     rows, columns = image.shape[:2]
-    width, height = min(columns, round(rows * aspect)), min(rows, round(columns / aspect))
-    left, top = (columns - width) // 2, (rows - height) // 2
+    width = min(columns, round(rows * aspect))
+    height = min(rows, round(columns / aspect))
+    left = (columns - width) // 2
+    top = (rows - height) // 2
     return image[top : top + height, left : left + width]

@@ -1,7 +1,7 @@
-"""Tactile images stay exact: LeRobot's own recorders are refused where they would compress them with loss.
+"""Refuse LeRobot's own recorders where they would compress tactile images with loss.
 
-LeRobot has one codec for all cameras, with loss unless its flags say otherwise, and gives no camera its settings. They
-are in the frame of the function that connects the robot and its cameras, so they are read there.
+LeRobot has one codec for all cameras, with loss unless its flags say otherwise, and gives no camera
+its settings. They are read from the stack frame of the function that connects the robot.
 """
 
 import inspect
@@ -11,13 +11,16 @@ from lerobot.configs.dataset import DatasetRecordConfig
 from uniforce_vtla.errors import DatasetError, expected
 
 # Measured with stored episodes: exact for images that hold only 0 and 255 with R = G = B.
-LOSSLESS = "--dataset.rgb_encoder.vcodec=h264 --dataset.rgb_encoder.crf=0 --dataset.streaming_encoding=false"
+LOSSLESS = (
+    "--dataset.rgb_encoder.vcodec=h264 --dataset.rgb_encoder.crf=0"
+    " --dataset.streaming_encoding=false"
+)
 
 
 def refuse_lossy_recording(label: str, only_markers: bool) -> None:
-    """Raise where the caller is one of LeRobot's recorders and would store a tactile sensor's images with loss.
+    """Refuse a LeRobot recorder that would store a tactile sensor's images with loss.
 
-    With ``only_markers`` its images hold 0 and 255 alone; raw frames survive no video that LeRobot writes.
+    ``only_markers``: images of 0 and 255 alone; raw frames survive no video that LeRobot writes.
 
     Raises DatasetError: saying which flags store the images exactly.
     """

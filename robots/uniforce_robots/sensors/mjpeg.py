@@ -1,11 +1,12 @@
 """A camera behind ``http://``: bytes of an HTTP answer → JPEG images → frames.
 
-The form is ``multipart/x-mixed-replace`` (RFC 2046 parts in one endless answer), as MJPEG streamers send it; each part
-says its ``Content-Length``.  Every buffer is bounded: a server that never ends a header is an error, not a full memory.
+The form is ``multipart/x-mixed-replace`` (RFC 2046 parts in one endless answer), as MJPEG streamers
+send it; each part says its ``Content-Length``. Every buffer is bounded: an endless header is an
+error.
 
-Not PyAV: it ends at the first image that is none (fault ``garbage``).  Not
-httpx: its stream is over after one read that timed out, and the parts would still be parsed here.  OpenCV's own reader
-takes a second to open and waits 30 s for a silent server.
+Not PyAV: it ends at the first broken image (fault ``garbage``). Not httpx: its stream is over after
+one read that timed out. OpenCV's own reader takes a second to open and waits 30 s for a silent
+server.
 """
 
 import base64
@@ -48,8 +49,8 @@ class MultipartJpeg:
     def feed(self, chunk: bytes) -> list[bytes]:
         """Return the images that ``chunk`` completes.
 
-        Raises:
-            ProtocolError: another status than 200, no multipart, no boundary, no length, or something beyond its limit.
+        Raises ProtocolError: another status than 200, no multipart, no boundary, no length, or
+        something beyond its limit.
         """
         self._buffer += chunk
         parts: list[bytes] = []
@@ -73,9 +74,14 @@ class MultipartJpeg:
             return False
         first, *lines = bytes(self._buffer[:end]).split(b"\r\n")
         del self._buffer[: end + len(_END)]
-        pairs = [line.partition(b":") for line in lines]
-        fields = {name.strip().lower(): value.strip() for name, _, value in pairs}
-        (self._begin_part if self._boundary else self._begin)(first, fields)
+        fields = {}
+        for line in lines:
+            name, _, value = line.partition(b":")
+            fields[name.strip().lower()] = value.strip()
+        if self._boundary:
+            self._begin_part(first, fields)
+        else:
+            self._begin(first, fields)
         return True
 
     def _begin(self, status: bytes, fields: dict[bytes, bytes]) -> None:
@@ -115,11 +121,11 @@ class StreamSource(FrameSource):
         self._socket = undo.enter_context(_request(self._config.source))
 
     def read(self) -> list[Stamped]:
-        """Return the newest whole image that came, or nothing; older ones that came with it are left out."""
+        """Return the newest whole image that came, or nothing; older ones are left out."""
         parts: list[bytes] = []
         deadline_s = time.monotonic() + READ_S
         for _ in range(MAX_CHUNKS):
-            # once there is an image, take what else waits in the kernel but wait for nothing: the newest counts
+            # once there is an image, take what else waits in the kernel: the newest counts
             chunk = self._receive(0.0 if parts else max(deadline_s - time.monotonic(), 0.0))
             if not chunk:
                 break
@@ -161,16 +167,21 @@ def _request(url: str) -> socket.socket:
     do = "Give http://host:port/path of an MJPEG stream, and start its server."
     try:
         parts = urlsplit(url)
-        host, port = parts.hostname, parts.port or 80
+        host = parts.hostname
+        port = parts.port or 80
         if parts.scheme != "http" or not host:
             raise ValueError("no http address")
     except ValueError as error:  # also a port that is no number, or half a bracket
         raise LostSensorError(
             expected("camera address", "http://host:port/path", url, do)
         ) from error
-    target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
-    pair = f"{unquote(parts.username or '')}:{unquote(parts.password or '')}".encode()
-    login = f"Authorization: Basic {base64.b64encode(pair).decode()}\r\n" if parts.username else ""
+    target = parts.path or "/"
+    if parts.query:
+        target += f"?{parts.query}"
+    login = ""
+    if parts.username:
+        pair = f"{unquote(parts.username)}:{unquote(parts.password or '')}".encode()
+        login = f"Authorization: Basic {base64.b64encode(pair).decode()}\r\n"
     # HTTP/1.0: the answer is never chunked
     request = f"GET {target} HTTP/1.0\r\nHost: {host}:{port}\r\n{login}\r\n"
     try:

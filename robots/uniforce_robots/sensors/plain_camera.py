@@ -1,7 +1,8 @@
 """LeRobot's own cameras, watched: an old, frozen or broken frame is an error, never a picture.
 
-They keep the newest frame and when it came (``latest_timestamp``, ``time.perf_counter``). They don't notice a picture
-that stopped changing, and one whose thread has died still calls itself connected.
+They keep the newest frame and when it came (``latest_timestamp``, ``time.perf_counter``). They
+don't notice a picture that stopped changing, and call themselves connected when their thread has
+died.
 """
 
 from dataclasses import dataclass
@@ -22,15 +23,15 @@ DO = "Check cable, power and USB load."
 
 @dataclass(frozen=True)
 class Picture:
-    """A scene camera's newest frame: (H, W, 3) uint8 RGB, its number since connecting, when it was taken."""
+    """A scene camera's newest frame."""
 
-    image: np.ndarray
-    index: int
-    time_s: float
+    image: np.ndarray  # (H, W, 3) uint8 RGB
+    index: int  # its number since connecting
+    time_s: float  # when it was taken
 
 
 class PlainCamera:
-    """Read any LeRobot camera with a ``latest_timestamp``; ContractError: it doesn't say when frames were taken."""
+    """Read any LeRobot camera with a ``latest_timestamp``; ContractError: it has none."""
 
     def __init__(self, name: str, camera: Camera) -> None:
         if not hasattr(camera, "latest_timestamp"):
@@ -38,21 +39,29 @@ class PlainCamera:
             raise ContractError(
                 expected(name, "a camera with latest_timestamp", type(camera).__name__, do)
             )
-        self._name, self._camera = name, camera
-        self._index, self._time_s, self._repeats = -1, float("nan"), 0
+        self._name = name
+        self._camera = camera
+        self._index = -1
+        self._time_s = float("nan")
+        self._repeats = 0
         self._last: np.ndarray = np.zeros(0)
 
     def picture(self) -> Picture:
         """Return the newest frame.
 
-        Raises StaleSensorError: it is too old; LostSensorError: the camera's thread has ended, or it is disconnected;
-        FrozenSensorError: the content hasn't changed for ``FROZEN_AFTER`` frames; SensorError: it is no picture.
+        Raises StaleSensorError: it is too old; LostSensorError: the camera's thread has ended, or
+        it is disconnected; FrozenSensorError: the content hasn't changed for ``FROZEN_AFTER``
+        frames; SensorError: it is no picture.
         """
         image, time_s = self._newest()
         if time_s != self._time_s:
-            self._index, self._time_s = self._index + 1, time_s
+            self._index += 1
+            self._time_s = time_s
             thinned = image[::STRIDE, ::STRIDE].copy()
-            self._repeats = self._repeats + 1 if np.array_equal(thinned, self._last) else 0
+            if np.array_equal(thinned, self._last):
+                self._repeats += 1
+            else:
+                self._repeats = 0
             self._last = thinned
         if self._repeats >= FROZEN_AFTER:
             came = f"the same content {self._repeats + 1} times in a row"
@@ -82,7 +91,8 @@ class PlainCamera:
         )
 
     def _checked(self, image: Any) -> np.ndarray:
-        shape, kind = getattr(image, "shape", None), getattr(image, "dtype", None)
+        shape = getattr(image, "shape", None)
+        kind = getattr(image, "dtype", None)
         if kind != np.uint8 or shape != (self._camera.height, self._camera.width, 3):
             wanted = f"({self._camera.height}, {self._camera.width}, 3) uint8"
             came = f"{shape} {kind}" if shape else type(image).__name__

@@ -1,10 +1,9 @@
 """A thread that keeps one device's newest samples at hand, and never lets a dead sensor look alive.
 
-Asking for the newest sample gives one that is young enough, or an error that names the sensor and the reason; a driver
-stuck in the kernel can't hide behind its last sample.
+The newest sample is young enough, or an error names the sensor and the reason.
 
-Stamps are int64 nanoseconds of ``time.perf_counter_ns``: on Linux CLOCK_MONOTONIC, the clock V4L2 stamps its buffers
-with, so that camera, taxels and arm can be laid side by side.
+Stamps are int64 nanoseconds of ``time.perf_counter_ns``: on Linux CLOCK_MONOTONIC, V4L2's own
+clock, so that camera, taxels and arm can be compared.
 """
 
 import logging
@@ -54,14 +53,15 @@ class SampleSource(ABC):
     max_behind_s = 1.0  # how long reading may lag behind before that is an error
 
     def __init__(self, name: str) -> None:
-        self.name, self.counts = name, SourceCounts()
+        self.name = name
+        self.counts = SourceCounts()
         # what a camera's driver said each setting was
         self.settings_read_back: dict[str, float] = {}
         self._closing = ExitStack()
         self._behind_since_s = float("inf")
 
     def open(self) -> None:
-        """Connect anew; raise SensorError where that fails, within seconds, with nothing left open."""
+        """Connect anew; raise SensorError within seconds where that fails, leaving nothing open."""
         self.close()
         with ExitStack() as undo:
             self._connect(undo)
@@ -84,34 +84,37 @@ class SampleSource(ABC):
 
         Blocks for a tenth of a second or so at most.
 
-        Raises LostSensorError: it is gone; ProtocolError: what came can't be understood, or has no usable time;
-        WrongSensorError: frames of another size, no such sensor, not 16 taxels; SimulatedSensorError: a server says
-        that its bus is simulated; StaleSensorError: data come faster than they are read, so that their stamps would be
-        wrong.
+        Raises LostSensorError: it is gone; ProtocolError: bytes that can't be understood;
+        WrongSensorError: frames of another size, no such sensor, not 16 taxels;
+        SimulatedSensorError: a server says that its bus is simulated; StaleSensorError: data come
+        faster than they are read, so that their stamps would be wrong.
         """
 
     def _more_waits(self, is_full: bool) -> bool:
-        """Return ``is_full``: whether a read was full, so that there is more to read before anything is stamped.
+        """Return whether the last read was full, so that more must be read before stamping.
 
-        Data that waited in the kernel must not pass for new: while reads are full the newest sample grows old, as it
-        should.  A reader that never catches up is an error.
+        Data that waited in the kernel must not pass for new: while reads are full the newest sample
+        grows old, as it should. A reader that never catches up is an error.
         """
+        if not is_full:
+            self._behind_since_s = float("inf")
+            return False
         now_s = time.monotonic()
-        self._behind_since_s = min(self._behind_since_s, now_s) if is_full else float("inf")
+        self._behind_since_s = min(self._behind_since_s, now_s)
         behind_s = now_s - self._behind_since_s
         if behind_s > self.max_behind_s:
             self._behind_since_s = float("inf")
             do = "Free the CPU of this machine; what waited is thrown away by opening anew."
             came = f"a queue for {behind_s:.2f} s"
             raise faults.StaleSensorError(expected(self.name, "a reader that keeps up", came, do))
-        return is_full
+        return True
 
 
 @dataclass(frozen=True)
 class Sample:
-    """One sample: ``raw`` is a copy, (H, W, 3) uint8 RGB of a camera or (16, 3) uint16 counts of a uSkin."""
+    """One sample."""
 
-    raw: np.ndarray
+    raw: np.ndarray  # a copy: (H, W, 3) uint8 RGB of a camera, (16, 3) uint16 counts of a uSkin
     index: int  # since the reader was made; a gap shows how many were left out
     stamp_ns: int  # when it was taken, host's monotonic clock
     age_ms: float  # how old it was when asked for
@@ -134,10 +137,11 @@ class ReaderLimits:
 
 
 class SampleReader:
-    """Reads ``source`` in the background from ``start`` to ``stop``; ``reconnects`` counts its returns from losses."""
+    """Read ``source`` in the background from ``start`` to ``stop``; count its ``reconnects``."""
 
     def __init__(self, source: SampleSource, limits: ReaderLimits | None = None) -> None:
-        self._source, self._limits = source, limits or ReaderLimits()
+        self._source = source
+        self._limits = limits or ReaderLimits()
         self._kept: deque[Stamped] = deque(maxlen=self._limits.capacity)
         self._changed = threading.Condition()
         self._turn = threading.RLock()  # one start or stop at a time
@@ -145,7 +149,8 @@ class SampleReader:
         self._thread: threading.Thread | None = None
         self._fault: SensorError | None = None
         self._received = self._last_sample_ns = self._last_crc = self._repeats = 0
-        self.name, self.reconnects = source.name, 0
+        self.name = source.name
+        self.reconnects = 0
 
     @property
     def counts(self) -> SourceCounts:
@@ -162,9 +167,10 @@ class SampleReader:
         return self._thread is not None and self._thread.is_alive()
 
     def start(self) -> None:
-        """Open the device here, so that a failure (SensorError) is the caller's, then read on in the background.
+        """Open the device, then read on in the background.
 
-        Raises LostSensorError: the driver still hangs in a read of before the last ``stop``.
+        Raises SensorError: it can't be opened; LostSensorError: the driver still hangs in a read
+        begun before the last ``stop``.
         """
         with self._turn:
             if self.is_running:
@@ -174,7 +180,9 @@ class SampleReader:
                 raise faults.LostSensorError(
                     expected(self.name, "a driver that returns", "one that hangs", do)
                 )
-            self._fault, self._repeats, before = None, 0, self._received - 1
+            self._fault = None
+            self._repeats = 0
+            before = self._received - 1
             with self._translated():
                 self._source.open()
             self._last_sample_ns = now_ns()
@@ -206,24 +214,24 @@ class SampleReader:
     def newest(self, max_age_ms: float) -> Sample:
         """Return the newest sample without waiting.
 
-        Raises LostSensorError: not connected, or gone; another SensorError where the cause has its own class;
-        FrozenSensorError: the content hasn't changed for ``frozen_after`` samples; StaleSensorError: no sample yet, or
-        older than ``max_age_ms``.
+        Raises LostSensorError: not connected, or gone; another SensorError where the cause has its
+        own class; FrozenSensorError: the content hasn't changed for ``frozen_after`` samples;
+        StaleSensorError: no sample yet, or older than ``max_age_ms``.
         """
         return self.wait_newer(-1, max_age_ms, wait_ms=0.0)
 
     def wait_newer(self, index: int, max_age_ms: float, wait_ms: float | None = None) -> Sample:
-        """Return the newest sample after ``index``, waiting for it as long as it may be old.
+        """Wait for the newest sample after ``index``, for as long as it may be old.
 
         Raises SensorError: as ``newest``, where no sample comes in time.
         """
+        if wait_ms is None:
+            wait_ms = max_age_ms
         with self._changed:
-            wait_s = (max_age_ms if wait_ms is None else wait_ms) / 1e3
-            in_time = self._changed.wait_for(lambda: self._received - 1 > index, wait_s)
-            (stamp_ns, raw), newest = (
-                self._kept[-1] if in_time else (0, np.empty(0)),
-                self._received - 1,
-            )
+            in_time = self._changed.wait_for(lambda: self._received - 1 > index, wait_ms / 1e3)
+            newest = self._received - 1
+            if in_time:
+                stamp_ns, raw = self._kept[-1]
         self._check_alive()
         do = "Stop pressing; check cable, USB load and the sensor's rate."
         if not in_time:
@@ -232,14 +240,15 @@ class SampleReader:
             )
         age_ms = (now_ns() - stamp_ns) / NS_PER_MS
         if age_ms > max_age_ms:
-            wanted, came = f"a sample younger than {max_age_ms:g} ms", f"{age_ms:.0f} ms"
+            wanted = f"a sample younger than {max_age_ms:g} ms"
+            came = f"{age_ms:.0f} ms"
             raise faults.StaleSensorError(expected(self.name, wanted, came, do))
         return Sample(raw.copy(), newest, stamp_ns, age_ms)
 
     def window(self, size: int, max_age_ms: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return stamps (size,) int64 ns and data (size, ...) of the newest samples, the newest last.
+        """Return stamps (size,) int64 ns and data (size, ...) of the newest samples, in order.
 
-        Where fewer are kept the oldest is repeated, so that nothing is made up.
+        Where fewer are kept the oldest is repeated.
 
         Raises ContractError: a size outside 1 … capacity; SensorError: as ``newest``.
         """
@@ -251,21 +260,25 @@ class SampleReader:
         with self._changed:
             kept = list(self._kept)[-size:]
         kept = [kept[0]] * (size - len(kept)) + kept
-        return np.array([stamp_ns for stamp_ns, _ in kept]), np.stack([raw for _, raw in kept])
+        stamps_ns, raws = zip(*kept, strict=True)
+        return np.array(stamps_ns), np.stack(raws)
 
     def since(self, index: int) -> list[Stamped]:
         """Return every sample after ``index`` that is still kept, the newest last."""
         with self._changed:
-            later = max(self._received - 1 - index, 0)
-            return list(self._kept)[-later:] if later else []
+            kept = list(self._kept)
+            later = min(max(self._received - 1 - index, 0), len(kept))
+        return kept[len(kept) - later :]
 
     def rate_hz(self) -> float:
-        """Return the measured rate over the newest ``RATE_OVER_S`` of samples; 0 with fewer than two."""
+        """Return the rate over the newest ``RATE_OVER_S`` of samples; 0 with fewer than two."""
         stamps_ns = np.array([stamp_ns for stamp_ns, _ in self.since(-1)])
         recent = stamps_ns[stamps_ns >= stamps_ns.max(initial=0) - RATE_OVER_S * NS_PER_S]
-        return (len(recent) - 1) * NS_PER_S / np.ptp(recent) if len(set(recent)) > 1 else 0.0
+        if len(set(recent)) < 2:
+            return 0.0
+        return (len(recent) - 1) * NS_PER_S / np.ptp(recent)
 
-    # -- the thread -------------------------------------------------------------------------------------
+    # -- the thread ----------------------------------------------------------------------------
 
     def _run(self, stop: threading.Event) -> None:
         try:
@@ -319,10 +332,14 @@ class SampleReader:
             return
 
     def keep(self, samples: list[Stamped]) -> None:
-        """Keep samples, whose arrays are now the reader's; WrongSensorError: another shape or dtype than before."""
+        """Keep samples and their arrays; WrongSensorError: another shape or dtype than before."""
         for sample in samples:
             crc = zlib.crc32(np.ascontiguousarray(sample.raw))
-            self._repeats, self._last_crc = (self._repeats + 1 if crc == self._last_crc else 0), crc
+            if crc == self._last_crc:
+                self._repeats += 1
+            else:
+                self._repeats = 0
+            self._last_crc = crc
             form = sample.raw.dtype, sample.raw.shape
             with self._changed:
                 before = self._kept[-1].raw if self._kept else sample.raw
@@ -346,8 +363,10 @@ class SampleReader:
             )
         fault = self._fault
         if fault is not None:
-            text = str(fault)  # a socket knows its address, not whose finger it serves
-            raise type(fault)(text if self.name in text else f"{self.name}: {text}") from fault
+            text = str(fault)
+            if self.name not in text:  # a socket knows its address, not whose finger it serves
+                text = f"{self.name}: {text}"
+            raise type(fault)(text) from fault
         if self._limits.frozen_after and self._repeats >= self._limits.frozen_after:
             came = f"the same content {self._repeats + 1} times in a row"
             raise faults.FrozenSensorError(

@@ -1,11 +1,12 @@
-"""uSkin through the maker's xela_server: several programs may listen, at whatever rate the server chooses.
+"""uSkin through the maker's xela_server: several programs may listen, at the server's rate.
 
-It binds its LAN address only (1.7.6) and is delivered with a simulated bus, whose data looks alive; it is refused where
-the server says so, but not every version does: look into xServ.ini.  Never run against the real server.
+It binds its LAN address only (1.7.6) and is delivered with a simulated bus, whose data looks alive.
+That is refused where the server says so, but not every version does: look into xServ.ini. Never run
+against the real server.
 
-First comes ``{"message": "Welcome", …}``, then messages of ``type`` "routine" with one object per sensor number, whose
-``data`` holds X, Y, Z of each taxel row by row: 48 hex words as one text, or as a list.  ``calibrated`` is there or
-null and not used: newtons are read from latents.  Source: XELA uSPa manual, 2023, and clients published by users.
+First comes ``{"message": "Welcome", …}``, then messages of ``type`` "routine" with one object per
+sensor number. Its ``data`` holds X, Y, Z of each taxel row by row: 48 hex words as one text, or as
+a list. ``calibrated`` is not used. Source: XELA uSPa manual, 2023, and clients published by users.
 """
 
 import json
@@ -41,7 +42,8 @@ _BUS_FIELDS = ("bustype", "bus_type", "bus")
 class XelaMessages:
     """Server bytes → texts, by the protocol half of ``websockets``; no I/O.
 
-    Its connection classes read in a thread of their own into a queue: a message that waited there would pass for new.
+    Its connection classes read into a queue in a thread of their own: old messages would pass for
+    new.
 
     ``host`` and ``port`` are named in the handshake, ``name`` in errors.
     """
@@ -55,26 +57,34 @@ class XelaMessages:
         self.protocol.send_request(self.protocol.connect())
 
     def feed(self, chunk: bytes) -> list[str]:
-        """Return the texts that ``chunk`` completes; empty means the end of the stream.
+        """Return the texts that ``chunk`` completes; an empty chunk is the end of the stream.
 
         Raises ProtocolError: no handshake, frames the RFC forbids, or text that isn't UTF-8.
         """
-        self.protocol.receive_data(chunk) if chunk else self.protocol.receive_eof()
+        if chunk:
+            self.protocol.receive_data(chunk)
+        else:
+            self.protocol.receive_eof()
         error = self.protocol.handshake_exc or self.protocol.parser_exc
         if error is not None and not isinstance(error, EOFError):
             raise faults.ProtocolError(
                 expected(self._name, "a WebSocket server (RFC 6455)", error, IS_IT)
             ) from error
-        frames = [event for event in self.protocol.events_received() if isinstance(event, Frame)]
-        texts = [self._assembled(frame) for frame in frames if frame.opcode in DATA_OPCODES]
-        return [text for text in texts if text is not None]
+        texts = []
+        for event in self.protocol.events_received():
+            if isinstance(event, Frame) and event.opcode in DATA_OPCODES:
+                text = self._assembled(event)
+                if text is not None:
+                    texts.append(text)
+        return texts
 
     def _assembled(self, frame: Frame) -> str | None:
         if frame.data:  # endless empty fragments must not pile up
             self._parts.append(bytes(frame.data))
         if not frame.fin:
             return None
-        whole, self._parts = b"".join(self._parts), []
+        whole = b"".join(self._parts)
+        self._parts = []
         try:
             return whole.decode()
         except UnicodeDecodeError as error:
@@ -89,13 +99,15 @@ class ServerUSkin(SampleSource):
 
     def __init__(self, address: str, sensor: str = "1", name: str = "uskin") -> None:
         super().__init__(f"{name} (xela_server {address})")
-        self._address, self._sensor = _split(address), sensor
+        self._address = _split(address)
+        self._sensor = sensor
         self._early: list[str] = []  # texts that came with the handshake
         self._number: int | None = None
 
     def _connect(self, undo: ExitStack) -> None:
         """Connect; raises LostSensorError or ProtocolError."""
-        self._early, self._number = [], None
+        self._early = []
+        self._number = None
         self._messages = XelaMessages(*self._address, self.name)
         try:
             self._socket = undo.enter_context(socket.create_connection(self._address, CONNECT_S))
@@ -120,7 +132,8 @@ class ServerUSkin(SampleSource):
 
     def read(self) -> list[Stamped]:
         """Return the scans that came, all of them, stamped when they were read."""
-        texts, self._early = self._early, []
+        texts = self._early
+        self._early = []
         more_waits = True
         while more_waits and self._messages.protocol.state is State.OPEN:
             came, size = self._receive(0.0 if texts else READ_S)
@@ -129,11 +142,15 @@ class ServerUSkin(SampleSource):
         if self._messages.protocol.state is not State.OPEN and not texts:
             raise self._gone("a close frame")  # what came with it was delivered before
         stamp_ns = now_ns()
-        scans = [self._scan(text) for text in texts]
-        return [Stamped(stamp_ns, scan) for scan in scans if scan is not None]
+        stamped = []
+        for text in texts:
+            scan = self._scan(text)
+            if scan is not None:
+                stamped.append(Stamped(stamp_ns, scan))
+        return stamped
 
     def _receive(self, timeout_s: float) -> tuple[list[str], int]:
-        """Return the texts of what came in time, and how many bytes that were; pings are answered."""
+        """Return the texts that came in time, and their number of bytes; answer pings."""
         try:
             self._socket.settimeout(max(timeout_s, 1e-3))
             chunk = self._socket.recv(CHUNK_BYTES)
@@ -175,12 +192,12 @@ class ServerUSkin(SampleSource):
 
 
 def read_message(text: str, sensor: str, name: str) -> tuple[int | None, np.ndarray | None]:
-    """Return a message's running number (None if it has none) and the (16, 3) uint16 counts of ``sensor``.
+    """Return a message's running number, if any, and ``sensor``'s (16, 3) uint16 counts.
 
-    A greeting, or anything else without data, gives (None, None).  ``name`` is how errors call the sensor.
+    A greeting, or anything else without data, gives (None, None). Errors call the sensor ``name``.
 
-    Raises ProtocolError: no JSON object, or words that are no counts; WrongSensorError: no such sensor, or not 16
-    taxels; SimulatedSensorError: the server says that its bus is simulated.
+    Raises ProtocolError: no JSON object, or words that are no counts; WrongSensorError: no such
+    sensor, or not 16 taxels; SimulatedSensorError: the server says that its bus is simulated.
     """
     try:
         message = json.loads(text)
@@ -200,16 +217,22 @@ def read_message(text: str, sensor: str, name: str) -> tuple[int | None, np.ndar
             expected(name, f"sensor {sensor}", there, "Set server_sensor to one of them.")
         )
     number = message.get("message")
-    return number if type(number) is int else None, _counts(entry.get("data"), f"{name}, data")
+    if type(number) is not int:
+        number = None
+    return number, _counts(entry.get("data"), f"{name}, data")
 
 
 def _refuse_simulation(message: dict[str, Any], name: str) -> None:
     """Raise if a bus field, at the top or one level down, says "sim": invented data looks alive."""
     nested = [value for value in message.values() if isinstance(value, dict)]
-    buses = [part.get(field) for part in (message, *nested) for field in _BUS_FIELDS]
-    if any(isinstance(bus, str) and bus.strip().lower() == "sim" for bus in buses):
-        do = "Set bustype in xServ.ini to the real adapter and restart xela_server."
-        raise faults.SimulatedSensorError(expected(f"{name}, bustype", "a real bus", "sim", do))
+    for part in (message, *nested):
+        for field in _BUS_FIELDS:
+            bus = part.get(field)
+            if isinstance(bus, str) and bus.strip().lower() == "sim":
+                do = "Set bustype in xServ.ini to the real adapter and restart xela_server."
+                raise faults.SimulatedSensorError(
+                    expected(f"{name}, bustype", "a real bus", "sim", do)
+                )
 
 
 def _counts(data: object, what: str) -> np.ndarray:
@@ -240,4 +263,4 @@ def _split(address: str) -> tuple[str, int]:
         raise ContractError(
             expected("xela_server", "host or host:port", address, f"E.g. 192.168.0.5:{PORT}.")
         )
-    return host, int(port) if port else PORT
+    return host, int(port or PORT)

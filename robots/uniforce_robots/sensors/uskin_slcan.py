@@ -1,13 +1,15 @@
-r"""uSkin through a USB-CAN adapter that speaks SLCAN, with pyserial alone: no root, no SocketCAN, no vendor server.
+r"""uSkin through a USB-CAN adapter that speaks SLCAN: pyserial alone, no root, no SocketCAN.
 
-The maker's recipe is ``slcand -o -s8 -t hw -S 3000000``: 3 Mbaud, 1 Mbit/s on the bus.  The patch streams by itself
-after power-up; its rate is measured, never assumed.  Never run on hardware: proven against a pseudo-terminal.
+The maker's recipe is ``slcand -o -s8 -t hw -S 3000000``: 3 Mbaud, 1 Mbit/s on the bus. The patch
+streams by itself after power-up; its rate is measured. Never run on hardware: tested against a
+pseudo-terminal.
 
-A frame is ``tIIILDD…\r``: 11-bit id, length 8, eight bytes in hex, four more digits when the adapter stamps time.  The
-eight bytes are unused, X, Y, Z (big-endian uint16), unused.  Sources: Lawicel CANUSB manual; XELA uSPa manual, 2023.
+A frame is ``tIIILDD…\r``: 11-bit id, length 8, eight bytes in hex, four more digits when the
+adapter stamps time. The eight bytes are unused, X, Y, Z (big-endian uint16), unused. Sources:
+Lawicel CANUSB manual; XELA uSPa manual, 2023.
 
-Not ``python-can``: it reads byte by byte (1,860 µs of CPU per scan against 130, 400 of 500 Hz), takes a mute or
-refusing adapter for an open one, ends at the first garbage, and is LGPL.
+Not ``python-can``: it reads byte by byte (1,860 µs of CPU per scan against 130, 400 of 500 Hz),
+takes a mute or refusing adapter for an open one, ends at the first garbage, and is LGPL.
 """
 
 import contextlib
@@ -42,11 +44,12 @@ _BROKEN = (OSError, termios.error)
 class SlcanScans:
     """SLCAN text → scans of 16 taxels; no I/O.
 
-    The CAN id of a taxel has its row in bits 10-8, its column in 7-4, the patch's controller in 3-0.  Which way rows
-    and columns run on the finger wasn't seen on hardware: run ``uniforce touch check=orientation``.
+    The CAN id of a taxel has its row in bits 10-8, its column in 7-4, the patch's controller in
+    3-0. Which way rows and columns run on the finger wasn't seen on hardware: run ``uniforce touch
+    check=orientation``.
 
-    A scan begins with the patch's first id and is delivered once all 16 were seen.  One that repeats a taxel or
-    begins anew before it is whole is dropped and counted, up to the next beginning: taxels of two scans never mix.
+    A scan begins with the patch's first id and is delivered once all 16 were seen. One that repeats
+    a taxel or begins anew before it is whole is dropped and counted: two scans never mix.
 
     ``controller`` is the patch's microcontroller id; ContractError where it is outside 0 … 15.
     """
@@ -65,16 +68,22 @@ class SlcanScans:
 
     def forget(self) -> None:
         """Drop what is half read, as after reopening the port."""
-        self._tail, self._seen = b"", 0  # one bit per taxel; 0 = waiting for a beginning
+        self._tail = b""
+        self._seen = 0  # one bit per taxel; 0 = waiting for a beginning
 
     def feed(self, chunk: bytes) -> list[np.ndarray]:
         """Return the scans, (16, 3) uint16 each, that ``chunk`` completes."""
         *lines, tail = (self._tail + chunk.replace(_BELL, b"")).split(b"\r")
         if len(tail) > MAX_TAIL_BYTES:
-            self.counts.bad, tail = self.counts.bad + 1, b""
+            self.counts.bad += 1
+            tail = b""
         self._tail = tail
-        scans = [self._frame(line) for line in lines]
-        return [scan for scan in scans if scan is not None]
+        scans = []
+        for line in lines:
+            scan = self._frame(line)
+            if scan is not None:
+                scans.append(scan)
+        return scans
 
     def _frame(self, line: bytes) -> np.ndarray | None:
         match = _FRAME.fullmatch(line)
@@ -82,33 +91,40 @@ class SlcanScans:
             self.counts.bad += len(line) > MAX_TAIL_BYTES or _OTHER.fullmatch(line) is None
             return None
         taxel = self._taxel_of.get(int(match[1], 16))
-        return None if taxel is None else self._place(taxel, int(match[2][2:14], 16))
+        if taxel is None:
+            return None
+        return self._place(taxel, int(match[2][2:14], 16))
 
     def _place(self, taxel: int, word: int) -> np.ndarray | None:
         if self._seen >> taxel & 1:  # repeated, or the next scan began before this one was whole
-            self.counts.lost, self._seen = self.counts.lost + 1, 0
+            self.counts.lost += 1
+            self._seen = 0
         if self._seen == 0 and taxel != 0:
             return None
         self._seen |= 1 << taxel
         self._scan[taxel] = word >> 32, word >> 16 & 0xFFFF, word & 0xFFFF
         if self._seen != _ALL_SEEN:
             return None
-        self.counts.samples, self._seen = self.counts.samples + 1, 0
+        self.counts.samples += 1
+        self._seen = 0
         return self._scan.copy()
 
 
 class SlcanUSkin(SampleSource):
-    """Whole scans, (16, 3) uint16 raw counts each, from a serial port, e.g. ``/dev/serial/by-id/usb-…``."""
+    """Whole scans, (16, 3) uint16 raw counts, of a serial port like ``/dev/serial/by-id/usb-…``."""
 
     def __init__(self, port: str, name: str = "uskin", controller: int = 0) -> None:
         super().__init__(f"{name} ({port})")
-        self._port, self._scans, self._early = port, SlcanScans(controller), b""
+        self._port = port
+        self._scans = SlcanScans(controller)
+        self._early = b""
         self.counts = self._scans.counts
 
     def _connect(self, undo: contextlib.ExitStack) -> None:
-        """Open the port for ourselves and start the channel; ProtocolError where no SLCAN adapter answers."""
+        """Open the port for ourselves and start the channel; ProtocolError: no adapter answers."""
         self._scans.forget()
-        do = "Check cable and permissions (group dialout), and that xela_server or slcand doesn't hold it."
+        held = "that xela_server or slcand doesn't hold it"
+        do = f"Check cable and permissions (group dialout), and {held}."
         timeouts = {"timeout": READ_TIMEOUT_S, "write_timeout": ANSWER_S}
         try:
             self._serial = serial.Serial(self._port, BAUD, exclusive=True, **timeouts)
@@ -136,10 +152,8 @@ class SlcanUSkin(SampleSource):
 
     def _receive(self) -> bytes:
         try:
-            chunk, self._early = (
-                self._early + self._serial.read(max(1, self._serial.in_waiting)),
-                b"",
-            )
+            chunk = self._early + self._serial.read(max(1, self._serial.in_waiting))
+            self._early = b""
             return chunk
         # TypeError: pyserial's descriptor vanished while it read
         except (*_BROKEN, TypeError) as error:
@@ -147,9 +161,11 @@ class SlcanUSkin(SampleSource):
             raise LostSensorError(expected(self.name, "a readable port", error, do)) from error
 
     def _command(self, command: bytes) -> bytes:
-        """Send one command, skip the data lines of an open channel, and return what came after its acknowledgement."""
+        """Send a command, skip data lines, and return the bytes after its acknowledgement."""
         self._serial.write(command + b"\r")
-        deadline, tail, came = time.monotonic() + ANSWER_S, b"", "no answer"
+        deadline = time.monotonic() + ANSWER_S
+        tail = b""
+        came = "no answer"
         while time.monotonic() < deadline:
             chunk = self._serial.read(max(1, self._serial.in_waiting))
             *lines, tail = (tail[-64:] + chunk).split(b"\r")
@@ -160,8 +176,6 @@ class SlcanUSkin(SampleSource):
                 return b"\r".join([*lines[lines.index(b"") + 1 :], tail])
             if _BELL in chunk:
                 return b""
-        what, do = (
-            f"{self.name}, command {command.decode()}",
-            "Is this the SLCAN adapter, at 3 Mbaud?",
-        )
+        what = f"{self.name}, command {command.decode()}"
+        do = "Is this the SLCAN adapter, at 3 Mbaud?"
         raise ProtocolError(expected(what, "an acknowledgement", came, do))

@@ -1,4 +1,4 @@
-"""Shared by every stand-in: it keeps a rate, breaks on command, and obeys lines on its standard input."""
+"""Base of every stand-in: keep a rate, break on command, obey lines on standard input."""
 
 import os
 import select
@@ -28,7 +28,9 @@ class Pace:
         if behind_s > MAX_BEHIND_S:
             self.restart()
             return 1
-        beats = 1 + int(behind_s / self._period_s) if behind_s >= 0 else 0
+        if behind_s < 0:
+            return 0
+        beats = 1 + int(behind_s / self._period_s)
         self._next_s += beats * self._period_s
         return beats
 
@@ -42,7 +44,7 @@ class Pace:
 
 
 class InputLines:
-    """Lines on standard input: a person's, or a program's through a pipe whose end means quit, so no orphan stays."""
+    """Lines on standard input: a person's, or a program's pipe, whose end means quit."""
 
     def __init__(self) -> None:
         # not from /dev/null, which ends at once
@@ -61,10 +63,12 @@ class InputLines:
 class StandInServer:
     """Prints ``ready ADDRESS`` and serves until its input ends.
 
-    On standard input: ``fault NAME`` breaks it, ``fault none`` mends it, ``stats`` prints how much it sent.
+    On standard input: ``fault NAME`` breaks it, ``fault none`` mends it, ``stats`` prints how much
+    it sent.
 
-    Clients reach it by ``plug``, at ``address``; the faults ``unplug`` and ``stop`` take it away. ``config.fault``, one
-    of ``faults`` or "none", is there from the start. ``rate_hz`` is that of its beats.
+    Clients reach it by ``plug``, at ``address``; the faults ``unplug`` and ``stop`` take it away.
+    ``config.fault``, one of ``faults`` or "none", is there from the start. ``rate_hz`` is that of
+    its beats.
     """
 
     faults: ClassVar[tuple[str, ...]]
@@ -73,8 +77,12 @@ class StandInServer:
         self, plug: PseudoTerminal | Sockets, address: str, config: Any, rate_hz: float
     ) -> None:
         require_one_of("fault", config.fault, ("none", *self.faults))
-        self.plug, self.address, self.config, self.fault = plug, address, config, config.fault
-        self.pace, self.rng = Pace(rate_hz), np.random.default_rng(config.seed)
+        self.plug = plug
+        self.address = address
+        self.config = config
+        self.fault = config.fault
+        self.pace = Pace(rate_hz)
+        self.rng = np.random.default_rng(config.seed)
         self._step = -1
         self._input = InputLines()
 
@@ -114,7 +122,10 @@ class StandInServer:
 
     def on_fault(self) -> None:
         """Do what a new fault needs at once."""
-        (self.plug.unplug if self.fault in ("unplug", "stop") else self.plug.plug)()
+        if self.fault in ("unplug", "stop"):
+            self.plug.unplug()
+        else:
+            self.plug.plug()
 
     def _obey(self) -> None:
         for line in self._input.read():

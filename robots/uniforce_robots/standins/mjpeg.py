@@ -1,4 +1,4 @@
-"""A tactile camera behind HTTP: multipart MJPEG on loopback: ``python -m uniforce_robots.standins.mjpeg --help``."""
+"""A tactile camera as MJPEG on loopback: ``python -m uniforce_robots.standins.mjpeg --help``."""
 
 import sys
 from dataclasses import dataclass
@@ -65,7 +65,9 @@ class MjpegStandIn(StandInServer):
     def _jpeg(self, step: int) -> bytes:
         if self.fault == "garbage" and step % 2:
             return self.rng.bytes(2000)
-        return self._small if self.fault == "size" else self._jpegs[step % len(self._jpegs)]
+        if self.fault == "size":
+            return self._small
+        return self._jpegs[step % len(self._jpegs)]
 
 
 if __name__ == "__main__":

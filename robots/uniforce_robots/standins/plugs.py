@@ -1,6 +1,6 @@
 """How a stand-in is reached: by a pseudo-terminal or by sockets.  Neither ever blocks.
 
-Both can be unplugged and put back, and count messages ``sent``; one is dropped whole where a client doesn't read.
+Both can be unplugged and put back, and count messages ``sent``; unread ones are dropped whole.
 """
 
 import contextlib
@@ -19,11 +19,12 @@ TTY_BYTES = 65_536  # what a tty's own buffers hold before data is lost
 
 
 class PseudoTerminal:
-    """A serial port that isn't one, behind a link of fixed name; ``pieces`` cuts what is sent into so many bytes."""
+    """A pseudo serial port behind a link of fixed name; it sends in ``pieces`` of so many bytes."""
 
     def __init__(self, name: str) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix=f"uniforce-{name}-")
-        self.address, self.pieces = f"{self._folder.name}/port", READ_BYTES
+        self.address = f"{self._folder.name}/port"
+        self.pieces = READ_BYTES
         self.sent = 0
         self.out = bytearray()
         self._ends: list[int] = []  # ours and the client's; none while unplugged
@@ -51,7 +52,9 @@ class PseudoTerminal:
 
     def receive(self, ready: list[Any]) -> bytes:
         """Return what was written to the port."""
-        return os.read(self._ends[0], READ_BYTES) if self._ends and self._ends[0] in ready else b""
+        if self._ends and self._ends[0] in ready:
+            return os.read(self._ends[0], READ_BYTES)
+        return b""
 
     def send(self, message: bytes) -> None:
         """Keep a message for ``flush``."""
@@ -67,15 +70,17 @@ class PseudoTerminal:
 
 
 class Sockets:
-    """A listener, all of whose clients are sent the same; ``welcome``: a new client → its first bytes.
+    """A listener whose clients are all sent the same; ``welcome``: a new client → its first bytes.
 
-    ``where`` is (host, port), 0 for any free port; or a path, for packets: one read is one message, as with hidraw.
+    ``where`` is (host, port), 0 for any free port; or a path, for packets: one read is one message,
+    as with hidraw.
     """
 
     def __init__(
         self, where: tuple[str, int] | str, welcome: Callable[[socket.socket], bytes]
     ) -> None:
-        self.where, self._welcome = where, welcome
+        self.where = where
+        self._welcome = welcome
         self.sent = 0
         self.clients: dict[socket.socket, list[bytes]] = {}  # and what waits to be sent to them
         self._listener: socket.socket | None = None
@@ -137,7 +142,8 @@ class Sockets:
             out = self.clients[client]
             try:
                 while out:
-                    out[0] = out[0][client.send(out[0]) :] if out[0] else b""
+                    if out[0]:
+                        out[0] = out[0][client.send(out[0]) :]
                     del out[: not out[0]]
             except BlockingIOError:
                 continue

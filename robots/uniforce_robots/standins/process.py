@@ -14,13 +14,15 @@ ANSWER_S = 10.0
 
 
 class StandIn:
-    """A running stand-in, e.g. ``StandIn("slcan", "rate_hz=500")``; ends with its ``with`` block or its owner.
+    """A running stand-in, e.g. ``StandIn("slcan", "rate_hz=500")``; ends with its ``with`` block.
 
-    A name with a dot is a module's.  Its ``address`` is a port's path, or a URL.  SensorError: it didn't become ready.
+    It also ends with its owner. A name with a dot is a module's. Its ``address`` is a port's path,
+    or a URL. SensorError: it didn't become ready.
     """
 
     def __init__(self, name: str, *options: str) -> None:
-        self.name, self._pending = name, b""
+        self.name = name
+        self._pending = b""
         module = name if "." in name else f"uniforce_robots.standins.{name}"
         command = [sys.executable, "-m", module, *options]
         # what we can import, it can
@@ -35,8 +37,11 @@ class StandIn:
 
     def stats(self) -> dict[str, int]:
         """Return the stand-in's own counts."""
-        words = self._ask("stats").split()
-        return {name: int(value) for name, value in (word.split("=") for word in words)}
+        counts = {}
+        for word in self._ask("stats").split():
+            name, value = word.split("=")
+            counts[name] = int(value)
+        return counts
 
     def close(self) -> None:
         """End it."""
@@ -62,7 +67,8 @@ class StandIn:
 
     def _answer(self, word: str, timeout_s: float) -> str:
         assert self.process.stdout is not None
-        deadline_s, chunk = time.monotonic() + timeout_s, b"?"
+        deadline_s = time.monotonic() + timeout_s
+        chunk = b"?"
         while b"\n" not in self._pending and chunk:
             wait_s = max(deadline_s - time.monotonic(), 0.0)
             is_there = select.select([self.process.stdout], [], [], wait_s)[0]

@@ -1,6 +1,6 @@
 """Contacts of a stand-in's pad: free air, then a ball that presses and leaves, over and over.
 
-Signals come from the project's contact simulator, so that the chain device → canonicalizer → tokenizer can be checked.
+Signals come from the project's contact simulator, to check device → canonicalizer → tokenizer.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ TAXEL_NOISE_COUNTS = 2.0  # of real patches at rest: 1 to 5
 
 @dataclass
 class Scene:
-    """One cycle of touching, which every tactile stand-in can be asked for; each adds its own settings."""
+    """One cycle of touching, of every tactile stand-in; each adds its own settings."""
 
     rest_s: float = 1.0  # free air at the start of each cycle
     press_s: float = 2.0  # then a press that comes and goes; 0 = never

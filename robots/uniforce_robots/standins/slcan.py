@@ -1,4 +1,4 @@
-"""A uSkin behind an SLCAN adapter, on a pseudo-terminal: ``python -m uniforce_robots.standins.slcan --help``."""
+"""A uSkin behind an SLCAN adapter: ``python -m uniforce_robots.standins.slcan --help``."""
 
 import sys
 from dataclasses import dataclass
@@ -53,10 +53,11 @@ class SlcanStandIn(StandInServer):
         self._lines = scan_lines(taxel_cycle(config, config.rate_hz), config.controller)
         self._port = PseudoTerminal("slcan")
         super().__init__(self._port, self._port.address, config, config.rate_hz)
-        self._in, self._is_open = b"", False
+        self._in = b""
+        self._is_open = False
 
     def on_fault(self) -> None:
-        """A patch without power forgets its channel."""
+        """Break; a patch without power forgets its channel."""
         super().on_fault()
         self._port.pieces = 3 if self.fault == "split" else READ_BYTES
         self._is_open = self._is_open and self.fault != "unplug"
@@ -65,7 +66,9 @@ class SlcanStandIn(StandInServer):
         """Answer commands."""
         *commands, tail = (self._in + received).split(b"\r")
         self._in = tail[-64:]
-        for command in commands if self.fault != "mute" else []:
+        if self.fault == "mute":
+            return
+        for command in commands:
             self._port.out += self._reply(command.decode(errors="replace"))
 
     def _reply(self, command: str) -> bytes:

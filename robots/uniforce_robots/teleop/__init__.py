@@ -1,6 +1,6 @@
-"""Teleoperators whose actions are the project's five absolute axes.  Importing this package registers them all.
+"""Teleoperators whose actions are the five absolute axes; importing this package registers them.
 
-No device or library is touched before ``connect``.  None of them has ever run on hardware.
+No device or library is touched before ``connect``. None of them has ever run on hardware.
 """
 
 from uniforce_robots.teleop.base import UniforceTeleoperator

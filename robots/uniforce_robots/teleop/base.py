@@ -1,10 +1,12 @@
-"""Shared by all our teleoperators: five absolute axes out, a start on the measured pose, and one kind of error.
+"""Base of all our teleoperators: five absolute axes out, a start on the measured pose, one error.
 
-The order of an episode: ``start_from(measured)``, then per tick ``send_feedback(measured)`` and ``get_action()``.
+An episode is ``start_from(measured)``, then per tick ``send_feedback(measured)`` and
+``get_action()``.
 
-An arm must not go on by itself because a plug found its socket again, or because a cap was pushed all the while. Two
-rules, here for every device: a fault or a loss, also one that no tick saw, stays until the next ``start_from``; and
-that one refuses a device that isn't at rest. So whatever moves an arm was asked for after the start.
+An arm must not go on by itself because a device is plugged in again, or was pushed all the while.
+Two rules for every device: a fault or a loss, also one that no tick saw, stays until the next
+``start_from``; and that refuses a device that isn't at rest. So every motion was asked for after
+the start.
 """
 
 import time
@@ -24,16 +26,21 @@ from uniforce_vtla.keys import AXES
 
 # without a call, after which the robot may have come to rest: its watchdog waits 0.2 s
 GAP_S = 0.15
-# m, rad and m of width that a device with a pose of its own may stand from the robot at the start
+# m, rad, m of width: how far a device with a pose of its own may be from the robot at the start
 START = 0.05, 0.3, 0.03
 # an older measured pose is not where the robot is; its own watchdog has the same
 FEEDBACK_AGE_S = 0.2
 
 
 def checked_axes(axes: Mapping[str, Any] | np.ndarray, what: str) -> np.ndarray:
-    """Return (5,) float64 of a dict with ``keys.AXES`` or of five numbers; TeleoperatorError where one isn't finite."""
+    """Return (5,) float64 of a dict by ``keys.AXES`` or of five numbers.
+
+    Raises TeleoperatorError: one is missing or isn't finite.
+    """
     try:
-        values = [axes[axis] for axis in AXES] if isinstance(axes, Mapping) else axes
+        values: Any = axes
+        if isinstance(axes, Mapping):
+            values = [axes[axis] for axis in AXES]
         array = np.asarray(values, dtype=np.float64)
     except (KeyError, TypeError, ValueError) as error:
         raise TeleoperatorError(
@@ -56,7 +63,7 @@ def gap_sizes(gap: np.ndarray) -> tuple[float, float, float]:
 
 
 def require_near(name: str, target: np.ndarray, measured: np.ndarray) -> None:
-    """Refuse a start from a target (5,) too far from the measured axes; raises TeleoperatorError (``far``)."""
+    """Refuse a target (5,) too far from the measured axes; raises TeleoperatorError (``far``)."""
     gaps = gap_sizes(target - measured)
     if np.greater(gaps, START).any():
         wanted = "within {:.3f} m, {:.2f} rad, {:.3f} m of width of the robot".format(*START)
@@ -67,7 +74,7 @@ def require_near(name: str, target: np.ndarray, measured: np.ndarray) -> None:
 
 
 class UniforceTeleoperator(Teleoperator):
-    """A LeRobot teleoperator whose actions are absolute targets of ``keys.AXES``, robot base frame."""
+    """A LeRobot teleoperator whose actions are absolute targets of ``keys.AXES``, base frame."""
 
     # stiffness the robot needs meanwhile; None for the robot's own
     wants_gains: ClassVar[Gains | None] = None
@@ -95,7 +102,7 @@ class UniforceTeleoperator(Teleoperator):
     configure = calibrate
 
     def connect(self, calibrate: bool = True) -> None:
-        """Open the device; TeleoperatorError: connected already, not there, or a library it needs is missing."""
+        """Open the device; TeleoperatorError: connected already, not there, no library for it."""
         if self.is_connected:
             raise TeleoperatorError(
                 expected(self.name, "to be unconnected", "a second connect", "Disconnect first.")
@@ -109,17 +116,20 @@ class UniforceTeleoperator(Teleoperator):
         self._close()
 
     def start_from(self, measured: Mapping[str, Any] | np.ndarray) -> None:
-        """Begin an episode with the target on the measured pose, (5,) or by ``keys.AXES``; forget an earlier fault.
+        """Begin an episode on the measured pose, (5,) or by ``keys.AXES``; forget an earlier fault.
 
-        Raises TeleoperatorError: not connected, the device has a fault, it isn't at rest, or it stands too far from the
-        robot (both ``far``).
+        Raises TeleoperatorError: not connected, the device has a fault, it isn't at rest, or it
+        stands too far from the robot (both ``far``).
         """
         self._check_connected()
         axes = checked_axes(measured, "measured pose")
-        self._fault, self._is_started, self._lost = None, False, self._losses
+        self._fault = None
+        self._is_started = False
+        self._lost = self._losses
         self._must_rest = False
         self.integrator.start_from(axes)
-        self._measured, self._measured_s = axes, self.clock()
+        self._measured = axes
+        self._measured_s = self.clock()
         self._last_s = self._measured_s
         with _translated():
             self._begin(axes)
@@ -132,24 +142,26 @@ class UniforceTeleoperator(Teleoperator):
         self._is_started = True
 
     def send_feedback(self, feedback: dict[str, Any]) -> None:
-        """Take the measured axes of this tick: for the leash, and for hand guiding the action itself."""
-        self._measured, self._measured_s = checked_axes(feedback, "feedback"), self.clock()
+        """Take the measured axes of this tick: for the leash, or as hand guiding's action."""
+        self._measured = checked_axes(feedback, "feedback")
+        self._measured_s = self.clock()
 
     def get_action(self) -> dict[str, float]:
         """Return the five absolute target axes.
 
-        Raises TeleoperatorError: not connected, not started, or the device has a fault; see its ``fault``.
+        Raises TeleoperatorError: not connected, not started, or the device has a fault; see its
+        ``fault``.
         """
         self._check_connected()
         if self._fault is not None:
             raise self._fault
         if not self._is_started:
-            do = "Call start_from(measured) first; uniforce record does. LeRobot's own commands don't."
-            raise TeleoperatorError(
-                expected(self.name, "a started episode", "none", do), "not_started"
-            )
+            do = "Call start_from(measured) first; uniforce record does."
+            wrong = expected(self.name, "a started episode", "none", do)
+            raise TeleoperatorError(f"{wrong} LeRobot's own commands don't.", "not_started")
         now = self.clock()
-        elapsed_s, self._last_s = now - self._last_s, now
+        elapsed_s = now - self._last_s
+        self._last_s = now
         try:
             self._refuse_lost()
             with _translated():
@@ -178,11 +190,11 @@ class UniforceTeleoperator(Teleoperator):
         self.device.stop()
 
     def rates(self) -> np.ndarray:
-        """(5,) wanted speed of each axis as a share of its limit, −1 … 1; zeros at rest."""
+        """Return (5,) wanted speed of each axis as a share of its limit, −1 … 1; zeros at rest."""
         return np.zeros(len(AXES))
 
     def is_deflected(self) -> bool:
-        """Return whether anything of the device is pushed; two buttons that cancel each other are."""
+        """Return whether anything is pushed, also two buttons that cancel each other."""
         return bool(self.rates().any())
 
     def _next(self, elapsed_s: float) -> np.ndarray:
@@ -192,7 +204,7 @@ class UniforceTeleoperator(Teleoperator):
         return self.integrator.advance(rates * (not self._must_rest), elapsed_s, self.measured)
 
     def _begin_again(self) -> None:
-        """Put the target on the measured pose after a gap: the robot rests, and an old wish must not move it on."""
+        """Put the target on the measured pose after a gap: no old wish may move the robot on."""
         measured = self.measured
         if measured is not None:
             self.integrator.start_from(measured)
@@ -208,7 +220,8 @@ class UniforceTeleoperator(Teleoperator):
 
     def _refuse_lost(self) -> None:
         if self._losses != self._lost:
-            came, do = "one that was lost and came back", "Start again."
+            came = "one that was lost and came back"
+            do = "Start again."
             raise TeleoperatorError(
                 expected(self.name, "a device that stays", came, do), "connection"
             )
@@ -223,12 +236,12 @@ class UniforceTeleoperator(Teleoperator):
 
 @contextmanager
 def _translated() -> Iterator[None]:
-    """Turn a reader's error into a teleoperator's: the reading thread is shared with the tactile devices."""
+    """Turn the sensor reader's errors into teleoperator errors."""
     try:
         yield
+    except StaleSensorError as error:
+        raise TeleoperatorError(str(error), "stale") from error
+    except ProtocolError as error:
+        raise TeleoperatorError(str(error), "garbage") from error
     except SensorError as error:
-        kinds = {StaleSensorError: "stale", ProtocolError: "garbage"}
-        fault = next(
-            (fault for kind, fault in kinds.items() if isinstance(error, kind)), "connection"
-        )
-        raise TeleoperatorError(str(error), fault) from error
+        raise TeleoperatorError(str(error), "connection") from error

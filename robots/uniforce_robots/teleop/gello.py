@@ -1,8 +1,8 @@
-"""Steer with a GELLO: its joints, through the Franka's published kinematics, are a pose. Never run on hardware.
+"""Steer with a GELLO: its joints give a pose by the Franka's kinematics. Never run on hardware.
 
-It is a chain of Dynamixel motors on a serial port, asked for its positions over and over. The packets are the maker's
-``dynamixel-sdk``'s (extra ``gello``), as below LeRobot's own bus, whose layer above it says in words only whether an
-answer was missing or broken.
+It is a chain of Dynamixel motors on a serial port, asked for its positions over and over. The
+packets are those of the maker's ``dynamixel-sdk`` (extra ``gello``), which also lies below
+LeRobot's own bus; LeRobot's layer says only in words whether an answer was missing or broken.
 """
 
 import contextlib
@@ -22,7 +22,8 @@ from uniforce_robots.teleop.base import UniforceTeleoperator, gap_sizes, require
 from uniforce_robots.teleop.integrator import SteeringConfig, TargetLimits
 from uniforce_vtla.errors import ContractError, TeleoperatorError, expected
 
-PRESENT_POSITION, POSITION_BYTES = 132, 4  # control table of the X series
+PRESENT_POSITION = 132  # control table of the X series
+POSITION_BYTES = 4
 COUNTS_PER_TURN = 4096
 READ_TIMEOUT_S = 0.005  # the SDK asks without a pause otherwise, and takes a core while it waits
 FAILED_IN_A_ROW = 5
@@ -57,7 +58,7 @@ class UniforceGelloConfig(SteeringConfig):
 
 
 def tool_axes(q_rad: np.ndarray, flange_to_tool_m: float) -> np.ndarray:
-    """Return (4,) x, y, z m and yaw rad of the tool at joint angles (7,); a tilt is dropped: no policy knows of it."""
+    """Return (4,) x, y, z m and yaw rad of the tool at joint angles (7,); its tilt is dropped."""
     hand = HAND_TO_FLANGE.copy()
     hand[2, 3] = flange_to_tool_m
     pose = ToolPose.from_ee(posture(q_rad).flange_to_base @ hand)
@@ -65,9 +66,9 @@ def tool_axes(q_rad: np.ndarray, flange_to_tool_m: float) -> np.ndarray:
 
 
 def offsets(motor_rad: np.ndarray, signs: np.ndarray, held_rad: np.ndarray) -> np.ndarray:
-    """Return the (7,) offsets of a GELLO that is held in a known posture, each a multiple of a quarter turn.
+    """Return the (7,) offsets, multiples of a quarter turn, of a GELLO held in a known posture.
 
-    Motors are mounted at quarter turns, so that rounding takes out how inexactly a hand holds the posture.
+    Motors are mounted at quarter turns, so rounding removes the error of the held posture.
     """
     return np.round((motor_rad - signs * held_rad) / (np.pi / 2)) * (np.pi / 2)
 
@@ -80,11 +81,13 @@ class GelloBus(SampleSource):
 
     def __init__(self, port: str, ids: tuple[int, ...], baud: int) -> None:
         super().__init__(f"gello ({port})")
-        self._port, self._ids, self._baud = port, tuple(ids), baud
+        self._port = port
+        self._ids = tuple(ids)
+        self._baud = baud
         self._failed_in_a_row = 0
 
     def _connect(self, undo: contextlib.ExitStack) -> None:
-        """Open the port for ourselves; TeleoperatorError where ``dynamixel-sdk`` is not installed."""
+        """Open the port for ourselves; TeleoperatorError: ``dynamixel-sdk`` is not installed."""
         try:
             from dynamixel_sdk import GroupSyncRead, PacketHandler, PortHandler
         except ImportError as error:
@@ -101,7 +104,8 @@ class GelloBus(SampleSource):
                 raise LostSensorError(
                     expected(self.name, "a baud rate of the motors", self._baud, do)
                 )
-            self._handler.ser.timeout, self._handler.ser.exclusive = READ_TIMEOUT_S, True
+            self._handler.ser.timeout = READ_TIMEOUT_S
+            self._handler.ser.exclusive = True
         except (*_BROKEN, ValueError) as error:
             raise LostSensorError(expected(self.name, "a serial port", error, do)) from error
         self._group = GroupSyncRead(
@@ -130,7 +134,8 @@ class GelloBus(SampleSource):
         if any(len(answers[motor]) != POSITION_BYTES for motor in self._ids):
             self._count_failure(result, [motor for motor in self._ids if not answers[motor]])
             return []
-        self._failed_in_a_row, self.counts.samples = 0, self.counts.samples + 1
+        self._failed_in_a_row = 0
+        self.counts.samples += 1
         counts = [struct.unpack("<i", bytes(answers[motor]))[0] for motor in self._ids]
         return [Stamped(now_ns(), np.array(counts) * (2 * np.pi / COUNTS_PER_TURN))]
 
@@ -139,7 +144,8 @@ class GelloBus(SampleSource):
         from dynamixel_sdk import COMM_RX_TIMEOUT
 
         is_silent = result == COMM_RX_TIMEOUT
-        self.counts.lost, self.counts.bad = self.counts.lost + 1, self.counts.bad + (not is_silent)
+        self.counts.lost += 1
+        self.counts.bad += not is_silent
         self._failed_in_a_row += 1
         if self._failed_in_a_row < FAILED_IN_A_ROW:
             return
@@ -148,14 +154,16 @@ class GelloBus(SampleSource):
                 expected(self.name, "answers", "none", "Is it powered, and is the baud rate right?")
             )
         do = "Check the chain's cables from the first missing motor on."
-        wanted, came = f"answers of motors {list(self._ids)}", f"none whole from {missing}"
+        wanted = f"answers of motors {list(self._ids)}"
+        came = f"none whole from {missing}"
         raise ProtocolError(expected(self.name, wanted, came, do))
 
 
 class UniforceGello(UniforceTeleoperator):
     """The target follows the GELLO's pose at limited speed; the trigger is the width.
 
-    A start needs an aligned GELLO; what is left between them closes once it has been moved, not before.
+    A start needs an aligned GELLO; what is left between them closes once it has been moved, not
+    before.
     """
 
     config_class = UniforceGelloConfig
@@ -185,9 +193,11 @@ class UniforceGello(UniforceTeleoperator):
         return self.integrator.towards(pose, elapsed_s, self.measured)
 
     def _pose(self) -> np.ndarray:
-        """(5,) where the GELLO is, as the robot's axes."""
+        """Return (5,) where the GELLO is, as the robot's axes."""
         q, trigger_rad = self._joints_and_trigger()
-        turn_rad = np.abs(q - (q if self._last is None else self._last))
+        if self._last is None:
+            self._last = q
+        turn_rad = np.abs(q - self._last)
         self._last = q
         if turn_rad.max() > JUMP_rad:
             what = f"{self.name}, joint {int(turn_rad.argmax()) + 1}"
@@ -200,7 +210,5 @@ class UniforceGello(UniforceTeleoperator):
 
     def _joints_and_trigger(self) -> tuple[np.ndarray, float]:
         motors = self.device.newest(STALE_MS).raw
-        q: np.ndarray = np.array(self.config.signs) * (
-            motors[:JOINTS] - np.array(self.config.offsets_rad)
-        )
-        return q, float(motors[JOINTS])
+        q_rad: np.ndarray = motors[:JOINTS] - np.array(self.config.offsets_rad)
+        return np.array(self.config.signs) * q_rad, float(motors[JOINTS])

@@ -1,7 +1,7 @@
-"""The one place where speeds and wishes become an absolute target: limited in speed, boxed, on a leash, never jumping.
+"""Turn speeds and wishes into an absolute target: limited in speed, boxed, on a leash.
 
-Every teleoperator that does not simply repeat measured poses moves its target through here. ``start_from`` puts the
-target on the measured pose; from then on it moves by at most speed × time.
+Every teleoperator that does not simply repeat measured poses moves its target here. ``start_from``
+puts the target on the measured pose; from then on it moves by at most speed × time.
 """
 
 from dataclasses import dataclass, field
@@ -21,15 +21,15 @@ LONGEST_GAP_S = 0.1  # a longer pause counts as this long, so that it buys no ju
 
 @dataclass(frozen=True)
 class TargetLimits:
-    """How a target may move; axes as in ``keys.AXES``: x, y, z m, yaw rad, width m, robot base frame."""
+    """How a target may move; axes as in ``keys.AXES``: x, y, z m, yaw rad, width m, base frame."""
 
     # per second; the robot's own guards allow 0.25 m/s, a person wants less near contact
     speed: tuple[float, ...] = (0.10, 0.10, 0.10, 0.6, 0.06)
     # the robot's own box; a start outside widens it: the start is no jump
     low: tuple[float, ...] = GuardLimits.low
     high: tuple[float, ...] = GuardLimits.high
-    # How far each axis may lead the measured pose, so that a target pushed into a table does not run on and take
-    # seconds to come back. 20 mm is just above the arm's clip of 18 mm, beyond which nothing grows.
+    # How far each axis may lead the measured pose, so that a target pushed into a table does not
+    # run on. 20 mm is just above the arm's clip of 18 mm, beyond which no force grows.
     leash: tuple[float, ...] = (0.02, 0.02, 0.02, 0.2, 0.03)
 
     def __post_init__(self) -> None:
@@ -58,7 +58,8 @@ class TargetIntegrator:
 
     def __init__(self, limits: TargetLimits | None = None) -> None:
         self.limits = limits or TargetLimits()
-        self._speed, self._leash = np.array(self.limits.speed), np.array(self.limits.leash)
+        self._speed = np.array(self.limits.speed)
+        self._leash = np.array(self.limits.leash)
         self.start_from(np.zeros(len(AXES)))
 
     @property
@@ -78,18 +79,18 @@ class TargetIntegrator:
         """Move the target by ``rates`` and return it.
 
         Args:
-            rates: (5,) wanted speed of each axis as a share of its limit, −1 … 1; what lies beyond is cut.
+            rates: (5,) wanted speed of each axis as a share of its limit, clipped to −1 … 1.
             elapsed_s: since the last call.
-            measured: (5,) where the robot is; None where that isn't known, then there is no leash.
+            measured: (5,) where the robot is; None: unknown, no leash.
         """
         return self._move(np.clip(rates, -1, 1) * self._reach(elapsed_s), measured)
 
     def towards(
         self, goal: np.ndarray, elapsed_s: float, measured: np.ndarray | None = None
     ) -> np.ndarray:
-        """Move the target towards an absolute goal (5,), turning the shorter way, no faster than the limits.
+        """Move the target towards a goal (5,) within the limits, turning the shorter way.
 
-        The three positions keep their direction, so that a fast hand draws the same line, only later.
+        The three positions keep their direction, so that a fast hand draws the same line, later.
         """
         reach = self._reach(elapsed_s)
         step = np.asarray(goal, dtype=np.float64) - self._target
@@ -107,7 +108,8 @@ class TargetIntegrator:
     def _move(self, step: np.ndarray, measured: np.ndarray | None) -> np.ndarray:
         moved = np.clip(self._target + step, self._low, self._high)
         if measured is not None:
-            lead, before = _lead(moved, measured), _lead(self._target, measured)
+            lead = _lead(moved, measured)
+            before = _lead(self._target, measured)
             runs_off = (lead > self._leash) & (lead > before)
             moved = np.where(runs_off, self._target, moved)
         self._target = moved

@@ -1,6 +1,6 @@
-"""Steer with the keys of a terminal, over ssh too: the target, or the width alone while a person leads the soft arm.
+"""Steer with the keys of a terminal, over ssh too: the target, or the width in hand guiding.
 
-A terminal says when a key goes down, never when it comes up: a key is a short pulse of speed, which its repetition
+A terminal reports a key going down, never up: a key is a short pulse of speed, which its repetition
 renews. LeRobot's ``TerminalKeyListener`` reads them. Never used on a real robot.
 """
 
@@ -24,13 +24,14 @@ from uniforce_robots.teleop.integrator import SteeringConfig
 from uniforce_vtla.errors import TeleoperatorError, expected
 from uniforce_vtla.keys import AXES
 
-PULSE_S = 0.12  # longer than a keyboard's repeat period (30 to 40 ms), short enough to stop soon
+PULSE_S = 0.12  # longer than a keyboard's repeat period (30 to 40 ms), short enough to stop
 OTHERS_KEPT = 64  # keys of other meaning that wait to be taken
 TEXT_ENDS = ("enter", "esc")
 X, Y, Z, YAW, WIDTH = range(5)
 WIDTH_KEYS = {"o": (WIDTH, 1), "p": (WIDTH, -1)}  # n, r, q and the arrows are left to a recorder
 KEYS = {
-    "w": (X, 1), "s": (X, -1), "a": (Y, 1), "d": (Y, -1), "e": (Z, 1), "c": (Z, -1), "j": (YAW, 1), "l": (YAW, -1),
+    "w": (X, 1), "s": (X, -1), "a": (Y, 1), "d": (Y, -1),
+    "e": (Z, 1), "c": (Z, -1), "j": (YAW, 1), "l": (YAW, -1),
     **WIDTH_KEYS,
 }  # fmt: skip
 
@@ -38,8 +39,8 @@ KEYS = {
 class TerminalKeys:
     """Turn keys into speeds of axes; ``meanings``: key → (axis index, direction −1 or 1).
 
-    Capitals mean the same. After the key ``text_begins`` nothing steers up to one of ``TEXT_ENDS``: its owner takes
-    what is typed, and may end it by ``is_text``.
+    Capitals mean the same. From the key ``text_begins`` to one of ``TEXT_ENDS`` nothing steers: the
+    owner takes the typed keys, and may end the text by ``is_text``.
     """
 
     text_begins: str | None = None
@@ -48,7 +49,8 @@ class TerminalKeys:
     def __init__(
         self, meanings: Mapping[str, tuple[int, int]], clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self._meanings, self.clock = dict(meanings), clock
+        self._meanings = dict(meanings)
+        self.clock = clock
         self._others: deque[str] = deque(maxlen=OTHERS_KEPT)
         self._until_s = dict.fromkeys(self._meanings, 0.0)  # when each key counts as let go
         self._dead: set[str] = set()  # keys that must be let go before they steer again
@@ -60,7 +62,7 @@ class TerminalKeys:
         return self._listener is not None
 
     def start(self) -> None:
-        """Read keys from this terminal until ``stop``; TeleoperatorError where standard input is none."""
+        """Read keys from this terminal until ``stop``; TeleoperatorError: no terminal."""
         if not sys.stdin.isatty():
             do = "Run it in a terminal, not behind a pipe or in a notebook."
             raise TeleoperatorError(
@@ -94,29 +96,28 @@ class TerminalKeys:
                 self.forget()
 
     def rates(self) -> np.ndarray:
-        """(5,) direction of each axis now: −1, 0 or 1; TeleoperatorError where the terminal has gone."""
+        """Return (5,) direction of each axis now: −1, 0 or 1; TeleoperatorError: no terminal."""
         if self._listener is not None:
             _refuse_hung_up()
-        rates, now_s = np.zeros(len(AXES)), self.clock()
+        rates = np.zeros(len(AXES))
+        now_s = self.clock()
         for key, (axis, direction) in self._meanings.items():
             rates[axis] += direction * (now_s < self._until_s[key] and key not in self._dead)
         return np.clip(rates, -1, 1)
 
     def forget(self) -> None:
-        """Let no key that is held now steer until it was let go, so that an episode starts at rest."""
+        """Ignore keys that are held now until they were let go: an episode starts at rest."""
         self._dead = set(self._meanings)
 
     def take_others(self) -> list[str]:
-        """Return keys that mean nothing here, e.g. a recorder's own, and forget them; letters small, but in a text."""
+        """Return and forget keys that mean nothing here, e.g. a recorder's; small but in a text."""
         return [self._others.popleft() for _ in range(len(self._others))]
 
 
 def _refuse_hung_up() -> None:
     poll = select.poll()
     poll.register(sys.stdin.fileno(), 0)
-    if any(
-        event & (select.POLLHUP | select.POLLERR | select.POLLNVAL) for _, event in poll.poll(0)
-    ):
+    if poll.poll(0):  # registered for no event: only POLLHUP, POLLERR, POLLNVAL come
         do = "Start the program again."
         raise TeleoperatorError(
             expected("keyboard", "a terminal", "one that hung up", do), "connection"
@@ -136,7 +137,7 @@ class UniforceHandGuideConfig(SteeringConfig):
 
 
 class UniforceKeyboard(UniforceTeleoperator):
-    """w s a d along base x and y, e c up and down, j l turn, o p open and close; a held key moves on."""
+    """Hold w s a d to move along base x and y, e c up and down, j l to turn, o p for the width."""
 
     config_class: type[TeleoperatorConfig] = UniforceKeyboardConfig
     name = "uniforce_keyboard"
@@ -150,15 +151,16 @@ class UniforceKeyboard(UniforceTeleoperator):
         self.keys.forget()
 
     def rates(self) -> np.ndarray:
-        """(5,) direction of each axis: −1, 0 or 1."""
+        """Return (5,) direction of each axis: −1, 0 or 1."""
         return self.keys.rates()
 
 
 class UniforceHandGuide(UniforceKeyboard):
-    """The paper's way: the measured x, y, z and yaw are the action; keys o (open) and p (close) set the width.
+    """The paper's way: the action is the measured x, y, z, yaw; keys o and p set the width.
 
-    The arm needs ``HAND_GUIDED`` gains: soft but along the closing axis, so that a squeeze does not drag it. Since the
-    target follows the measured pose, nothing pulls the arm back; what its gravity model leaves over lets it creep.
+    The arm needs ``HAND_GUIDED`` gains: soft but along the closing axis, so that a squeeze does not
+    drag it. The target follows the measured pose, so nothing pulls the arm back; errors of its
+    gravity model let it creep.
     """
 
     config_class = UniforceHandGuideConfig

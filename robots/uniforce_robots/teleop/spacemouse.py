@@ -1,6 +1,6 @@
-"""Steer with a SpaceMouse: deflection is speed, the buttons close and open the fingers. Never run on hardware.
+"""Steer with a SpaceMouse: deflection is speed, buttons close and open. Never run on hardware.
 
-Not pyspacemouse or hidapi: they open nothing but a real HID node, so none of the fault tests can run on them
+Not pyspacemouse or hidapi: they open nothing but a real HID node, so no fault test could run
 (pyspacemouse also needs easyhid, which has no wheel).
 """
 
@@ -43,14 +43,16 @@ DO_PLUG = "Plug it in; give yourself read permission on /dev/hidraw* by a udev r
 FOREVER_MS = 1e12  # a cap at rest is silent until it is touched
 # a deflected cap so long without a report is a dead one; wireless ones send at some 60 Hz
 SILENT_S = 0.25
-# A cap at rest sends nothing, and one held still the same: neither silence nor repetition is a fault of the device.
+# A cap at rest sends nothing, one held still repeats itself: neither is a fault.
 LIMITS = ReaderLimits(capacity=64, frozen_after=0, first_ms=2000.0, silent_s=float("inf"))
-AXES, BUTTONS = 6, 2  # more buttons exist on some models and mean nothing here
+AXES = 6
+BUTTONS = 2  # more buttons exist on some models and mean nothing here
 TURN_ABOUT_Z = 5
 UNKNOWN = [True] * AXES + [False] * BUTTONS  # a button that is held reports when it is let go
 FULL_SCALE = 350.0  # counts at full deflection
 LARGEST_COUNT = 2000  # beyond this it is no deflection
-_THREE, _SIX = struct.Struct("<3h"), struct.Struct("<6h")
+_THREE = struct.Struct("<3h")
+_SIX = struct.Struct("<6h")
 
 
 @TeleoperatorConfig.register_subclass("uniforce_spacemouse")
@@ -73,8 +75,7 @@ class UniforceSpaceMouseConfig(SteeringConfig):
 
 def find_spacemice(folder: Path = SYS_HIDRAW) -> list[str]:
     """Return the /dev/hidrawN of every SpaceMouse the kernel knows; a receiver has several."""
-    nodes = [node for node in sorted(folder.glob("*")) if _is_spacemouse(node)]
-    return [f"/dev/{node.name}" for node in nodes]
+    return [f"/dev/{node.name}" for node in sorted(folder.glob("*")) if _is_spacemouse(node)]
 
 
 def _node(path: str) -> Path:
@@ -82,14 +83,18 @@ def _node(path: str) -> Path:
 
 
 def _facts(node: Path) -> dict[str, str]:
-    """Return what the kernel says of a hidraw node, by name: HID_ID, HID_NAME, HID_PHYS; nothing where none is."""
+    """Return the kernel's facts of a hidraw node, e.g. HID_ID, HID_NAME, HID_PHYS; maybe none."""
     uevent = node / "device" / "uevent"
-    lines = uevent.read_text(errors="replace").splitlines() if uevent.is_file() else []
-    return {name: value for name, _, value in (line.partition("=") for line in lines)}
+    facts = {}
+    if uevent.is_file():
+        for line in uevent.read_text(errors="replace").splitlines():
+            name, _, value = line.partition("=")
+            facts[name] = value
+    return facts
 
 
 def _is_spacemouse(node: Path) -> bool:
-    """Return whether its reports are a multi-axis controller's; where the kernel doesn't say, whether its ids are."""
+    """Return whether its report descriptor, or else its ids, are a multi-axis controller's."""
     descriptor = node / "device" / "report_descriptor"
     if descriptor.is_file():
         return MULTI_AXIS in descriptor.read_bytes()
@@ -99,35 +104,37 @@ def _is_spacemouse(node: Path) -> bool:
 
 
 class SpaceMouseSource(SampleSource):
-    """HID reports → states (8,) float64: x, y, z, turns about x, y, z in counts, left and right button.
+    """HID reports → states (8,) float64: x, y, z and turns about them in counts, two buttons.
 
-    Two layouts are in use. Older: report 1 = x, y, z and report 2 = turns about them, int16 little endian. Newer: all
-    six in report 1. Report 3 = buttons, one bit each. The device's own axes: x right, y towards the person, z down.
+    Two layouts are in use. Older: report 1 = x, y, z and report 2 = turns about them, int16 little
+    endian. Newer: all six in report 1. Report 3 = buttons, one bit each. The device's own axes: x
+    right, y towards the person, z down.
 
-    A thread drains it: reading slower than the device sends would leave a queue in the kernel, and the robot would
-    move on for a second after the cap was let go.
+    A thread drains it: a queue in the kernel would let the robot move on after the cap was let go.
 
-    A cap at rest is silent, a deflected one reports at its rate: an axis is at rest once it was told so, or once the
-    open device was silent for ``SILENT_S``. Until all axes are known there is no sample.
+    A cap at rest is silent, a deflected one reports at its rate. An axis is at rest once a report
+    says so, or once the open device was silent for ``SILENT_S``. Until all axes are known there is
+    no sample.
 
-    ``device`` is /dev/hidrawN or a local packet socket, empty for the one whose cap moves; ``state`` the newest, 0
-    where unknown.
+    ``device`` is /dev/hidrawN or a local packet socket, empty for the one whose cap moves.
+    ``state`` is the newest, 0 where unknown.
     """
 
     def __init__(self, device: str = "") -> None:
         super().__init__(f"spacemouse ({device or 'any'})")
-        self._device, self.state, self._unknown = (
-            device,
-            np.zeros(AXES + BUTTONS),
-            np.array(UNKNOWN),
-        )
-        self._fd, self._heard_s, self._bad_in_a_row = -1, 0.0, 0
+        self._device = device
+        self.state = np.zeros(AXES + BUTTONS)
+        self._unknown = np.array(UNKNOWN)
+        self._fd = -1
+        self._heard_s = 0.0
+        self._bad_in_a_row = 0
         self._place = ""  # USB socket and interface of the one that was moved
 
     def _connect(self, undo: ExitStack) -> None:
         """Open the device.
 
-        Raises LostSensorError: none there, no permission, several and none moves; WrongSensorError: no SpaceMouse.
+        Raises LostSensorError: none there, no permission, several and none moves; WrongSensorError:
+        no SpaceMouse.
         """
         path = self._device or self._only_one()
         facts = _facts(_node(path))
@@ -144,11 +151,13 @@ class SpaceMouseSource(SampleSource):
                 expected(self.name, "a device to read", error, DO_PLUG)
             ) from error
         undo.callback(os.close, self._fd)
-        self.state[:], self._unknown[:] = 0, UNKNOWN
-        self._heard_s, self._bad_in_a_row = time.monotonic(), 0
+        self.state[:] = 0
+        self._unknown[:] = UNKNOWN
+        self._heard_s = time.monotonic()
+        self._bad_in_a_row = 0
 
     def _only_one(self) -> str:
-        """Return the path of the SpaceMouse; of several nodes, as a receiver has, the one whose cap is moved."""
+        """Return the path of the SpaceMouse; of several nodes, the one whose cap is moved."""
         places = {path: _facts(_node(path)).get("HID_PHYS", path) for path in find_spacemice()}
         found = [path for path, place in places.items() if self._place in ("", place)]
         if not found:
@@ -160,12 +169,14 @@ class SpaceMouseSource(SampleSource):
 
     def _moved(self, paths: list[str]) -> str:
         """Return the node that reports while a person moves the cap."""
-        facts = {path: _facts(_node(path)) for path in paths}
-        listed = ", ".join(
-            f"{path} ({f.get('HID_NAME')}, {f.get('HID_PHYS')})" for path, f in facts.items()
-        )
+        names = []
+        for path in paths:
+            facts = _facts(_node(path))
+            names.append(f"{path} ({facts.get('HID_NAME')}, {facts.get('HID_PHYS')})")
+        listed = ", ".join(names)
         log.warning("%s: move the cap within %g s, to choose of %s", self.name, MOVE_S, listed)
-        nodes, reasons = [], ["it wasn't moved"]
+        nodes = []
+        reasons = ["it wasn't moved"]
         with ExitStack() as closing:
             for node in map(SpaceMouseSource, paths):
                 closing.callback(node.close)
@@ -187,13 +198,15 @@ class SpaceMouseSource(SampleSource):
         )
 
     def read(self) -> list[Stamped]:
-        """Return the newest state if something came, or silence said something, and all of it is known."""
+        """Return the state if a report or a silence changed it, and all of it is known."""
         if select.select([self._fd], [], [], READ_TIMEOUT_S)[0]:
             is_news = self._take_next()
         else:
             is_news = bool(self._unknown.any()) and time.monotonic() - self._heard_s > SILENT_S
             self._unknown &= not is_news
-        return [Stamped(now_ns(), self.state.copy())] if is_news and not self._unknown.any() else []
+        if not is_news or self._unknown.any():
+            return []
+        return [Stamped(now_ns(), self.state.copy())]
 
     def _take_next(self) -> bool:
         """Take the next report; return whether it was understood."""
@@ -209,31 +222,37 @@ class SpaceMouseSource(SampleSource):
         understood = self.feed(report)
         if understood:
             self._heard_s = time.monotonic()
-        self._bad_in_a_row = 0 if understood else self._bad_in_a_row + 1
+            self._bad_in_a_row = 0
+        else:
+            self._bad_in_a_row += 1
         if self._bad_in_a_row >= BAD_IN_A_ROW:
-            came, do = f"{BAD_IN_A_ROW} unknown ones in a row", "Is this the right hidraw device?"
+            came = f"{BAD_IN_A_ROW} unknown ones in a row"
+            do = "Is this the right hidraw device?"
             raise ProtocolError(expected(self.name, "reports of a SpaceMouse", came, do))
         return understood
 
     def feed(self, report: bytes) -> bool:
         """Take one report, its id in the first byte; return whether it was understood."""
-        understood = self._take(report[0], report[1:]) if report else False
+        understood = bool(report) and self._take(report[0], report[1:])
         self.counts.samples += understood
         self.counts.bad += not understood
         return understood
 
     def _take(self, report_id: int, body: bytes) -> bool:
-        first, values = 3 * (report_id - 1), tuple[int, ...]()
+        first = 3 * (report_id - 1)
+        values = tuple[int, ...]()
         if report_id == 1 and len(body) >= _SIX.size:
             values = _SIX.unpack_from(body)
         elif report_id in (1, 2) and _THREE.size <= len(body) < _SIX.size:
             values = _THREE.unpack_from(body)
         elif report_id == 3 and body:
-            first, values = AXES, tuple((body[0] >> bit) & 1 for bit in range(BUTTONS))
+            first = AXES
+            values = tuple((body[0] >> bit) & 1 for bit in range(BUTTONS))
         if max(map(abs, values), default=0) > LARGEST_COUNT:
             return False
         now = slice(first, first + len(values))
-        self.state[now], self._unknown[now] = values, False
+        self.state[now] = values
+        self._unknown[now] = False
         # above 3: battery level, calibration, LEDs: known to exist, not needed
         return bool(values) or (report_id > 3 and bool(body))
 
@@ -257,11 +276,13 @@ class UniforceSpaceMouse(UniforceTeleoperator):
         self.device = SampleReader(SpaceMouseSource(config.device), LIMITS)
 
     def rates(self) -> np.ndarray:
-        """(5,) wanted speed of each axis, −1 … 1; SensorError where the device is lost."""
+        """Return (5,) wanted speed of each axis, −1 … 1; SensorError where the device is lost."""
         state = self._deflection()
         right, forward, up = self.config.signs[:3] * state[:3]
-        c, s = np.cos(self.config.operator_yaw_rad), np.sin(self.config.operator_yaw_rad)
-        x, y = c * forward + s * right, s * forward - c * right
+        c = np.cos(self.config.operator_yaw_rad)
+        s = np.sin(self.config.operator_yaw_rad)
+        x = c * forward + s * right
+        y = s * forward - c * right
         turn = self.config.signs[3] * state[TURN_ABOUT_Z]
         return np.array([x, y, up, turn, state[7] - state[6]])
 
@@ -270,7 +291,7 @@ class UniforceSpaceMouse(UniforceTeleoperator):
         return bool(self._deflection().any())
 
     def _deflection(self) -> np.ndarray:
-        """(8,) six axes in −1 … 1 outside the dead band, and two buttons."""
+        """Return (8,) six axes in −1 … 1 outside the dead band, and two buttons."""
         sample = self.device.newest(FOREVER_MS)
         share = np.clip(sample.raw[:6] / FULL_SCALE, -1, 1)
         beyond = np.maximum(np.abs(share) - self.config.deadband, 0) / (1 - self.config.deadband)

@@ -1,4 +1,4 @@
-"""Shared by the children: JSON lines to and from the parent. A plain module: our package would load torch."""
+"""JSON lines to and from the parent. A module on its own: our package would load torch."""
 
 import importlib
 import json
@@ -38,14 +38,15 @@ def orders(wait_s: float = 0.0) -> list[dict] | None:
 
 
 def client_errors(client: Any) -> tuple[type[Exception], ...]:
-    """Return all that the client raises: its own, and what becomes of the standard library's errors in its C++."""
+    """Return all that the client raises: its own errors, and those of its C++ standard library."""
     return client.Exception, client.GripperException, RuntimeError, ValueError
 
 
 def connect(client: Any, kind: str, *arguments: Any, **options: Any) -> Any:
-    """Return the client's ``Robot`` or ``Gripper``; by root its constructor takes SCHED_FIFO 99, which is given up.
+    """Return the client's ``Robot`` or ``Gripper``.
 
-    With that priority one busy Python thread starves the machine.
+    Run by root, its constructor takes SCHED_FIFO 99. That is given up: with this priority one busy
+    Python thread starves the machine.
     """
     connected = getattr(client, kind)(*arguments, **options)
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
@@ -53,10 +54,10 @@ def connect(client: Any, kind: str, *arguments: Any, **options: Any) -> Any:
 
 
 def serve(name: str, run: Callable[[Any], None]) -> None:
-    """Say ``loaded`` once the client is imported, then run with it; ``error`` when the connection has failed.
+    """Say ``loaded`` once the client is imported, then run; ``error`` when the connection failed.
 
-    Ctrl-C, a closed terminal and a service's end reach every process of the program: when and how the robot is to stop
-    is the parent's to say, by a stop or by the end of the pipe.
+    Ctrl-C, a closed terminal and a service's end reach every process of the program. They are
+    ignored here: the parent stops the robot, by a stop or by the end of the pipe.
     """
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
@@ -94,8 +95,9 @@ def say_recovered(state: Any) -> bool:
     """Report to the parent whether the arm may move again, and return it."""
     mode = mode_of(state)
     if mode in STOPPED:
-        text = f"recovery: expected an arm that may move, got mode {mode}. Release the stop or the joints by hand."
-        say("error", fault=STOPPED[mode], text=text, errors=error_names(state))
+        text = f"recovery: expected an arm that may move, got mode {mode}."
+        do = "Release the stop or the joints by hand."
+        say("error", fault=STOPPED[mode], text=f"{text} {do}", errors=error_names(state))
     else:
         say("recovered")
     return mode not in STOPPED

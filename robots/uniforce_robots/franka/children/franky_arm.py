@@ -1,6 +1,7 @@
-"""Serve an arm to the parent with franky: ``franky_arm.py address ignore|enforce torque_Nm force_N``.
+"""Serve an arm to the parent: ``franky_arm.py address ignore|enforce torque_Nm force_N``.
 
-The client's tracker runs the torque loop at 1 kHz in a C++ thread of this process; targets and gains are passed on.
+franky's tracker runs the torque loop at 1 kHz in a C++ thread of this process. Targets and gains
+are passed on.
 """
 
 import os
@@ -16,11 +17,12 @@ class Loop:
     """The child's life: idle, in control while there is a tracker, idle again."""
 
     def __init__(self, client: Any, robot: Any) -> None:
-        self.client, self.robot = client, robot
+        self.client = client
+        self.robot = robot
         self.tracker: Any = None
         self.gains: dict = {}
         self.reported_s = self.ordered_s = 0.0
-        # Until recovery targets are dropped: those still on their way must not move the arm after it.
+        # Targets are dropped until recovery: those on their way must not move the arm after it.
         self.lost_control = False
 
     def run(self) -> None:
@@ -63,7 +65,8 @@ class Loop:
         except self.client.NetworkException:
             raise
         except common.client_errors(self.client) as error:
-            self.lost_control, self.tracker = True, None
+            self.lost_control = True
+            self.tracker = None
             common.say_lost(self.report(), str(error))
 
     def take_control(self) -> None:
@@ -88,7 +91,7 @@ class Loop:
             self.tracker.set_target(self.robot.state.O_T_EE)
 
     def stop(self, at_once: bool = False) -> None:
-        """Let go. The tracker brakes by the readings and waits until they say that the arm rests."""
+        """Let go. The tracker brakes by the readings, until they say that the arm rests."""
         tracker, self.tracker = self.tracker, None
         if tracker is None:
             return
@@ -110,7 +113,8 @@ class Loop:
 
     def report(self) -> Any:
         """Pass the newest state on; about 0.3 ms, up to 1 s when the robot has died."""
-        self.reported_s, state = time.monotonic(), self.robot.state
+        self.reported_s = time.monotonic()
+        state = self.robot.state
         common.report(state, columns(state.O_T_EE))
         return state
 

@@ -1,6 +1,6 @@
-"""Serve a hand to the parent: ``hand.py address``. One command at a time, until it ends or is stopped.
+"""Serve a hand to the parent: ``hand.py address``. One command at a time, until it ends or stops.
 
-States come from a thread of their own: each takes a tenth of a second, and a stop can't wait for one.
+States come from a thread of their own: each takes a tenth of a second, and a stop can't wait.
 """
 
 import os
@@ -19,7 +19,8 @@ class Loop:
     """The child's life: idle while ``future`` is None, else a command is under way."""
 
     def __init__(self, client: Any, gripper: Any) -> None:
-        self.client, self.gripper = client, gripper
+        self.client = client
+        self.gripper = gripper
         self.future: Any = None
         self.is_stopping = False
         self.ordered_s = 0.0
@@ -79,7 +80,7 @@ class Loop:
         common.say("outcome", ok=succeeded)
 
     def report(self) -> None:
-        """Pass on each state of the hand, about ten a second; end the child when none comes any more."""
+        """Pass on each state of the hand, about ten a second; end the child when they cease."""
         try:
             while True:
                 s = self.gripper.state

@@ -28,9 +28,8 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     )
     options = parser.parse_args(arguments)
     if not (options.anywhere or ipaddress.ip_address(options.address).is_loopback):
-        parser.error(
-            f"{options.address} is not a loopback address; the stand-in has no password (--anywhere)"
-        )
+        wrong = f"{options.address} is not a loopback address"
+        parser.error(f"{wrong}; the stand-in has no password (--anywhere)")
     return options
 
 

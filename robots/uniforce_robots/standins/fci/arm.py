@@ -1,7 +1,7 @@
 """How the stand-in's arm moves: joints with inertia under torques, and the wrench at the hand.
 
-Gravity and Coriolis forces are taken as compensated, as the real controller presents itself to a torque client. Good
-enough that commanded targets are reached and that pressing on the wall gives stiffness × distance; no dynamics model.
+Gravity and Coriolis forces are compensated, as by the real controller. No dynamics model, but
+targets are reached and a press on the wall gives stiffness × distance.
 """
 
 from dataclasses import dataclass, field
@@ -19,7 +19,7 @@ FRICTION_Nms = np.array([0.5, 0.5, 0.5, 0.5, 0.2, 0.2, 0.1])
 BRAKE_SHARE = 0.9
 STILL_rad_s = 1e-9
 GUIDING_DAMPING_Nms = 5.0  # a hand that pushes moves the arm, and it stops when the push does
-# The limits are those of the FR3 in Franka's interface specification and in libfranka's rate_limiting.h; how much a
+# Limits of the FR3 in Franka's interface specification and libfranka's rate_limiting.h. How much a
 # real controller tolerates beyond them is not published, so a small share is allowed.
 TOLERANCE = 1.01  # states are float32, and a client's rounding is no fault
 TORQUE_STEP_Nm = 1.0  # a millisecond: 1000 Nm/s
@@ -37,7 +37,7 @@ class Wall:
 
 @dataclass
 class Arm:
-    """Seven joints and the hand's frame. Times are the robot's own: one call of a method is one millisecond."""
+    """Seven joints and the hand's frame; a motion's call is one millisecond of the robot's time."""
 
     q_rad: np.ndarray = field(default_factory=fr3.HOME_q_rad.copy)
     dq_rad_s: np.ndarray = field(default_factory=lambda: np.zeros(fr3.JOINTS))
@@ -62,7 +62,7 @@ class Arm:
         self.tau_ext_Nm = self.jacobian.T @ self.contact_N
 
     def _contact(self) -> np.ndarray:
-        """(6,) wrench on the hand: what was set, and the wall."""
+        """Return (6,) wrench on the hand: what was set, and the wall."""
         wrench = self.wrench_N.copy()
         if self.wall is not None:
             depth = self.wall.height_m - self.ee_to_base[2, 3]
@@ -115,7 +115,7 @@ class Arm:
         return frozenset(found)
 
     def state_floats(self) -> np.ndarray:
-        """(320,) float32 of a state, cut by ``STATE_SLICES``."""
+        """Return (320,) float32 of a state, cut by ``STATE_SLICES``."""
         if self._floats is None:
             self._floats = np.zeros(STATE_FLOAT_COUNT, np.float32)
             for name, value in self._state_values().items():
@@ -153,7 +153,7 @@ class Arm:
 
 
 def broken_rules(tau_Nm: np.ndarray, before_Nm: np.ndarray | float = 0.0) -> frozenset[int]:
-    """Return the error bits of torques (7,) that follow on others, which the real arm would not follow."""
+    """Return the error bits of torques (7,), after others, that the real arm would not follow."""
     found = set()
     if (np.abs(tau_Nm - before_Nm) > TOLERANCE * TORQUE_STEP_Nm).any():
         found.add(ErrorBit.CONTROLLER_TORQUE_DISCONTINUITY)

@@ -1,4 +1,4 @@
-"""The arm's side of the wire: requests by TCP, a Move under way, a millisecond driven and sent; and what stops it."""
+"""The arm's side of the wire: requests by TCP, a Move, a millisecond driven and sent, its stops."""
 
 import struct
 import time
@@ -34,24 +34,26 @@ class Motion:
 class ArmService:
     """An arm behind its port; torque control is the only motion it knows.
 
-    The server says that it is of ``version``; another than 10 refuses every client of version 10. ``miss_rule`` ends a
-    motion after 20 missed commands, as the real arm does. Off at first: a test machine without a real-time kernel would
-    be tested, not the client. On, a tick waits 1 ms only.
+    The server's version is ``version``; another than 10 refuses every client of version 10.
+    ``miss_rule`` ends a motion after 20 missed commands, as the real arm does; a tick waits 1 ms
+    only then. Off at first: it would test a machine's kernel, not the client.
     """
 
     def __init__(self, address: str, version: int, journal: Journal) -> None:
         self.link = Link(address, p.ARM_PORT, p.ARM_HEADER, journal)
-        self.version, self.journal = version, journal
+        self.version = version
+        self.journal = journal
         self.arm = Arm()
         self.mode = p.RobotMode.IDLE
         self.motion: Motion | None = None
         self.errors: frozenset[int] = frozenset()
         self.reflex_reason: frozenset[int] = frozenset()
         self.success_rate = 0.0
-        self.miss_rule, self.milliseconds = False, 0
+        self.miss_rule = False
+        self.milliseconds = 0
         self.sent_s = 0.0  # CLOCK_MONOTONIC, of the newest state
 
-    # --- requests ----------------------------------------------------------------------------------------------------
+    # --- requests -----------------------------------------------------------------------------
 
     def answer(self, message: p.Message) -> None:
         """Answer one request; p.ProtocolError: a payload that can't be read."""
@@ -84,7 +86,8 @@ class ArmService:
             self.end_motion(p.MoveStatus.PREEMPTED)
         self._reply(message, p.MoveStatus.MOTION_STARTED)
         self.motion = Motion(message.command_id)
-        self.mode, self.success_rate = p.RobotMode.MOVE, 1.0
+        self.mode = p.RobotMode.MOVE
+        self.success_rate = 1.0
         self.journal.write("motion")
 
     def _recover(self, message: p.Message) -> None:
@@ -92,7 +95,8 @@ class ArmService:
             self._reply(message, p.SetterStatus.NOT_POSSIBLE)
             return
         if self.mode == p.RobotMode.REFLEX:
-            self.mode, self.errors = p.RobotMode.IDLE, frozenset()
+            self.mode = p.RobotMode.IDLE
+            self.errors = frozenset()
         self._reply(message, p.SetterStatus.SUCCESS)
 
     def _set(self, message: p.Message) -> p.SetterStatus:
@@ -111,8 +115,10 @@ class ArmService:
         if self.motion is not None:
             return p.SetterStatus.NOT_POSSIBLE
         if command == p.ArmCommand.SET_COLLISION_BEHAVIOR:
-            torque_Nm, force_N = values[p.UPPER_TORQUE], values[p.UPPER_FORCE]
-            self.arm.upper_torque_Nm, self.arm.upper_force_N = torque_Nm, force_N
+            torque_Nm = values[p.UPPER_TORQUE]
+            force_N = values[p.UPPER_FORCE]
+            self.arm.upper_torque_Nm = torque_Nm
+            self.arm.upper_force_N = force_N
             limits = {"upper_torque_Nm": torque_Nm.tolist(), "upper_force_N": force_N.tolist()}
             self.journal.write("thresholds", **limits)
         return p.SetterStatus.SUCCESS
@@ -120,7 +126,7 @@ class ArmService:
     def _reply(self, message: p.Message, status: int) -> None:
         self.link.reply(message, bytes([status]))
 
-    # --- control loop ------------------------------------------------------------------------------------------------
+    # --- control loop -------------------------------------------------------------------------
 
     def receive_command(self, datagram: bytes) -> None:
         """Take a command of the control loop."""
@@ -137,10 +143,11 @@ class ArmService:
         if (motion := self.motion) is not None:
             before_Nm = motion.command.tau_J_d if motion.command else 0.0
             motion.broken |= broken_rules(command.tau_J_d, before_Nm)
-            motion.command, motion.answered = command, command.message_id >= self.milliseconds
+            motion.command = command
+            motion.answered = command.message_id >= self.milliseconds
 
     def is_due(self, now_s: float) -> bool:
-        """Whether the next millisecond may begin: the client has answered, or waited too long."""
+        """Return whether the next millisecond may begin: the client answered, or took too long."""
         if self.motion is None or self.motion.answered:
             return True
         return now_s - self.sent_s >= (TICK_s if self.miss_rule else PATIENCE_s)
@@ -187,23 +194,31 @@ class ArmService:
 
     def state(self) -> p.RobotState:
         """Return what the arm says of itself now."""
-        motion = self.motion
+        generator = 0
+        controller = p.OTHER
+        success_rate = 0.0
+        if self.motion is not None:
+            generator = p.NO_GENERATOR + 1
+            controller = p.EXTERNAL
+            success_rate = self.success_rate
         return p.RobotState(
             self.milliseconds,
             self.arm.state_floats(),
-            p.NO_GENERATOR + 1 if motion else 0,
-            p.EXTERNAL if motion else p.OTHER,
+            generator,
+            controller,
             self.errors,
             self.reflex_reason,
             self.mode,
-            self.success_rate if motion else 0.0,
+            success_rate,
         )
 
-    # --- what stops it -----------------------------------------------------------------------------------------------
+    # --- stops --------------------------------------------------------------------------------
 
     def end_motion(self, status: p.MoveStatus, mode: p.RobotMode = p.RobotMode.IDLE) -> None:
         """Show the new mode in a state first, then answer the Move: the order clients wait for."""
-        motion, self.motion, self.mode = self.motion, None, mode
+        motion = self.motion
+        self.motion = None
+        self.mode = mode
         self._send_state()
         if motion is not None:
             self._reply(p.Message(p.ArmCommand.MOVE, motion.command_id), status)
@@ -212,7 +227,8 @@ class ArmService:
         """Brake when the client has left: no answer is sent."""
         if self.motion is not None:
             self.journal.write("motion lost its client")
-            self.motion, self.mode = None, p.RobotMode.IDLE
+            self.motion = None
+            self.mode = p.RobotMode.IDLE
 
     def reflex(self, errors: frozenset[int]) -> None:
         """Stop by reflex; motion is refused until recovery."""
@@ -264,7 +280,7 @@ URDF_FLANGE = (
 
 
 def urdf() -> str:
-    """Return the model a client downloads: the names and limit tags are those libfranka's model loader asks for."""
+    """Return the model a client downloads, with the names and limit tags of libfranka's loader."""
     parts = [URDF_LINK.format(i, mass, 0.004 * mass) for i, mass in enumerate(LINK_MASS_kg)]
     limits = np.column_stack([Q_MIN_rad, Q_MAX_rad, DQ_MAX_rad_s, TAU_MAX_Nm]).tolist()
     for i, (a, d, alpha) in enumerate(DH.tolist()):

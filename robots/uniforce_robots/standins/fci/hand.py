@@ -1,4 +1,4 @@
-"""The hand: how its fingers move, and its side of the wire: requests answered when they have arrived, slow states."""
+"""The hand: how its fingers move, and its side of the wire: late answers, slow states."""
 
 import struct
 import time
@@ -14,7 +14,7 @@ REST_C = 30  # temperature of a hand that is not there
 
 
 class Hand:
-    """Two fingers and what may stand between them. ``start`` begins a motion; ``advance`` says how it ended."""
+    """Two fingers and an object between them; ``start`` a motion, ``advance`` until it ends."""
 
     def __init__(self) -> None:
         self.width_m = MAX_WIDTH_m
@@ -26,7 +26,7 @@ class Hand:
         self._grasp: p.Grasp | None = None
 
     def start(self, request: p.Grasp | p.HandMove | None) -> bool:
-        """Begin to close until something is held, to go to a width, or (None) to home; return whether it is possible.
+        """Begin to grasp, to go to a width, or (None) to home; return whether it is possible.
 
         Homing closes and opens fully, which measures the widest opening.
         """
@@ -45,21 +45,25 @@ class Hand:
 
     def stop(self) -> None:
         """Stop where the fingers are."""
-        self._goal_m, self._grasp, self._homing = None, None, False
+        self._goal_m = None
+        self._grasp = None
+        self._homing = False
 
     def _begin(self, goal_m: float, speed_m_s: float) -> None:
         self.stop()
-        self._goal_m, self._speed_m_s = goal_m, speed_m_s
-        self.is_grasped, self.force_N = False, 0.0
+        self._goal_m = goal_m
+        self._speed_m_s = speed_m_s
+        self.is_grasped = False
+        self.force_N = 0.0
 
     def advance(self, dt_s: float) -> p.HandStatus | None:
         """Move for ``dt_s``; return the motion's outcome when it ends, None otherwise."""
         if self._goal_m is None:
             return None
         step = self._speed_m_s * dt_s
-        goal = max(
-            self._goal_m, self.object_m if self.width_m >= self.object_m - ARRIVED_m else 0.0
-        )
+        goal = self._goal_m
+        if self.width_m >= self.object_m - ARRIVED_m:
+            goal = max(goal, self.object_m)
         self.width_m += min(max(goal - self.width_m, -step), step)
         if abs(self.width_m - goal) > ARRIVED_m:
             return None
@@ -93,7 +97,7 @@ class HandService:
         self._next_state_s = self.last_tick_s = time.monotonic()
 
     def answer(self, message: p.Message) -> None:
-        """Answer one request, or remember it until the fingers arrive; ProtocolError: it can't be read."""
+        """Answer a request now or when the fingers arrive; ProtocolError: it can't be read."""
         self.link.write_request(message, p.HandCommand, busy=self.pending is not None)
         match message.command:
             case p.HandCommand.CONNECT:
@@ -125,7 +129,8 @@ class HandService:
         self._end(p.HandStatus.ABORTED)
 
     def _end(self, status: p.HandStatus) -> None:
-        pending, self.pending = self.pending, None
+        pending = self.pending
+        self.pending = None
         if pending is not None:
             self._reply(pending, status)
 

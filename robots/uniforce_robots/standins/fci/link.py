@@ -1,4 +1,4 @@
-"""One device's sockets: a TCP listener, its one client, and the UDP socket its states leave from; and the journal."""
+"""One device's sockets: a TCP listener, its one client, a UDP socket for states; the journal."""
 
 import json
 import socket
@@ -15,7 +15,7 @@ UNREAD_s = 1.0  # how long an answer may wait for its client to read
 
 
 class Journal:
-    """A log of the wire, a JSON object per line, readable at once; ``time_s`` is CLOCK_MONOTONIC, which all share."""
+    """A log of the wire, a JSON object per line, flushed at once; ``time_s``: CLOCK_MONOTONIC."""
 
     def __init__(self, path: Path | None) -> None:
         self._file: TextIO | None = path.open("w", buffering=1) if path else None
@@ -34,7 +34,7 @@ class Journal:
 
 
 def read_journal(path: Path, begin: int = 0) -> list[dict]:
-    """Return a journal's whole lines from a byte on; a killed process may have left half a one at the end."""
+    """Return a journal's whole lines from a byte on; a killed process may leave half a line."""
     text = path.read_bytes()[begin:].decode()
     return [json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines()]
 
@@ -43,7 +43,8 @@ class Link:
     """Sockets of one device. FCI takes one client at a time: a second one is turned away."""
 
     def __init__(self, address: str, port: int, header: p.Header, journal: Journal) -> None:
-        self.header, self.journal = header, journal
+        self.header = header
+        self.journal = journal
         self.listener = socket.create_server((address, port), backlog=4)
         self.listener.setblocking(False)
         self.udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -51,7 +52,8 @@ class Link:
         self.udp.setblocking(False)
         self.client: socket.socket | None = None
         self.states_to: tuple[str, int] | None = None
-        self._host, self._buffer = "", b""
+        self._host = ""
+        self._buffer = b""
 
     def write(self, what: str, **details: object) -> None:
         """Add a line about this device to the journal."""
@@ -65,10 +67,13 @@ class Link:
 
     def sockets(self) -> list[socket.socket]:
         """Return what to wait on."""
-        return [self.listener, self.udp, *([self.client] if self.client else [])]
+        found = [self.listener, self.udp]
+        if self.client is not None:
+            found.append(self.client)
+        return found
 
     def accept(self) -> bool:
-        """Take a client, or turn it away while there is one; return whether it takes the place of one that left."""
+        """Take a client, or turn it away while there is one; return whether it replaces one."""
         connection, peer = self.listener.accept()
         replaces = self._client_left()
         if replaces:
@@ -79,7 +84,9 @@ class Link:
             return False
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connection.setblocking(False)
-        self.client, self._host, self._buffer = connection, peer[0], b""
+        self.client = connection
+        self._host = peer[0]
+        self._buffer = b""
         self.write("client", peer=peer)
         return replaces
 
@@ -95,7 +102,7 @@ class Link:
             return True
 
     def receive(self) -> Iterator[p.Message]:
-        """Yield the whole requests that have arrived; drop a client that is gone or sends no protocol."""
+        """Yield the whole requests that arrived; drop a client that is gone or sends garbage."""
         try:
             data = self.client.recv(DATAGRAM_BYTES) if self.client else b""
         except ConnectionError:
@@ -118,7 +125,8 @@ class Link:
         if self.client is not None:
             self.client.close()
             self.write("dropped", why=why)
-        self.client, self.states_to = None, None
+        self.client = None
+        self.states_to = None
 
     def greet(self, message: p.Message, version: int, reply: Callable[[int, int], bytes]) -> None:
         """Answer Connect by status and version, and send states from now on if the version fits.
@@ -134,7 +142,8 @@ class Link:
 
     def reply(self, to: p.Message, payload: bytes) -> None:
         """Answer a request."""
-        size, status = self.header.layout.size + len(payload), payload[0] if payload else None
+        size = self.header.layout.size + len(payload)
+        status = payload[0] if payload else None
         self.write("reply", command=to.command, command_id=to.command_id, status=status, bytes=size)
         self.send_bytes(self.header.encode(p.Message(to.command, to.command_id, payload)))
 

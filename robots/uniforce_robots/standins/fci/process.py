@@ -10,16 +10,18 @@ from uniforce_robots.standins.process import StandIn as AnyStandIn
 
 
 class StandIn(AnyStandIn):
-    """A running stand-in. Use as a context manager; ``do`` orders a fault and returns what the arm and hand show."""
+    """A running stand-in, a context manager; ``do`` orders a fault and returns the state."""
 
     module = "fci"
 
     def __init__(self, address: str, *options: str, log: Path | None = None) -> None:
         self.log = log
-        super().__init__(self.module, address, *options, *(("--log", str(log)) if log else ()))
+        if log is not None:
+            options = (*options, "--log", str(log))
+        super().__init__(self.module, address, *options)
 
     def do(self, what: str, **details: object) -> dict:
-        """Order something (see ``Server``) and return ``{"arm": …, "hand": …}`` as they are afterwards.
+        """Order something (see ``Server``); return ``{"arm": …, "hand": …}`` as they are then.
 
         Raises ValueError: it makes no sense.
         """

@@ -1,8 +1,8 @@
 """Bytes of the FCI version 10 (arm) and Hand version 3 wire protocols: pure functions only.
 
-Source: the public headers of frankarobotics/libfranka-common (service_types.h, rbk_types.h), cross-checked with two
-real clients. Everything is little endian and packed. A TCP message is a header and a payload; the header's size
-counts itself. States and commands of the control loop travel by UDP.
+Source: the public headers of frankarobotics/libfranka-common (service_types.h, rbk_types.h),
+checked with two real clients. Everything is little endian and packed. A TCP message is a header and
+a payload; the header's size counts itself. States and commands of the control loop go by UDP.
 """
 
 from __future__ import annotations
@@ -14,13 +14,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-ARM_PORT, HAND_PORT = 1337, 1338
-ARM_VERSION, HAND_VERSION = 10, 3
+ARM_PORT = 1337
+HAND_PORT = 1338
+ARM_VERSION = 10
+HAND_VERSION = 3
 MAX_MESSAGE_BYTES = 1 << 20  # a header that announces more is garbage, not a message
 
 
 class ProtocolError(ValueError):
-    """Bytes that are no message of this protocol. Not one of the project's errors: those live beside torch."""
+    """Bytes that are no message of this protocol. The project's own errors would load torch."""
 
     def __init__(self, what: str, wanted: object, came: object) -> None:
         super().__init__(
@@ -31,8 +33,8 @@ class ProtocolError(ValueError):
 # TCP requests of the arm and of the hand.
 ArmCommand = IntEnum(
     "ArmCommand",
-    "CONNECT MOVE STOP_MOVE SET_COLLISION_BEHAVIOR SET_JOINT_IMPEDANCE SET_CARTESIAN_IMPEDANCE SET_GUIDING_MODE "
-    "SET_EE_TO_K SET_NE_TO_EE SET_LOAD AUTOMATIC_ERROR_RECOVERY GET_ROBOT_MODEL",
+    "CONNECT MOVE STOP_MOVE SET_COLLISION_BEHAVIOR SET_JOINT_IMPEDANCE SET_CARTESIAN_IMPEDANCE "
+    "SET_GUIDING_MODE SET_EE_TO_K SET_NE_TO_EE SET_LOAD AUTOMATIC_ERROR_RECOVERY GET_ROBOT_MODEL",
     start=0,
 )
 HandCommand = IntEnum("HandCommand", "CONNECT HOMING GRASP MOVE STOP", start=0)
@@ -55,7 +57,7 @@ class MoveStatus(IntEnum):
 SetterStatus = IntEnum("SetterStatus", "SUCCESS NOT_POSSIBLE INVALID_ARGUMENT", start=0)
 HandStatus = IntEnum("HandStatus", "SUCCESS FAIL UNSUCCESSFUL ABORTED", start=0)
 ConnectStatus = IntEnum("ConnectStatus", "SUCCESS INCOMPATIBLE_VERSION", start=0)
-# The torque control a Move asks for: controller, generator. Others exist; neither client here uses them.
+# The torque control of a Move: controller, generator. The clients here use no other.
 TORQUE_CONTROL = EXTERNAL, NO_GENERATOR = 2, 4
 OTHER = 3  # the controller that a state names without a motion
 RobotMode = IntEnum("RobotMode", "OTHER IDLE MOVE GUIDING REFLEX USER_STOPPED RECOVERY", start=0)
@@ -77,7 +79,7 @@ class ErrorBit(IntEnum):
 
 ERRORS = 41
 
-# --- TCP -------------------------------------------------------------------------------------------------------------
+# --- TCP --------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -102,7 +104,7 @@ class Header:
         return self.layout.pack(message.command, message.command_id, size) + message.payload
 
     def decode(self, buffer: bytes) -> tuple[Message | None, bytes]:
-        """Return the first whole message of a buffer (None while it is incomplete) and the bytes after it.
+        """Return a buffer's first whole message, None while incomplete, and the bytes after it.
 
         Raises ProtocolError: the announced size is smaller than a header or absurdly large.
         """
@@ -136,7 +138,8 @@ SETTERS = {  # layouts of their payloads
     ArmCommand.SET_LOAD: "<13d",  # mass kg, centre m, inertia kg m²
 }
 # of the collision behaviour: the nominal ones, above which the arm stops by reflex
-UPPER_TORQUE, UPPER_FORCE = slice(21, 28), slice(46, 52)
+UPPER_TORQUE = slice(21, 28)
+UPPER_FORCE = slice(46, 52)
 
 
 def unpack(layout: struct.Struct, payload: bytes, what: str) -> tuple:
@@ -147,7 +150,7 @@ def unpack(layout: struct.Struct, payload: bytes, what: str) -> tuple:
 
 
 def numbers(layout: struct.Struct, payload: bytes, what: str) -> np.ndarray:
-    """Return a payload's values as float64; raises ProtocolError: another size, or a number that is not finite."""
+    """Return a payload's values as float64; raises ProtocolError: another size, or not finite."""
     values = np.array(unpack(layout, payload, what), float)
     if not np.isfinite(values).all():
         raise ProtocolError(what, "finite numbers", "NaN or inf")
@@ -155,7 +158,7 @@ def numbers(layout: struct.Struct, payload: bytes, what: str) -> np.ndarray:
 
 
 class Grasp(NamedTuple):
-    """Close (or open) until ``force_N`` holds something between ``width − inner`` and ``width + outer``."""
+    """Close (or open) until ``force_N`` holds something from width − inner to width + outer."""
 
     width_m: float
     inner_m: float
@@ -172,22 +175,25 @@ class HandMove(NamedTuple):
 
 
 def decode_hand[Request: (Grasp, HandMove)](kind: type[Request], payload: bytes) -> Request:
-    """Return a request of the hand; raise ProtocolError for another size or numbers that are not finite."""
+    """Return a request of the hand; raise ProtocolError for another size or not finite numbers."""
     return kind(*numbers(struct.Struct(f"<{len(kind._fields)}d"), payload, kind.__name__).tolist())
 
 
-# --- UDP -------------------------------------------------------------------------------------------------------------
+# --- UDP --------------------------------------------------------------------------------------
 
 # Names and numbers of float32, in the order of a state.
 _LAYOUT = """
-O_T_EE 16 O_T_EE_d 16 F_T_EE 16 EE_T_K 16 F_T_NE 16 NE_T_EE 16 m_ee 1 I_ee 9 F_x_Cee 3 m_load 1 I_load 9 F_x_Cload 3
-elbow 2 elbow_d 2 tau_J 7 tau_J_d 7 dtau_J 7 q 7 q_d 7 dq 7 dq_d 7 ddq_d 7 joint_contact 7 cartesian_contact 6
-joint_collision 7 cartesian_collision 6 tau_ext_hat_filtered 7 O_F_ext_hat_K 6 K_F_ext_hat_K 6 O_dP_EE_d 6 O_ddP_O 3
+O_T_EE 16 O_T_EE_d 16 F_T_EE 16 EE_T_K 16 F_T_NE 16 NE_T_EE 16
+m_ee 1 I_ee 9 F_x_Cee 3 m_load 1 I_load 9 F_x_Cload 3
+elbow 2 elbow_d 2 tau_J 7 tau_J_d 7 dtau_J 7 q 7 q_d 7 dq 7 dq_d 7 ddq_d 7
+joint_contact 7 cartesian_contact 6 joint_collision 7 cartesian_collision 6
+tau_ext_hat_filtered 7 O_F_ext_hat_K 6 K_F_ext_hat_K 6 O_dP_EE_d 6 O_ddP_O 3
 elbow_c 2 delbow_c 2 ddelbow_c 2 O_T_EE_c 16 O_dP_EE_c 6 O_ddP_EE_c 6 theta 7 dtheta 7
 accelerometer_top 18 accelerometer_bottom 18
 """
 _WORDS = _LAYOUT.split()
-_NAMES, _SIZES = _WORDS[::2], [int(size) for size in _WORDS[1::2]]
+_NAMES = _WORDS[::2]
+_SIZES = [int(size) for size in _WORDS[1::2]]
 _ENDS = np.cumsum(_SIZES).tolist()
 STATE_SLICES = {
     n: slice(end - size, end) for n, size, end in zip(_NAMES, _SIZES, _ENDS, strict=True)
@@ -221,7 +227,10 @@ class RobotState:
 
 
 def _flags(bits: frozenset[int]) -> bytes:
-    return bytes(int(i in bits) for i in range(ERRORS)) if bits else bytes(ERRORS)
+    flags = bytearray(ERRORS)
+    for bit in bits:
+        flags[bit] = 1
+    return bytes(flags)
 
 
 # id, what motion generators use, elbow valid, motion finished, torques, torque control finished
@@ -238,7 +247,7 @@ class RobotCommand:
 
     @classmethod
     def decode(cls, datagram: bytes) -> RobotCommand:
-        """Return the command; raise ProtocolError for another size, or a torque that is not finite."""
+        """Return the command; raise ProtocolError: another size, or a torque not finite."""
         message_id, _, motion_finished, *tau, finished = unpack(COMMAND, datagram, "RobotCommand")
         if not np.isfinite(tau).all():
             raise ProtocolError("RobotCommand", "finite numbers", "NaN or inf")

@@ -23,7 +23,7 @@ DIED = 9  # exit code of the death a test asked for
 
 
 class Server:
-    """The stand-in; ``orders`` are what it obeys, by name. ``options`` are a command line's, see ``__main__``."""
+    """The stand-in; it obeys ``orders`` by name. ``options`` are those of ``__main__``."""
 
     arm_service: type[ArmService] = ArmService
     hand_service: type[HandService] = HandService
@@ -66,7 +66,7 @@ class Server:
         self.hand.tick(time.monotonic())
 
     def _serve(self, timeout_s: float) -> None:
-        """Answer what has arrived, or wait for it. ``select`` waits in microseconds, ``epoll`` in milliseconds."""
+        """Answer what has arrived, or wait for it; ``select`` waits finer than ``epoll``."""
         sources: list[socket.socket | int] = [*self._input.files]
         if not self.mute:
             sources += [*self.arm.link.sockets(), *self.hand.link.sockets()]
@@ -122,9 +122,10 @@ class Server:
         self.arm.arm.refresh()
 
     def _set_wall(self, height_m: float | None, stiffness_N_m: float = 5000.0) -> None:
-        self.arm.arm.wall = (
-            None if height_m is None else Wall(float(height_m), float(stiffness_N_m))
-        )
+        wall = None
+        if height_m is not None:
+            wall = Wall(float(height_m), float(stiffness_N_m))
+        self.arm.arm.wall = wall
         self.arm.arm.refresh()
 
 
