@@ -136,7 +136,7 @@ def cell_edges(length_mm: float, cell_mm: float) -> np.ndarray:
     return edges
 
 
-def cell_centres(x_mm: np.ndarray, y_mm: np.ndarray) -> list[np.ndarray]:
+def cell_centres(x_mm: np.ndarray, y_mm: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return x and y of the cells between borders, (rows, columns) each."""
     return np.meshgrid((x_mm[1:] + x_mm[:-1]) / 2, (y_mm[1:] + y_mm[:-1]) / 2)
 

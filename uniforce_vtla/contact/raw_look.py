@@ -81,7 +81,7 @@ def _exposed(planes: np.ndarray, rng: np.random.Generator, noise: PixelNoise) ->
     else:
         y, x = rng.integers(_SHEET_ROOM_PX, size=2)
         planes += _noise_sheet()[:, y : y + H, x : x + W]
-    return cv2.merge(np.clip(planes, 0, 255, out=planes).astype(np.uint8))
+    return cv2.merge(list(np.clip(planes, 0, 255, out=planes).astype(np.uint8)))
 
 
 def _slope_shades(depth_mm: np.ndarray, cell_mm: float, px_per_mm: float) -> list[np.ndarray]:

@@ -58,7 +58,7 @@ class PointMotion:
         self, influence: Influence, point_mm: np.ndarray, scale: float, reach_mm: float = 0.0
     ) -> None:
         """Take (M, 2) points; with a reach each moves as the mean of what lies within it."""
-        ring = np.zeros((1, 1, 2))
+        ring: np.ndarray = np.zeros((1, 1, 2))
         if reach_mm:
             ways = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)])
             ring = reach_mm / 2**0.5 * ways[:, None]  # (4, 1, 2)

@@ -117,7 +117,7 @@ def choose(
         z_new: (n, P, latent) of the sensor to calibrate, from the head's tokenizer.
         z_anchor: (n, P, latent) of the known sensor on the same grasps.
         head: reads both in newtons.
-            grasps: (n,) number of the grasp of each row; None where each row is a grasp of its own.
+        grasps: (n,) number of the grasp of each row; None where each row is a grasp of its own.
         axes: which of x, y, z are equal on both fingers.
         with_gain: whether one gain of the newtons may be chosen.
 
