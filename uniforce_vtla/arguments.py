@@ -1,4 +1,4 @@
-"""One way to read a command line: ``key=value``, ``a.b=c`` or ``--a.b=c``, into a config dataclass."""
+"""Read a command line ``key=value``, ``a.b=c`` or ``--a.b=c`` into a config dataclass."""
 
 import ast
 import dataclasses
@@ -28,6 +28,7 @@ from uniforce_vtla.options import (
     Writable,
     at_home,
     check_text,
+    each,
     named_path,
     shortened,
     split,
@@ -44,7 +45,7 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Option:
-    """A field of a config: dotted name, type, default, what else its type declares, and its comment."""
+    """A field of a config: dotted name, type, default, rule and comment."""
 
     name: str
     kind: Any
@@ -59,33 +60,44 @@ class Option:
         if get_origin(self.kind) is Literal:
             return " | ".join(str(value) or '""' for value in get_args(self.kind))
         kind = KINDS.get(self.kind) or f"a list like {self.default or '[…]'}"
-        return (
-            f"{kind}, {self.rule}" if self.rule and self.kind is not str else str(self.rule or kind)
-        )
+        if not self.rule:
+            return kind
+        if self.kind is str:
+            return str(self.rule)
+        return f"{kind}, {self.rule}"
 
 
 def options_of(config_class: type, prefix: str = "") -> dict[str, Option]:
     """Return every option of a config class by its dotted name, nested ones included."""
-    hints, comments = get_type_hints(config_class, include_extras=True), _comments(config_class)
+    hints = get_type_hints(config_class, include_extras=True)
+    comments = _comments(config_class)
     found: dict[str, Option] = {}
     for field in dataclasses.fields(config_class):
-        hint, name = hints[field.name], prefix + field.name
-        kind, rule = get_args(hint)[:2] if get_origin(hint) is Annotated else (hint, None)
+        name = prefix + field.name
+        kind = hints[field.name]
+        rule = None
+        if get_origin(kind) is Annotated:
+            kind, rule, *_ = get_args(kind)
         kind, optional = _without_none(kind)
         if dataclasses.is_dataclass(kind):
             found |= options_of(kind, f"{name}.")  # type: ignore[arg-type]
         elif field.init:
-            factory = field.default_factory
-            default = field.default if factory is dataclasses.MISSING else factory()
+            default = field.default
+            if field.default_factory is not dataclasses.MISSING:
+                default = field.default_factory()
             found[name] = Option(name, kind, default, rule, comments.get(field.name, ""), optional)
     return found
 
 
 def _without_none(kind: Any) -> tuple[Any, bool]:
     """Return T and True for ``T | None``, else the type and False."""
-    parts = get_args(kind) if get_origin(kind) in (Union, UnionType) else ()
-    inner = [part for part in parts if part is not type(None)]
-    return (inner[0], True) if len(inner) == 1 and len(parts) == 2 else (kind, False)
+    if get_origin(kind) in (Union, UnionType) and len(get_args(kind)) == 2:
+        first, second = get_args(kind)
+        if second is type(None):
+            return first, True
+        if first is type(None):
+            return second, True
+    return kind, False
 
 
 @cache
@@ -93,18 +105,17 @@ def _comments(config_class: type) -> dict[str, str]:
     """Return the comment of each field: above it, or beside it."""
     lines = inspect.getsource(config_class).splitlines()
     code = inspect.cleandoc("\n" + "\n".join(lines))
-    found = {
-        token.start[0]: token.string.lstrip("# ")
-        for token in tokenize.generate_tokens(io.StringIO(code).readline)
-        if token.type == tokenize.COMMENT
-    }
-    comments, earlier = {}, 0
+    found = {}
+    for token in tokenize.generate_tokens(io.StringIO(code).readline):
+        if token.type == tokenize.COMMENT:
+            found[token.start[0]] = token.string.lstrip("# ")
+    comments = {}
+    earlier = 0
     for node in ast.parse(code).body[0].body:  # type: ignore[attr-defined]
         last = node.end_lineno
         if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
-            comments[node.target.id] = " ".join(
-                found[n] for n in range(earlier + 1, last + 1) if n in found
-            )
+            here = [comment for line, comment in found.items() if earlier < line <= last]
+            comments[node.target.id] = " ".join(here)
         earlier = last
     return comments
 
@@ -112,13 +123,14 @@ def _comments(config_class: type) -> dict[str, str]:
 def parse[ConfigT](
     config_class: type[ConfigT], argv: Sequence[str] | None = None, presets: Path | None = None
 ) -> ConfigT:
-    """Parse ``argv`` (the process's own when None) into ``config_class`` and try every path it names.
+    """Parse ``argv`` (None: the process's own) into ``config_class`` and try every path in it.
 
-    ``--help`` prints the class's docstring (give an example there) and every field with its comment.  Where a
-    command has ``presets``, ``preset=NAME`` reads ``NAME.yaml`` there first; what else is given overrides it.
+    ``--help`` prints the class's docstring (give an example there) and every field with its
+    comment. With ``presets``, ``preset=NAME`` reads ``NAME.yaml`` there first; other words
+    override it.
 
-    Raises ContractError: no such option or preset, a wrong type, a value out of range, a path that can't be used;
-    SystemExit: after ``--help``.
+    Raises ContractError: no such option or preset, a wrong type, a value out of range, a path that
+    can't be used; SystemExit: after ``--help``.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     if {"-h", "--help"} & set(words):
@@ -137,9 +149,12 @@ def read[ConfigT](
 
     Raises ContractError: no such option or preset, a wrong type.
     """
-    given, options = split_words(words), options_of(config_class)
+    given = split_words(words)
+    options = options_of(config_class)
     refuse_unknown(given, options)
-    nested: dict[str, Any] = {} if presets is None else _preset(given.get("preset", ""), presets)
+    nested: dict[str, Any] = {}
+    if presets is not None:
+        nested = _preset(given.get("preset", ""), presets)
     for name, text in given.items():
         *path, last = name.split(".")
         inner = nested
@@ -188,10 +203,11 @@ def read_value(option: Option, text: str) -> Any:
         )
     if text == "null" and option.optional:
         return None
-    if option.kind is str or isinstance(option.default, str):
-        value: Any = at_home(text) if isinstance(option.rule, Existing | Writable) else text
-    else:
+    value: Any = text
+    if option.kind is not str and not isinstance(option.default, str):
         value = _read(option, text)
+    elif isinstance(option.rule, Existing | Writable):
+        value = at_home(text)
     if get_origin(option.kind) is Literal and value not in get_args(option.kind):
         raise _wrong(option, text)
     return value
@@ -212,23 +228,25 @@ def _read(option: Option, text: str) -> Any:
 
 
 def _is_list(value: Any, kinds: tuple[Any, ...]) -> bool:
-    """Return whether it is a list of such entries: YAML takes ``a: b`` for a mapping, and ``yes`` for true."""
-    if not isinstance(value, list) or (
-        Ellipsis not in kinds and len(kinds) > 1 and len(value) != len(kinds)
-    ):
+    """Return whether it is a list of such entries; YAML reads ``a: b`` as a mapping."""
+    if not isinstance(value, list):
         return False
-    if kinds[0] in (int, float):
-        return all(_is_number(entry) for entry in value)
-    return kinds[0] is not str or not any(
-        isinstance(entry, dict | list | bool | None) for entry in value
-    )
+    if Ellipsis not in kinds and len(kinds) > 1 and len(value) != len(kinds):
+        return False
+    for entry in value:
+        if kinds[0] in (int, float) and not _is_number(entry):
+            return False
+        if kinds[0] is str and isinstance(entry, dict | list | bool | None):
+            return False
+    return True
 
 
 def _is_number(entry: Any) -> bool:
     try:
-        return not isinstance(entry, bool) and float(entry) is not None
+        float(entry)
     except (TypeError, ValueError):
         return False
+    return not isinstance(entry, bool)
 
 
 def _wrong(option: Option, came: object) -> ContractError:
@@ -242,21 +260,22 @@ def _decode[ConfigT](config_class: type[ConfigT], nested: dict[str, Any]) -> Con
         own = own_cause(error)
         if own is not None:
             raise own from error
-        options, name = options_of(config_class), ".".join(error.key_path)
-        option = next(
-            (o for o in options.values() if name == o.name or name.startswith(f"{o.name}.")), None
-        )
-        if option is None:
-            raise ContractError(
-                expected(name or "settings", "known ones", error.message, "Correct it.")
-            ) from error
-        raise _wrong(option, reduce(getitem, option.name.split("."), nested)) from error
+        name = ".".join(error.key_path)
+        for option in options_of(config_class).values():
+            if f"{name}.".startswith(f"{option.name}."):
+                came = reduce(getitem, option.name.split("."), nested)
+                raise _wrong(option, came) from error
+        raise ContractError(
+            expected(name or "settings", "known ones", error.message, "Correct it.")
+        ) from error
 
 
 def own_cause(error: BaseException) -> UniForceError | None:
-    """Return the error of ours that draccus wrapped: a config that refused what it was made of has said why."""
+    """Return the error of ours that draccus wrapped, if any."""
     cause = reason_of(error)
-    return cause if isinstance(cause, UniForceError) else None
+    if isinstance(cause, UniForceError):
+        return cause
+    return None
 
 
 def reason_of(error: BaseException) -> BaseException:
@@ -284,24 +303,27 @@ def read_yaml(path: Path) -> Any:
 
 
 def section(name: str, content: Any) -> dict[str, Any]:
-    """Return a section of a settings file, empty where nothing stands in it; ContractError: it is no section."""
+    """Return a section of a settings file, empty where it is; ContractError: no section."""
     if content is not None and not isinstance(content, dict):
         do = "Write them as NAME: value, indented below it."
         raise ContractError(expected(name, "settings by name", shortened(repr(content)), do))
-    return {str(key): value for key, value in (content or {}).items()}
+    if not content:
+        return {}
+    return {str(key): value for key, value in content.items()}
 
 
 def decode_file[ConfigT](config_class: type[ConfigT], name: str, content: Any) -> ConfigT:
-    """Return the config that a section of a settings file describes; empty sections in it keep their defaults.
+    """Return the config that a section of a settings file describes, defaults for empty parts.
 
-    Raises ContractError: names the setting and says why: no section, nothing where a value must be, an unknown name, a
-    wrong type, or whatever the class itself refuses.
+    Raises ContractError, naming the setting: no section, nothing where a value must be, an unknown
+    name, a wrong type, or whatever the class itself refuses.
     """
     settings = _without_empty(name, content, options_of(config_class))
     try:
         decoded: ConfigT = draccus.decode(config_class, settings)
     except (UniForceError, DraccusException, ValueError, TypeError) as error:
-        path, reason = ".".join((name, *getattr(error, "key_path", ()))), reason_of(error)
+        path = ".".join((name, *getattr(error, "key_path", ())))
+        reason = reason_of(error)
         if isinstance(reason, UniForceError):
             raise ContractError(_placed(path, str(reason))) from error
         came = str(getattr(reason, "message", reason)).rstrip(".")
@@ -312,38 +334,37 @@ def decode_file[ConfigT](config_class: type[ConfigT], name: str, content: Any) -
 
 
 def _placed(path: str, reason: str) -> str:
-    """Return a reason with the path of its setting: ``robot.guards`` and ``GuardLimits.low: …`` are one place."""
+    """Return a reason with the path of its setting in place of its class and field."""
     where, _, why = reason.partition(": ")
     field = re.fullmatch(r"\w+\.(\w+(\[\d+\])?)", where)
-    return f"{path}.{field[1]}: {why}" if field else f"{path}: {reason}"
+    if field is None:
+        return f"{path}: {reason}"
+    return f"{path}.{field[1]}: {why}"
 
 
 def _without_empty(name: str, content: Any, options: Mapping[str, Option]) -> dict[str, Any]:
-    """Return a section without the empty ones in it; ContractError: nothing where an option needs a value."""
+    """Return a section without empty ones in it; ContractError: an option without value."""
     kept = {}
     for key, value in section(name, content).items():
-        inner = {
-            path.removeprefix(f"{key}."): o
-            for path, o in options.items()
-            if path.startswith(f"{key}.")
-        }
+        path = f"{name}.{key}"
+        inner = {}
+        for place, setting in options.items():
+            if place.startswith(f"{key}."):
+                inner[place.removeprefix(f"{key}.")] = setting
         option = options.get(key)
         if inner and value is not None:
-            kept[key] = _without_empty(f"{name}.{key}", value, inner)
-        elif option is not None and isinstance(value, dict) and get_origin(option.kind) is not dict:
-            wanted, do = f"{option.wanted} for {name}.{key}", "It has no settings of its own."
-            raise ContractError(
-                expected(f"{name}.{key}.{next(iter(value), '')}", wanted, "settings", do)
-            )
-        elif (
-            value is None
-            and option is not None
-            and not option.optional
-            and get_origin(option.kind) is not dict
-        ):
-            do = "Give a value, or leave it out."
-            raise ContractError(expected(f"{name}.{key}", option.wanted, "nothing", do))
-        elif value is not None or (option is not None and option.optional):
+            kept[key] = _without_empty(path, value, inner)
+            continue
+        if option is not None and get_origin(option.kind) is not dict:
+            if isinstance(value, dict):
+                wanted = f"{option.wanted} for {path}"
+                do = "It has no settings of its own."
+                first = next(iter(value), "")
+                raise ContractError(expected(f"{path}.{first}", wanted, "settings", do))
+            if value is None and not option.optional:
+                do = "Give a value, or leave it out."
+                raise ContractError(expected(path, option.wanted, "nothing", do))
+        if value is not None or (option is not None and option.optional):
             kept[key] = value
     return kept
 
@@ -353,7 +374,7 @@ def check(option: Option, value: Any) -> None:
 
     Raises ContractError: a number that isn't finite, or whatever the option's type refuses.
     """
-    for part in value if isinstance(value, list | tuple) else [value]:
+    for part in each(value):
         if isinstance(part, float) and not math.isfinite(part):
             raise _wrong(option, part)
         if isinstance(part, str):
@@ -366,14 +387,18 @@ def help_text(config_class: type) -> str:
     """Return the class's docstring and a line or more for each option."""
     lines = [inspect.cleandoc(config_class.__doc__ or ""), ""]
     for option in options_of(config_class).values():
-        default = str(option.default).lower() if option.kind is bool else option.default
-        wanted = "" if option.wanted in ("text", KINDS[bool]) else f"  [{option.wanted}]"
-        lines += [f"  {option.name}={default}{wanted}", f"      {option.comment}"]
+        default = str(option.default)
+        if option.kind is bool:
+            default = default.lower()
+        line = f"  {option.name}={default}"
+        if option.wanted not in ("text", KINDS[bool]):
+            line += f"  [{option.wanted}]"
+        lines += [line, f"      {option.comment}"]
     return "\n".join(lines)
 
 
 def choose[T](known: dict[str, T], only: str, option: str = "only") -> dict[str, T]:
-    """Return the entries named in an option (comma between them), all when empty; ContractError: an unknown name."""
+    """Return the entries named in an option, all when empty; ContractError: an unknown name."""
     names = split(only) or list(known)
     unknown = sorted(set(names) - set(known))
     if unknown:
@@ -382,12 +407,12 @@ def choose[T](known: dict[str, T], only: str, option: str = "only") -> dict[str,
 
 
 def numbers(name: str, text: str, count: int) -> np.ndarray:
-    """Return (count,) float64 from a setting like ``0.6,0.7``; ContractError: anything but so many numbers."""
-    parts = split(text)
+    """Return (count,) float64 of a setting like ``0.6,0.7``; ContractError: anything else."""
     try:
-        if len(parts) != count:
+        found = np.array([float(part) for part in split(text)])
+        if len(found) != count:
             raise ValueError(text)
-        return np.array([float(part) for part in parts])
+        return found
     except ValueError as error:
         raise ContractError(
             expected(name, f"{count} numbers", repr(text), "Commas between them.")
@@ -396,9 +421,11 @@ def numbers(name: str, text: str, count: int) -> np.ndarray:
 
 def _preset(name: str, presets: Path) -> dict[str, Any]:
     """Return the settings of a preset; none where none is named."""
+    if not name:
+        return {}
     known = sorted(p.stem for p in presets.glob("*.yaml"))
-    if name and name not in known:  # nor does a name with slashes lead out of the folder
+    if name not in known:  # nor does a name with slashes lead out of the folder
         raise ContractError(
             expected("preset", " | ".join(known), shortened(name), "Name one, or give none.")
         )
-    return yaml.safe_load((presets / f"{name}.yaml").read_text()) if name else {}
+    return yaml.safe_load((presets / f"{name}.yaml").read_text())

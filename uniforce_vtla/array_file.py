@@ -1,4 +1,4 @@
-"""Reading numpy's own files: numbers only, never pickled objects, and never more than the file holds."""
+"""Read numpy's own files: numbers only, no pickles, and no more than the file holds."""
 
 import tokenize
 import zipfile
@@ -10,19 +10,21 @@ import numpy as np
 
 from uniforce_vtla.errors import DatasetError, expected
 
-DAMAGE = (
-    *(
-        ValueError,
-        TypeError,
-        KeyError,
-        EOFError,
-        OSError,
-        OverflowError,
-        MemoryError,
-        RecursionError,
-    ),
-    *(SyntaxError, tokenize.TokenError, zipfile.BadZipFile, zlib.error, NotImplementedError),
-)  # what numpy and zipfile raise over damaged files
+DAMAGE = (  # raised by numpy and zipfile over damaged files
+    ValueError,
+    TypeError,
+    KeyError,
+    EOFError,
+    OSError,
+    OverflowError,
+    MemoryError,
+    RecursionError,
+    SyntaxError,
+    NotImplementedError,
+    tokenize.TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
 
 
 def read_array(path: Path, mapped: bool = False) -> np.ndarray:
@@ -39,7 +41,9 @@ def read_array(path: Path, mapped: bool = False) -> np.ndarray:
     try:
         array = np.load(path, mmap_mode="r", allow_pickle=False)
         if isinstance(array, np.ndarray):
-            return array if mapped else np.array(array)
+            if mapped:
+                return array
+            return np.array(array)
     except DAMAGE as error:
         raise DatasetError(_broken(path, "a whole .npy array", error)) from error
     array.close()
@@ -53,13 +57,10 @@ def read_arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     """
     try:
         with zipfile.ZipFile(path) as archive:
-            packed = [
-                entry for entry in archive.infolist() if entry.compress_type != zipfile.ZIP_STORED
-            ]
-        if packed:
-            raise DatasetError(
-                _broken(path, "arrays as numpy.savez stores them", "compressed ones")
-            )
+            for entry in archive.infolist():
+                if entry.compress_type != zipfile.ZIP_STORED:
+                    wanted = "arrays as numpy.savez stores them"
+                    raise DatasetError(_broken(path, wanted, "compressed ones"))
         with np.load(path, allow_pickle=False) as stored:
             return {name: stored[name] for name in names}
     except DAMAGE as error:

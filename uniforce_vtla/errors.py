@@ -39,7 +39,7 @@ class RolloutError(UniForceError):
 
 
 class FaultError(UniForceError):
-    """An error of a device. ``fault`` names in a word what happened: programs branch on it, people read the message."""
+    """An error of a device; programs branch on ``fault``, people read the message."""
 
     def __init__(self, message: str, fault: str = "other") -> None:
         super().__init__(message)
@@ -50,10 +50,11 @@ class RobotError(FaultError):
     """The robot can't be moved: no answer, wrong version, reflex, user stop, a refused action.
 
     Attributes:
-        fault: one word for what happened. The robot's own: ``connection``, ``version``, ``reflex``, ``user_stop``,
-            ``guiding``, ``communication``, ``discontinuity``, ``limit``. Impossible reports: ``bad_state``,
-            ``jump``, ``speed``, ``force``, ``frozen``, ``stale``. Ours: ``action``, ``guard``, ``sensor``, ``ended``,
-            ``backend``. The hand's: ``hand_connection``, ``hand_stale``, ``hand_deadline``, ``hand_state``,
+        fault: one word for what happened. The robot's own: ``connection``, ``version``, ``reflex``,
+            ``user_stop``, ``guiding``, ``communication``, ``discontinuity``, ``limit``. Impossible
+            reports: ``bad_state``, ``jump``, ``speed``, ``force``, ``frozen``, ``stale``. Ours:
+            ``action``, ``guard``, ``sensor``, ``ended``, ``backend``. The hand's:
+            ``hand_connection``, ``hand_stale``, ``hand_deadline``, ``hand_state``,
             ``grasp_lost``. And ``other``.
     """
 
@@ -62,8 +63,8 @@ class TeleoperatorError(FaultError):
     """A teleoperator can't be followed: unplugged, silent, garbage, too far from the robot.
 
     Attributes:
-        fault: one word for what happened: ``connection``, ``stale``, ``garbage``, ``far``, ``not_started``,
-            ``not_connected``, ``missing`` (a library) or ``other``.
+        fault: one word for what happened: ``connection``, ``stale``, ``garbage``, ``far``,
+            ``not_started``, ``not_connected``, ``missing`` (a library) or ``other``.
     """
 
 
@@ -72,11 +73,13 @@ LOGIN = re.compile(r"(?<=://)[^\s\"]*@")
 ADDRESS = re.compile(r"(?i)(\b[a-z][\w+.-]*://[^\s\"'<>/?#]*)((?:[^\s\"'<>\\]|\\(?!\"))*)")
 # of an address' path: a key may stand there as well as behind a question mark
 SHOWN_WORDS = re.compile(
-    r"\d{0,3}|api|axis-cgi|cams?|camera|cgi|cgi-bin|channel|feed|front|image|jpg|left|live|main|mjpe?g|path|raw|right|"
+    r"\d{0,3}|api|axis-cgi|cams?|camera|cgi|cgi-bin|channel|feed|front|image|jpg|left|live|main|"
+    r"mjpe?g|path|raw|right|"
     r"snapshot|stream(ing)?|sub|tactile|v\d|video(\.cgi|\.mjpe?g|_feed)?|webcam|wrist"
 )
 SHOWN_SETTINGS = re.compile(  # behind its question mark
-    r"action|camera|channel|codec|compression|fps|height|quality|rate|resolution|rotation|size|stream|video|width|x|y"
+    r"action|camera|channel|codec|compression|fps|height|quality|rate|resolution|rotation|size|"
+    r"stream|video|width|x|y"
 )
 PUBLIC = (
     "https://huggingface.co/",
@@ -87,7 +90,7 @@ PUBLIC = (
 
 
 def without_credentials(text: str) -> str:
-    """Return a text with logins, and whatever else of its addresses isn't known to be harmless, replaced by stars."""
+    """Return a text with logins, and all of its addresses not known to be harmless, as stars."""
     return ADDRESS.sub(_harmless, LOGIN.sub("***@", text))
 
 
@@ -97,7 +100,10 @@ def _harmless(address: re.Match[str]) -> str:
     where, tail = address.groups()
     shown = tail.rstrip(".,;:!)]}")
     path, mark, settings = shown.partition("#")[0].partition("?")
-    words = [word if SHOWN_WORDS.fullmatch(word) else "***" for word in path.split("/")]
+    words = path.split("/")
+    for i, word in enumerate(words):
+        if not SHOWN_WORDS.fullmatch(word):
+            words[i] = "***"
     pairs = [_setting(pair) for pair in settings.split("&")]
     hidden = "#***" if "#" in shown else ""
     return where + "/".join(words) + mark + "&".join(pairs) + hidden + tail[len(shown) :]
@@ -107,20 +113,27 @@ def _setting(pair: str) -> str:
     name, equals, _ = pair.partition("=")
     if not pair or SHOWN_SETTINGS.fullmatch(name):
         return pair
-    return f"{name}=***" if equals else "***"
+    if not equals:
+        return "***"
+    return f"{name}=***"
 
 
 def expected(what: str, wanted: object, came: object, do: str) -> str:
-    """Compose a message in the one form all our errors share; credentials of an address never get into one."""
+    """Compose an error message, without the credentials of any address in it."""
     return without_credentials(f"{what}: expected {wanted}, got {came}. {do}")
 
 
-# no room on the disk, in a user's share of it, or in the largest file that a file system or shell allows
+def described(value: object) -> str:
+    """Return dtype and shape of an array for ``expected``; of anything else its type."""
+    return f"{getattr(value, 'dtype', type(value).__name__)} {getattr(value, 'shape', None)}"
+
+
+# no room on the disk, in a user's quota, or in the largest file that a system or shell allows
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def no_room(error: BaseException) -> bool:
-    """Return whether an error says that a disk is full, by number or, where a library handed on no more, in words."""
+    """Return whether an error says that a disk is full, by its number or in words."""
     if isinstance(error, DiskFullError) or getattr(error, "errno", None) in FULL:
         return True
     return any(os.strerror(number) in str(error) for number in FULL)

@@ -1,4 +1,4 @@
-"""Figures become files here, and only here."""
+"""Save figures."""
 
 from pathlib import Path
 

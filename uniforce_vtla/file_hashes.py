@@ -1,7 +1,6 @@
-"""SHA-256 of every file of a checkpoint, dataset or view: written beside them when they are saved, checked on load."""
+"""SHA-256 of the files of a checkpoint, dataset or view: written on saving, checked on loading."""
 
 import hashlib
-import io
 import json
 import logging
 import os
@@ -42,7 +41,7 @@ def hash_files(folder: Path, names: Iterable[str]) -> Entries:
 
 
 def write_hashes(folder: str | Path, names: Iterable[str] = ()) -> Path:
-    """Write size and SHA-256 of files in ``folder`` (all, or ``names``) into its ``hashes.json``; call it last."""
+    """Write size and SHA-256 of files in ``folder`` (all, or ``names``); call it last."""
     drop_hashes(folder)
     found = [Path(folder) / name for name in names] or sorted(Path(folder).iterdir())
     files = [path.name for path in found if path.is_file() and path.name[0] != "."]
@@ -75,7 +74,8 @@ def read_hashes(folder: Path, error: type[UniForceError]) -> Entries | None:
     entries = read_object(folder / HASHES, error)
     for name, entry in entries.items():
         if not _is_entry(name, entry):
-            came, do = f"{name[:80]!r}: {entry!r}"[:200], "Copy the whole folder again."
+            came = f"{name[:80]!r}: {entry!r}"[:200]
+            do = "Copy the whole folder again."
             raise error(
                 expected(str(folder / HASHES), "file names with bytes and sha256", came, do)
             )
@@ -103,19 +103,29 @@ def check_hashes(folder: Path, error: type[UniForceError], verify: str = "full")
     if entries is None:
         logger.warning("%s has no %s: its files are not verified", folder, HASHES)
         return
-    files = {name: folder / name for name in entries if os.path.isfile(folder / name)}
+    files = {}
+    for name in entries:
+        if os.path.isfile(folder / name):  # False for a name that no file can have, too
+            files[name] = folder / name
     wanted = {name: (entry,) for name, entry in entries.items()}
-    is_large = (lambda path: _size(path) >= QUICK_BELOW) if verify == "quick" else None
-    loaded = [p.name for p in sorted(folder.iterdir()) if _is_loaded(p.name)]
+    is_large = None
+    if verify == "quick":
+        is_large = _is_large
     wrong = [f"{name}: {came}" for name, came in differences(wanted, files, is_large)]
-    wrong += [f"{name}: without a hash" for name in loaded if name not in entries]
+    for path in sorted(folder.iterdir()):
+        if _is_loaded(path.name) and path.name not in entries:
+            wrong.append(f"{path.name}: without a hash")
     if wrong:
         do = "A file was changed or is another checkpoint's: copy the whole checkpoint again."
         raise error(expected(str(folder), f"the files of {HASHES}", "; ".join(wrong), do))
 
 
+def _is_large(path: Path) -> bool:
+    return _size(path) >= QUICK_BELOW
+
+
 def loaded_hash(folder: Path, error: type[UniForceError]) -> str:
-    """Return one hash of what loaders open in a folder, by its ``hashes.json`` where there is one; error: damaged."""
+    """Return one hash of what loaders open in a folder, from ``hashes.json`` if there is one."""
     names = [file.name for file in folder.iterdir() if file.is_file() and _is_loaded(file.name)]
     files = read_hashes(folder, error) or hash_files(folder, names)
     loaded = sorted((name, entry["sha256"]) for name, entry in files.items() if _is_loaded(name))
@@ -146,9 +156,8 @@ def differences(
             return f"unreadable: {error}"
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return [
-            (name, came) for name, came in zip(wanted, pool.map(look, wanted), strict=True) if came
-        ]
+        found = zip(wanted, pool.map(look, wanted), strict=True)
+        return [(name, came) for name, came in found if came]
 
 
 def _difference(
@@ -161,16 +170,23 @@ def _difference(
         return f"{size} bytes, not {sizes[0]}"
     if by_size is not None and by_size(path):
         return ""
-    digests, digest = [entry["sha256"] for entry in accepted], _digest(path)
-    return "" if digest in digests else f"SHA-256 {digest[:12]}…, not {digests[0][:12]}…"
+    digests = [entry["sha256"] for entry in accepted]
+    digest = _digest(path)
+    if digest in digests:
+        return ""
+    return f"SHA-256 {digest[:12]}…, not {digests[0][:12]}…"
 
 
 def _size(path: Path) -> int:
-    return len(_header(path)) if path.name == CARD else path.stat().st_size
+    if path.name == CARD:
+        return len(_header(path))
+    return path.stat().st_size
 
 
 def _digest(path: Path) -> str:
-    with io.BytesIO(_header(path)) if path.name == CARD else path.open("rb") as content:
+    if path.name == CARD:
+        return hashlib.sha256(_header(path)).hexdigest()
+    with path.open("rb") as content:
         return hashlib.file_digest(content, "sha256").hexdigest()
 
 
@@ -180,14 +196,11 @@ def _header(card: Path) -> bytes:
 
 
 def _is_entry(name: str, entry: Any) -> bool:
-    parts = Path(name).parts
-    inside = (
-        bool(parts)
-        and name == str(Path(*parts))
-        and ".." not in parts
-        and not Path(name).is_absolute()
-    )
-    known = isinstance(entry, dict) and entry.keys() - {"episode"} == {"bytes", "sha256"}
-    kinds = (("bytes", int), ("sha256", str), ("episode", int))
-    typed = known and all(type(entry[key]) is kind for key, kind in kinds if key in entry)
-    return inside and not set("\\\0") & set(name) and typed
+    path = Path(name)
+    inside = bool(path.parts) and name == str(path) and not path.is_absolute()
+    if not inside or ".." in path.parts or "\\" in name or "\0" in name:
+        return False
+    if not isinstance(entry, dict) or entry.keys() - {"episode"} != {"bytes", "sha256"}:
+        return False
+    sizes = (entry["bytes"], entry.get("episode", 0))
+    return type(entry["sha256"]) is str and all(type(size) is int for size in sizes)

@@ -1,7 +1,7 @@
-"""The gripper: one command in flight, every closing with a bounded force, and a stop that forgets what was wished.
+"""The gripper: one command at a time, every closing with a bounded force, and a stop.
 
-The real hand answers a command when its fingers have arrived and gives its state about ten times a second; a control
-loop at 30 Hz can wait for neither.
+The real hand answers a command when its fingers have arrived and gives its state about ten times a
+second. A control loop at 30 Hz can wait for neither.
 """
 
 import logging
@@ -30,7 +30,8 @@ class HandRules:
     """How widths become commands."""
 
     speed_m_s: float = 0.05  # of the fingers
-    # of every closing; gels and domes are rated for about 11 N; the real hand's smallest force is unverified
+    # of every closing; gels and domes are rated for about 11 N; the real hand's smallest force is
+    # unverified
     grip_force_N: float = 10.0
     hysteresis_m: float = 0.003  # a smaller change of the wished width is no new command
     reading_age_s: float = 0.5  # an older reading stops the arm; the hand gives about ten a second
@@ -46,7 +47,7 @@ class HandCommand:
 
     @property
     def grasp_width_m(self) -> float:
-        """Width to name in a grasp: wide enough that fingers closed on nothing lie outside the tolerance."""
+        """Width named in a grasp: fingers closed on nothing lie outside its tolerance."""
         return max(self.width_m, 2 * THINNEST_m)
 
     @property
@@ -57,10 +58,10 @@ class HandCommand:
 
 @dataclass(frozen=True)
 class HandReading:
-    """A word of the hand: opening between the fingers, whether it holds something, host clock at receipt."""
+    """A reading of the hand."""
 
-    time_s: float
-    width_m: float
+    time_s: float  # host clock at receipt
+    width_m: float  # opening between the fingers
     max_width_m: float
     is_grasped: bool
 
@@ -78,7 +79,7 @@ class HandClient(Protocol):
         """Start a command; none is in flight."""
 
     def poll(self) -> bool | None:
-        """Return how the command in flight ended (False: not done, nothing grasped), None while it runs."""
+        """Return how the command in flight ended (False: nothing grasped); None: it runs."""
 
     def stop(self) -> None:
         """Stop the fingers where they are; a command in flight ends without success."""
@@ -90,10 +91,10 @@ class HandClient(Protocol):
 def next_command(
     wish_m: float, width_m: float, holds: bool, settings: HandRules
 ) -> HandCommand | None:
-    """Return the command that brings the fingers from a width to a wished one, None where they are there.
+    """Return the command from a width to a wished one, None where the fingers are there.
 
-    Closing by position would press with all the motor has, so every closing is a grasp with a bounded force. Fingers
-    that hold something are as close as they can be: only a wider wish asks for anything.
+    Closing by position would press with all the motor has, so every closing is a grasp with a
+    bounded force. Fingers that hold something are as close as they can be.
     """
     opens = wish_m > width_m
     if abs(wish_m - width_m) < settings.hysteresis_m or (holds and not opens):
@@ -115,9 +116,9 @@ def require_open(reading: HandReading, open_width_m: float) -> None:
 
 
 class Hand:
-    """The width wished of a hand, one command at a time: ``start``, ``submit``, ``tick``, read ``reading``, ``stop``.
+    """Brings the fingers to the newest wished width, one command at a time.
 
-    No call but ``start`` waits. The arm's stream ticks it, so that what is wrong with the hand stops the arm.
+    No call but ``start`` waits. The arm's stream ticks it, so that the hand's faults stop the arm.
     """
 
     def __init__(
@@ -128,11 +129,13 @@ class Hand:
     ) -> None:
         self.settings = settings or HandRules()
         self.failed_commands = 0
-        self._client, self._clock = client, clock
+        self._client = client
+        self._clock = clock
         self._reading: HandReading | None = None
         self._wish_m: float | None = None  # None: nothing was wished since the last stop
         self._last: HandCommand | None = None  # None: nothing was asked for since the last stop
-        self._tries, self._succeeded = 0, False  # of the last command
+        self._tries = 0  # of the last command
+        self._succeeded = False
         self.is_busy = False  # a command is in flight
         self._stop_wanted = self._interrupted = False
         self._deadline_s = self._ended_s = 0.0  # of the command in flight; when the last one ended
@@ -142,7 +145,10 @@ class Hand:
         self._fault: RobotError | None = None
 
     def start(self) -> None:
-        """Connect and read the hand once; raises RobotError: no connection, no first reading, or it was never homed."""
+        """Connect and read the hand once.
+
+        Raises RobotError: no connection, no first reading, or it was never homed.
+        """
         self._client.connect()
         self._take_reading()
         if self._reading is None:
@@ -152,10 +158,8 @@ class Hand:
             )
         widest_m = self._reading.max_width_m
         if widest_m < UNHOMED_m:
-            came, do = (
-                f"a largest opening of {1000 * widest_m:.0f} mm",
-                "Home the hand in Desk, then connect again.",
-            )
+            came = f"a largest opening of {1000 * widest_m:.0f} mm"
+            do = "Home the hand in Desk, then connect again."
             raise RobotError(expected("hand", "one that was homed", came, do), "hand_state")
 
     @property
@@ -175,7 +179,7 @@ class Hand:
     def submit(self, width_m: float) -> None:
         """Wish a width from now on; the newest one counts once the hand is free.
 
-        Raises RobotError: the hand has a fault; ``guard``: a width that no layer above should have let through.
+        Raises RobotError: the hand has a fault; ``guard``: a width beyond this hand.
         """
         if self._fault is not None:
             raise self._fault
@@ -185,7 +189,7 @@ class Hand:
         self._wish_m = width_m
 
     def stop(self) -> None:
-        """Stop the fingers at the next tick and forget what was wished; what is held stays held. From any thread."""
+        """Stop at the next tick and forget the wish; a held object stays held. From any thread."""
         self._wish_m = None
         self._stop_wanted = True
 
@@ -200,7 +204,7 @@ class Hand:
             self._client.stop()  # not where something is held: the hand might let go of it
 
     def tick(self) -> None:
-        """Take the newest reading and outcome, begin the next command, and check; one thread at a time.
+        """Take reading and outcome, begin the next command, check; one thread at a time.
 
         Raises RobotError: as ``check``; a fault of the client stays until the robot connects again.
         """
@@ -218,19 +222,19 @@ class Hand:
     def check(self) -> None:
         """Raise what is wrong with the hand now.
 
-        Raises RobotError: the hand's fault; ``hand_connection``: it has hung up; ``hand_deadline``: a command takes too
-        long; ``hand_stale``: no new reading; ``grasp_lost``: it let go of what it held without being asked to.
+        Raises RobotError: the hand's fault; ``hand_connection``: it has hung up; ``hand_deadline``:
+        a command takes too long; ``hand_stale``: no new reading; ``grasp_lost``: it let go of what
+        it held without being asked to.
         """
         if self._fault is not None:
             raise self._fault
         self._client.refuse_closed()
         if self.is_busy and self._clock() > self._deadline_s:
-            came, do = (
-                f"an answer to {self._last or 'a stop'}",
-                "Is something in its way? Free it, then connect again.",
-            )
-            raise RobotError(expected("hand", came, "none in time", do), "hand_deadline")
-        held_m, reading = self._held_m, self._reading
+            wanted = f"an answer to {self._last or 'a stop'}"
+            do = "Is something in its way? Free it, then connect again."
+            raise RobotError(expected("hand", wanted, "none in time", do), "hand_deadline")
+        held_m = self._held_m
+        reading = self._reading
         if reading is None:
             return
         age_s = self._clock() - max(reading.time_s, self._ended_s)
@@ -245,10 +249,14 @@ class Hand:
             )
 
     def recover(self) -> None:
-        """Forget a lost grasp on an operator's word, begin nothing; raises RobotError: anything else is wrong still."""
+        """Forget a lost grasp on an operator's word; begin nothing.
+
+        Raises RobotError: anything else is wrong still.
+        """
         self._wish_m = self._held_m = None
         if self._reading is None or not self._reading.is_grasped:
-            self._last, self._holds = None, False
+            self._last = None
+            self._holds = False
         self.tick()
 
     def _take_reading(self) -> None:
@@ -257,12 +265,14 @@ class Hand:
             return
         widths = (reading.width_m, reading.max_width_m)
         if not all(-THINNEST_m <= width <= WIDEST_m for width in widths):  # NaN is not, either
-            came, do = f"{widths[0]} of {widths[1]} m", "Home the hand, then connect again."
+            came = f"{reading.width_m} of {reading.max_width_m} m"
+            do = "Home the hand, then connect again."
             raise RobotError(
                 expected("hand", f"widths of 0 to {WIDEST_m} m", came, do), "hand_state"
             )
         if self._holds and reading.is_grasped:
-            self._held_m = reading.width_m if self._held_m is None else self._held_m
+            if self._held_m is None:
+                self._held_m = reading.width_m
             if reading.width_m > self._held_m - SLIPPED_m:  # the hand's own word comes late
                 self._held_s = reading.time_s
         self._reading = reading
@@ -279,7 +289,8 @@ class Hand:
             log.warning("hand: %s did not succeed, try %d of %d", self._last, self._tries, TRIES)
 
     def _begin(self) -> None:
-        wish_m, reading = self._wished(), self._reading
+        wish_m = self._wished()
+        reading = self._reading
         if wish_m is None or reading is None:
             return
         is_same = (
@@ -287,7 +298,7 @@ class Hand:
         )
         if is_same and (self._succeeded or self._tries >= TRIES):
             return
-        # from the width of what is held: fingers that close on nothing lost it, and opening them would hide that
+        # from the width of a held object: fingers closed on nothing lost it, which opening hides
         from_m = reading.width_m if self._held_m is None else self._held_m
         command = next_command(wish_m, from_m, self._holds, self.settings)
         if command is None:
@@ -297,7 +308,9 @@ class Hand:
         self._client.begin(command)
         self._deadline_s = self._clock() + travel_s + GRACE_s
         self._tries = self._tries + 1 if is_same else 1
-        self._held_m, self._last, self.is_busy = None, command, True
+        self._held_m = None
+        self._last = command
+        self.is_busy = True
         self._holds = self._interrupted = False
 
     def _wished(self) -> float | None:
@@ -307,8 +320,9 @@ class Hand:
         return min(self._wish_m, self._reading.max_width_m)
 
     def _stop_if_due(self) -> None:
-        """Stop the fingers where a stop was asked for, or where they have come as far as is wished now."""
-        wanted, self._stop_wanted = self._stop_wanted, False
+        """Stop the fingers on demand, or where they have come as far as is wished now."""
+        wanted = self._stop_wanted
+        self._stop_wanted = False
         if not self.is_busy or self._interrupted or not (wanted or self._is_there()):
             return
         self._client.stop()
@@ -318,8 +332,10 @@ class Hand:
             self._last = None
 
     def _is_there(self) -> bool:
-        """Return whether a command in flight has brought the fingers to the newest wish, or past it."""
-        wish_m, reading, command = self._wished(), self._reading, self._last
+        """Return whether a command in flight has reached the newest wish, or passed it."""
+        wish_m = self._wished()
+        reading = self._reading
+        command = self._last
         if wish_m is None or reading is None or command is None:
             return False
         if command.force_N > 0:

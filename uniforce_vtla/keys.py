@@ -4,7 +4,7 @@
 ``observation.`` prefix never reaches a policy, which is what truth and provenance columns need.
 """
 
-from uniforce_vtla.contracts import FINGERS, Finger
+from uniforce_vtla.contracts import Finger
 
 STATE = "observation.state"
 ACTION = "action"
@@ -21,18 +21,20 @@ OUTCOME_NAMES = ("aborted", "failed_grasp", "residual", "success")  # in order o
 
 
 def camera_key(camera: str) -> str:
-    """Key of a scene camera's video, e.g. ``observation.images.front``."""
+    """Key of a camera's video, e.g. ``observation.images.front``."""
     return f"observation.images.{camera}"
 
 
 def tactile_name(finger: Finger, reference: bool = False) -> str:
     """Name of a finger's marker stream inside an environment's ``pixels`` dict."""
-    return f"tactile_{finger}_ref" if reference else f"tactile_{finger}"
+    if reference:
+        return f"tactile_{finger}_ref"
+    return f"tactile_{finger}"
 
 
 def tactile_key(finger: Finger, reference: bool = False) -> str:
     """Key of a finger's marker image, or of the episode's reference beside it."""
-    return f"observation.images.{tactile_name(finger, reference)}"
+    return camera_key(tactile_name(finger, reference))
 
 
 def latent_key(slot: str) -> str:
@@ -41,7 +43,7 @@ def latent_key(slot: str) -> str:
 
 
 def wrench_key(slot: str) -> str:
-    """Key of a slot's true pad wrench (ceiling control only), (4,) float32: fx, fy, fz N, torsion Nmm."""
+    """Key of a slot's true pad wrench (control), (4,) float32: fx, fy, fz N, torsion Nmm."""
     return f"observation.wrench.{slot}"
 
 
@@ -66,7 +68,7 @@ def sensor_key(finger: Finger) -> str:
 
 
 def time_key(source: str) -> str:
-    """Per-frame column: when a finger's or camera's frame was captured, float64 s on the episode's clock."""
+    """Per-frame column: capture time of a finger's or camera's frame, float64 s of the episode."""
     return f"provenance.time.{source}"
 
 
@@ -76,12 +78,12 @@ def age_key(source: str) -> str:
 
 
 def index_key(source: str) -> str:
-    """Per-frame column: number of that frame since its sensor connected, int64; gaps tell what was left out."""
+    """Per-frame column: number of that frame since its sensor connected, int64; may have gaps."""
     return f"provenance.index.{source}"
 
 
 def measured_key(name: str) -> str:
-    """Per-frame column a robot measures besides the state, e.g. ``measured.wrench``; no policy reads it."""
+    """Per-frame column of a robot's other measurements, e.g. ``measured.wrench``."""
     return f"measured.{name}"
 
 
@@ -91,7 +93,7 @@ def counts_key(finger: Finger) -> str:
 
 
 def window_key(finger: Finger) -> str:
-    """Per-frame column: the newest scans of a finger's taxels, oldest first, upright, (size · 48,) int32."""
+    """Per-frame column: newest scans of a finger's taxels, oldest first, (size · 48,) int32."""
     return f"raw.window.{finger}"
 
 
@@ -100,7 +102,7 @@ def window_time_key(finger: Finger) -> str:
     return f"raw.window_time.{finger}"
 
 
-# Per-frame columns of recorded equilibrium pairs; everything in them is measured or estimated, nothing is truth.
+# Per-frame columns of recorded equilibrium pairs: measured or estimated, never truth.
 PAIR_ERROR = "pair.error"  # estimated ‖F_left − F_right‖ over their mean
 PAIR_VELOCITY = "pair.velocity"  # (3,) m/s of the hand in its own frame, x = closing axis
 PAIR_ACCELERATION = "pair.acceleration"  # (3,) m/s² of the hand in its own frame
@@ -115,8 +117,8 @@ def pair_force_key(finger: Finger) -> str:
     return f"pair.force.{finger}"
 
 
-TACTILE_NAMES = tuple(tactile_name(f, r) for f in FINGERS for r in (False, True))
-TACTILE_KEYS = tuple(tactile_key(f, r) for f in FINGERS for r in (False, True))
+TACTILE_NAMES = ("tactile_left", "tactile_left_ref", "tactile_right", "tactile_right_ref")
+TACTILE_KEYS = tuple(camera_key(name) for name in TACTILE_NAMES)
 SUCCESS = "provenance.success"  # 1.0 if the episode ended in clean success
 OUTCOME = "provenance.outcome"  # index into OUTCOME_NAMES
 SEED = "provenance.seed"  # the integer that rebuilds the scene; on a robot, counts the attempts
@@ -129,30 +131,46 @@ REQUESTED = "provenance.requested"
 # Why an episode was aborted. Append only: datasets store the index.
 ABORT_CAUSES = (
     "none",
-    *(
-        f"{how}_{what}"
-        for what in ("camera", "touch")
-        for how in ("lost", "stale", "frozen", "bad")
-    ),
-    *(
-        f"robot_{fault}"
-        for fault in ("connection", "version", "reflex", "user_stop", "guiding", "action", "stale")
-    ),
-    *(
-        "robot_ended",
-        "robot_backend",
-        "robot_other",
-        "teleop",
-        "disk_full",
-        "storage",
-        "dropped_frame",
-    ),
-    *("interrupt", "other"),
-    *(
-        f"robot_{fault}"
-        for fault in ("bad_state", "jump", "speed", "force", "frozen", "guard", "sensor")
-    ),
-    *(f"robot_{fault}" for fault in ("communication", "discontinuity", "limit")),
-    *(f"robot_hand_{fault}" for fault in ("connection", "stale", "deadline", "state")),
-    *("robot_grasp_lost", "late", "robot_tilt", "robot_frame"),
+    "lost_camera",
+    "stale_camera",
+    "frozen_camera",
+    "bad_camera",
+    "lost_touch",
+    "stale_touch",
+    "frozen_touch",
+    "bad_touch",
+    "robot_connection",
+    "robot_version",
+    "robot_reflex",
+    "robot_user_stop",
+    "robot_guiding",
+    "robot_action",
+    "robot_stale",
+    "robot_ended",
+    "robot_backend",
+    "robot_other",
+    "teleop",
+    "disk_full",
+    "storage",
+    "dropped_frame",
+    "interrupt",
+    "other",
+    "robot_bad_state",
+    "robot_jump",
+    "robot_speed",
+    "robot_force",
+    "robot_frozen",
+    "robot_guard",
+    "robot_sensor",
+    "robot_communication",
+    "robot_discontinuity",
+    "robot_limit",
+    "robot_hand_connection",
+    "robot_hand_stale",
+    "robot_hand_deadline",
+    "robot_hand_state",
+    "robot_grasp_lost",
+    "late",
+    "robot_tilt",
+    "robot_frame",
 )

@@ -1,8 +1,8 @@
-"""Rules of options, declared as the type of a field: ranges, choices, names, files to read or to write."""
+"""Rules of options, declared as the type of a field: ranges, choices, names, files."""
 
 import re
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from numbers import Real
@@ -24,51 +24,49 @@ class Range:
     above: bool = False
 
     def __str__(self) -> str:
+        low = f"{self.low:,.12g}"
         high = f"{self.high:,.12g}"
-        return (
-            f"above {self.low:,.12g}, at most {high}"
-            if self.above
-            else f"{self.low:,.12g} … {high}"
-        )
+        if self.above:
+            return f"above {low}, at most {high}"
+        return f"{low} … {high}"
 
     def holds(self, value: Any) -> bool:
         """Return whether a value is a finite number inside."""
         is_number = isinstance(value, Real) and not isinstance(value, bool)
-        # a NaN is not between two numbers, either
-        return (
-            is_number
-            and bool(self.low <= value <= self.high)
-            and not (self.above and value == self.low)
-        )
+        if not is_number or (self.above and value == self.low):
+            return False
+        return bool(self.low <= value <= self.high)  # False for NaN
 
     def check(self, name: str, value: Any) -> None:
         """Raise ContractError for a number outside; of a list, for each."""
-        for number in value if isinstance(value, list | tuple) else [value]:
+        for number in each(value):
             if not self.holds(number):
                 raise ContractError(
                     expected(name, str(self), number, "Give a number of this range.")
                 )
 
 
+MANY = " (comma between them)"
+
+
 @dataclass(frozen=True)
 class Names:
-    """Known names; ``many``: several with commas between them, or a list; empty stands for the default."""
+    """Known names; ``many``: several, commas between, or a list; empty is the default."""
 
     known: tuple[str, ...]
     many: bool = False
 
     def __str__(self) -> str:
-        return " | ".join(self.known) + (" (comma between them)" if self.many else "")
+        return " | ".join(self.known) + MANY * self.many
 
     def check(self, name: str, value: str | list[str]) -> None:
         """Raise ContractError for a name that isn't known."""
-        words = split(value) if self.many and isinstance(value, str) else value
-        unknown = [
-            word
-            for word in ([words] if isinstance(words, str) else words)
-            if word not in self.known
-        ]
-        if unknown and value:
+        if not value:
+            return
+        if self.many and isinstance(value, str):
+            value = split(value)
+        unknown = [word for word in each(value) if word not in self.known]
+        if unknown:
             raise ContractError(expected(name, str(self), ", ".join(unknown), "Choose of these."))
 
 
@@ -105,8 +103,9 @@ class Plain:
 def absolute(path: str | Path) -> Path:
     """Return where a path leads whatever folder a program changes to; ``~`` is the home folder.
 
-    Some shells leave the ``~`` of ``root=~/demos`` as it is, and every Python script does. Raises ContractError: a
-    user without a home.
+    Some shells and every Python script leave the ``~`` of ``root=~/demos`` as it is.
+
+    Raises ContractError: a user without a home.
     """
     try:
         return Path(path).expanduser().absolute()
@@ -117,11 +116,12 @@ def absolute(path: str | Path) -> Path:
 
 
 def at_home(text: str) -> str:
-    """Return a path, or several with commas between, with ``~`` replaced by the home folder; the rest as it came."""
-    return ",".join(
-        str(absolute(word.strip())) if word.strip().startswith("~") else word
-        for word in text.split(",")
-    )
+    """Return a path, or several with commas between, with ``~`` as the home folder."""
+    words = text.split(",")
+    for i, word in enumerate(words):
+        if word.strip().startswith("~"):
+            words[i] = str(absolute(word.strip()))
+    return ",".join(words)
 
 
 @dataclass(frozen=True)
@@ -136,12 +136,15 @@ class Existing:
     hub: bool = False  # whether a hub id (``name/model``) will do
 
     def __str__(self) -> str:
-        return " | ".join([*self.words, self.what]) + (" (comma between them)" if self.many else "")
+        return " | ".join([*self.words, self.what]) + MANY * self.many
 
     def check(self, name: str, value: str) -> None:
         """Raise ContractError where nothing of the kind is."""
-        for word in split(value) if self.many else [value]:
-            if value and word not in self.words and not self._found(name, word):
+        if not value:
+            return
+        words = split(value) if self.many else [value]
+        for word in words:
+            if word not in self.words and not self._found(name, word):
                 raise ContractError(expected(name, str(self), shortened(word), "Check the path."))
 
     def _found(self, name: str, word: str) -> bool:
@@ -149,11 +152,9 @@ class Existing:
         with named_path(name, str(self)):
             if self.hub and not path.exists():
                 return re.fullmatch(r"[\w-][\w.-]*/[\w-][\w.-]*", word) is not None
-            return (
-                (path / self.marker).is_dir()
-                if self.marker == "."
-                else (path / self.marker).is_file()
-            )
+            if self.marker == ".":
+                return path.is_dir()
+            return (path / self.marker).is_file()
 
 
 @dataclass(frozen=True)
@@ -163,17 +164,21 @@ class Writable:
     folder: bool = True
 
     def __str__(self) -> str:
-        return f"a {'folder' if self.folder else 'file'} that can be written"
+        return f"a {_KINDS[self.folder]} that can be written"
 
     def check(self, name: str, value: str) -> None:
-        """Raise ContractError where nothing can be written; what the trial made is gone again."""
+        """Raise ContractError where nothing can be written; removes all that the trial made."""
+        if not value:
+            return
         path = Path(value)
         with named_path(name, str(self)):
-            if value and path.exists() and path.is_dir() != self.folder:
-                came = f"{value}, a {'file' if self.folder else 'folder'}"
+            if path.exists() and path.is_dir() != self.folder:
+                came = f"{value}, a {_KINDS[not self.folder]}"
                 raise ContractError(expected(name, str(self), came, "Name another."))
-            if value:
-                try_to_write(path if self.folder else path.parent)
+            try_to_write(path if self.folder else path.parent)
+
+
+_KINDS = {True: "folder", False: "file"}
 
 
 @contextmanager
@@ -207,10 +212,19 @@ def split(text: str) -> list[str]:
     return [entry.strip() for entry in text.split(",") if entry.strip()]
 
 
+def each(value: Any) -> Sequence[Any]:
+    """Return the entries of a list or tuple, or the value alone."""
+    if isinstance(value, list | tuple):
+        return value
+    return [value]
+
+
 def shortened(text: str, most: int = 80) -> str:
     """Return a text short enough for a line."""
     line = " ".join(text.split())
-    return line if len(line) <= most else f"{line[: most - 1]}…"
+    if len(line) > most:
+        line = f"{line[: most - 1]}…"
+    return line
 
 
 def check_text(name: str, value: str) -> None:
@@ -218,7 +232,7 @@ def check_text(name: str, value: str) -> None:
     if len(value) > LONGEST:
         came = f"{len(value):,} characters"
         raise ContractError(expected(name, f"at most {LONGEST:,} characters", came, "Shorten it."))
-    if not all(letter.isprintable() for letter in value):
+    if not value.isprintable():
         raise ContractError(
             expected(
                 name, "printable text", shortened(repr(value)), "Leave out control characters."

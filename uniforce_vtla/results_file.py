@@ -1,4 +1,4 @@
-"""Result files: every figure quoted in the docs is a JSON written by a command, with its provenance inside."""
+"""Result files: JSON written by a command, with its provenance inside."""
 
 import datetime
 import importlib.metadata
@@ -27,7 +27,7 @@ GIT_s = 10.0  # s, on a busy disk
 def provenance() -> dict[str, Any]:
     """Return command line, package version, commit, machine, device and date of this process.
 
-    ``commit`` and ``dirty`` (tracked files differ from it) are null where the package isn't run from a checkout.
+    ``commit`` and ``dirty`` (tracked files differ) are null where it isn't run from a checkout.
     """
     commit, dirty = _checkout()
     return {
@@ -43,17 +43,16 @@ def provenance() -> dict[str, Any]:
 
 @cache
 def _checkout() -> tuple[str | None, bool | None]:
-    """Return the commit of the checkout this package lies in, and whether its tracked files were changed.
+    """Return the commit of this package's checkout, and whether tracked files were changed.
 
-    Results don't count: several programs fill one file in turn. Read once: a checkout that changes while a long run
-    works is another one than it imported.
+    Results don't count: several programs fill one file in turn. It is read once, for the code
+    that this process has imported.
     """
     if not (SOURCES / ".git").exists():  # a repository of somebody else's may lie further up
         return None, None
     try:
-        changes = ("status", "--porcelain", "--untracked-files=no", "--", ".", f":!{RESULTS}")
-        asked = [("rev-parse", "HEAD"), changes]
-        commit, changed = (_git(*words) for words in asked)
+        commit = _git("rev-parse", "HEAD")
+        changed = _git("status", "--porcelain", "--untracked-files=no", "--", ".", f":!{RESULTS}")
     except (OSError, subprocess.SubprocessError):  # no git, or a folder that git distrusts
         return None, None
     return commit, bool(changed)
@@ -61,13 +60,13 @@ def _checkout() -> tuple[str | None, bool | None]:
 
 def _git(*words: str) -> str:
     call = ["git", "-C", str(SOURCES), *words]
-    return subprocess.run(
-        call, capture_output=True, text=True, check=True, timeout=GIT_s
-    ).stdout.strip()
+    return subprocess.check_output(
+        call, stderr=subprocess.DEVNULL, text=True, timeout=GIT_s
+    ).strip()
 
 
 def _device() -> str:
-    """Return what torch computed on: the accelerator that this process has opened, else the processor."""
+    """Return where torch computed: the accelerator that this process opened, else the CPU."""
     torch = sys.modules.get("torch")
     if torch is not None and torch.cuda.is_initialized():
         return str(torch.cuda.get_device_name())
@@ -77,11 +76,13 @@ def _device() -> str:
 def _program() -> str:
     """Return what was run: a module as ``python -m NAME``, else the file's name."""
     spec = sys.modules["__main__"].__spec__
-    return f"python -m {spec.name.removesuffix('.__main__')}" if spec else Path(sys.argv[0]).name
+    if spec is None:
+        return Path(sys.argv[0]).name
+    return f"python -m {spec.name.removesuffix('.__main__')}"
 
 
 def write_json(path: Path, content: dict[str, Any]) -> Path:
-    """Write ``content`` atomically, so that a killed process never leaves half a file; NaN and infinity as null."""
+    """Write ``content`` atomically; NaN and infinity become null."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False) as handle:
         json.dump(_strict(content), handle, indent=1, allow_nan=False)
@@ -95,13 +96,15 @@ def _strict(content: Any) -> Any:
         return {key: _strict(value) for key, value in content.items()}
     if isinstance(content, list | tuple):
         return [_strict(value) for value in content]
-    return None if isinstance(content, float) and not math.isfinite(content) else content
+    if isinstance(content, float) and not math.isfinite(content):
+        return None
+    return content
 
 
 def only_writer(path: Path) -> FileLock:
-    """Return the held lock of a file or folder that a long run fills; releasing it lets another process write.
+    """Return the held lock of a file or folder that a long run fills; release it when done.
 
-    Raises ContractError: another process fills it now, so both would do the same work and spoil each other's.
+    Raises ContractError: another process fills it now.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     held = FileLock(path.with_name(f".{path.name}.lock"))
@@ -116,7 +119,7 @@ def only_writer(path: Path) -> FileLock:
 
 
 def append_line(path: Path, content: dict[str, Any]) -> None:
-    """Add a line of JSON and force it to disk: a killed run keeps all it has finished; half a last line is dropped."""
+    """Add a line of JSON and force it to disk; half a last line of a killed run is dropped."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("ab+") as handle:
         handle.seek(0)
@@ -127,6 +130,8 @@ def append_line(path: Path, content: dict[str, Any]) -> None:
 
 
 def read_lines(path: Path) -> list[dict[str, Any]]:
-    """Return what ``append_line`` wrote, without a last line that a kill has cut short; ValueError: no JSON."""
-    text = path.read_text() if path.exists() else ""
+    """Return what ``append_line`` wrote, without half a last line; ValueError: no JSON."""
+    if not path.exists():
+        return []
+    text = path.read_text()
     return [json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines()]

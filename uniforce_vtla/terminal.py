@@ -13,7 +13,7 @@ STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # Ctrl-C, kill, a termin
 
 
 class LastingText(io.TextIOBase):
-    """Writes to a terminal or pipe; once that is gone, what is written is lost and nothing is raised."""
+    """Writes to a terminal or pipe; once that is gone, text is lost and nothing is raised."""
 
     def __init__(self, out: TextIO) -> None:
         self._out = out
@@ -37,22 +37,21 @@ class LastingText(io.TextIOBase):
 
 @contextmanager
 def stops_like_ctrl_c() -> Iterator[None]:
-    """Let SIGTERM and SIGHUP raise KeyboardInterrupt while the block lasts, so that it is left in order.
+    """Let SIGTERM and SIGHUP raise KeyboardInterrupt while the block lasts.
 
     Who started the program with a signal ignored, as nohup does, wants it to go on.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = {number: signal.getsignal(number) for number in STOPS[1:]}
-    plain = [number for number, handler in before.items() if handler is signal.SIG_DFL]
+    plain = [number for number in STOPS[1:] if signal.getsignal(number) is signal.SIG_DFL]
     for number in plain:
         signal.signal(number, _interrupt)
     try:
         yield
     finally:
         for number in plain:
-            signal.signal(number, before[number])
+            signal.signal(number, signal.SIG_DFL)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:

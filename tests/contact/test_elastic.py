@@ -1,6 +1,8 @@
 """Finite elements of pads: mirrored, reciprocal, as stiff as theory says, kept in a cache."""
 
+from collections.abc import Iterator
 from dataclasses import replace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -62,32 +64,36 @@ def test_cells_cover_the_length_and_what_is_left_stands_at_both_ends() -> None:
     assert len(cell_edges(25.0, 1.25)) == 21
 
 
+@pytest.fixture
+def nothing_remembered() -> Iterator[None]:
+    influence.cache_clear()
+    yield
+    influence.cache_clear()
+
+
+@pytest.mark.usefixtures("nothing_remembered")
 def test_matrices_are_computed_once_and_read_afterwards(tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    elastic._load.cache_clear()
     first = influence(SMALL)
-    elastic._load.cache_clear()
+    influence.cache_clear()
     monkeypatch.setattr(elastic, "compute_influence", lambda *_: pytest.fail("computed again"))
     again = influence(SMALL)
     np.testing.assert_array_equal(first.skin, again.skin)
     assert len(list(tmp_path.rglob("*.npz"))) == 1
-    elastic._load.cache_clear()
 
 
+@pytest.mark.usefixtures("nothing_remembered")
 @pytest.mark.parametrize("why", ["no home", "damaged", "not ours"])
 def test_a_cache_that_cannot_be_used_costs_time_only(
     why: str, tmp_path, monkeypatch, caplog
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", "/proc/nothing" if why == "no home" else str(tmp_path))
-    elastic._load.cache_clear()
     first = influence(SMALL)
-    elastic._load.cache_clear()
+    influence.cache_clear()
     for file in tmp_path.rglob("*.npz"):
         file.write_bytes(file.read_bytes()[:1000])
     if why == "not ours":
-        monkeypatch.setattr(
-            np, "load", lambda path: (_ for _ in ()).throw(PermissionError(13, "Permission denied"))
-        )
+        refused = MagicMock(side_effect=PermissionError(13, "Permission denied"))
+        monkeypatch.setattr(np, "load", refused)
     np.testing.assert_array_equal(influence(SMALL).skin, first.skin)
     assert "XDG_CACHE_HOME" in caplog.text
-    elastic._load.cache_clear()

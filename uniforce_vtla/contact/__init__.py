@@ -1,4 +1,4 @@
-"""Stage: contact. One traction field, many sensors: contact state → marker images, raw frames or counts."""
+"""Contact stage: one traction field, any sensor. Contact state → marker images, frames, counts."""
 
 from uniforce_vtla.contact.indenters import PRETRAIN, SEEN, UNSEEN, flat_face_gap, gap_map, gap_maps
 from uniforce_vtla.contact.pairs import PairBatch, PairSettings, equilibrium_pairs

@@ -1,8 +1,8 @@
 """Elastic pads by finite elements: how skin and markers move per newton on each cell of the skin.
 
-Small strain, trilinear hexahedra whose volumetric term is taken at the element's centre, or nearly incompressible gel
-locks.  The back is bonded, and the rim of a dome is clamped.  Checked against theory by ``benchmarks.finite_elements``.
-Axes are the image's: x right, y down, z into the pad.
+Small strain, trilinear hexahedra. The volumetric term is taken at the element's centre, or nearly
+incompressible gel locks. The back is bonded, the rim of a dome clamped. Checked against theory by
+``benchmarks.finite_elements``. Axes are the image's: x right, y down, z into the pad.
 """
 
 import hashlib
@@ -10,8 +10,6 @@ import itertools
 import json
 import logging
 import os
-import zipfile
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -20,14 +18,15 @@ import numpy as np
 from filelock import FileLock
 from tqdm import tqdm
 
-from uniforce_vtla.errors import expected
+from uniforce_vtla.array_file import read_arrays
+from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.sensors.material import Layer
 
 logger = logging.getLogger(__name__)
 
 VERSION = 1  # of the equations below; a cached file of another one isn't read
 # a home that is missing or read-only, a file of another user, a full disk, no locks, half a file
-UNUSABLE = (OSError, RuntimeError, NotImplementedError, zipfile.BadZipFile, ValueError)
+UNUSABLE = (OSError, RuntimeError, NotImplementedError, DatasetError)
 _HEIGHTS = 6  # element layers at least; twice as many move a marker by less than 2 %
 _SPLIT_MM = 1e-6
 
@@ -61,29 +60,23 @@ class Influence:
 
     @cached_property
     def fields(self) -> np.ndarray:
-        """Return (rows, columns, 6, 3, C): u, v, w in mm, ∂u/∂x + ∂v/∂y, ∂w/∂x and ∂w/∂y, per newton."""
+        """Return (rows, columns, 6, 3, C) per newton: u, v, w [mm], ∂u/∂x + ∂v/∂y, ∂w/∂x, ∂w/∂y."""
         u, v, w = self.inside
         strain = np.gradient(u, self.x_mm, axis=1) + np.gradient(v, self.y_mm, axis=0)
-        slopes = (np.gradient(w, self.x_mm, axis=1), np.gradient(w, self.y_mm, axis=0))
-        return np.stack([u, v, w, strain, *slopes], axis=2).astype(np.float32)
-
-
-def influence(gel: Gel) -> Influence:
-    """Return the influence matrices of ``gel``: computed at first use (some ten seconds), then from the cache."""
-    return _load(gel)
+        slope_x = np.gradient(w, self.x_mm, axis=1)
+        slope_y = np.gradient(w, self.y_mm, axis=0)
+        return np.stack([u, v, w, strain, slope_x, slope_y], axis=2).astype(np.float32)
 
 
 def cache_folder() -> Path:
-    """Return where influence matrices are kept: ``$XDG_CACHE_HOME`` or ``~/.cache``, in ``uniforce_vtla``."""
-    return (
-        Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-        / "uniforce_vtla"
-        / "influence"
-    )
+    """Return the folder of influence matrices, in ``$XDG_CACHE_HOME`` or ``~/.cache``."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return cache / "uniforce_vtla" / "influence"
 
 
 @lru_cache(maxsize=16)
-def _load(gel: Gel) -> Influence:
+def influence(gel: Gel) -> Influence:
+    """Return the influence matrices of ``gel``, cached; the first time takes some ten seconds."""
     key = hashlib.sha256(json.dumps([VERSION, asdict(gel)]).encode()).hexdigest()[:16]
     try:
         return _cached(cache_folder() / f"{key}.npz", gel)
@@ -101,41 +94,31 @@ def _cached(path: Path, gel: Gel) -> Influence:
                 part = path.with_suffix(".part.npz")
                 np.savez(part, **vars(compute_influence(gel)))
                 part.replace(path)
-    with np.load(path) as stored:
-        return Influence(**{name: stored[name] for name in stored.files})
+    return Influence(**read_arrays(path, ("skin", "inside", "x_mm", "y_mm")))
 
 
 def compute_influence(gel: Gel, progress: bool = True) -> Influence:
-    """Return the influence matrices of ``gel`` by solving its finite elements; a third of the time without mirror."""
+    """Return the influence matrices of ``gel``: solve a quarter of its cells, mirror the rest."""
     mesh = PadMesh(gel)
     rows, columns = mesh.cell_shape
-    cell_of = np.full((rows, columns), -1)
-    cell_of[mesh.inside] = np.arange(mesh.inside.sum())
     C = int(mesh.inside.sum())
+    cell_of = np.full((rows, columns), -1)
+    cell_of[mesh.inside] = np.arange(C)
     skin = np.zeros((3, C, 3, C), np.float32)
     inside = np.zeros((3, rows + 1, columns + 1, 3, C), np.float32)
-    quarter = [(j, i) for j, i in np.argwhere(mesh.inside) if 2 * j < rows and 2 * i < columns]
+    cells = np.argwhere(mesh.inside)
+    quarter = cells[(2 * cells < (rows, columns)).all(axis=1)]  # the others are its mirrors
     for j, i in tqdm(
         quarter, desc="finite elements of a pad", unit="cell", disable=not progress, leave=False
     ):
         top, deep = mesh.response(j, i)
-        for flip_y, flip_x, sign in _mirrors():
-            jj, ii = (rows - 1 - j if flip_y else j), (columns - 1 - i if flip_x else i)
-            c = cell_of[jj, ii]
-            turned = [
-                f[:, :: -1 if flip_y else 1, :: -1 if flip_x else 1] * sign for f in (top, deep)
-            ]
-            skin[:, :, :, c] = _cell_means(turned[0])[:, mesh.inside]
-            inside[..., c] = turned[1]
+        for way_y, way_x in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+            c = cell_of[::way_y, ::way_x][j, i]
+            axes = np.array([way_x, way_y, 1.0])
+            sign = axes[:, None, None, None] * axes  # of motion along and force along each axis
+            skin[:, :, :, c] = _cell_means(top[:, ::way_y, ::way_x] * sign)[:, mesh.inside]
+            inside[..., c] = deep[:, ::way_y, ::way_x] * sign
     return Influence(skin, inside, mesh.x_mm, mesh.y_mm)
-
-
-def _mirrors() -> Iterator[tuple[bool, bool, np.ndarray]]:
-    """Yield flips of y and x, and the (3, 1, 1, 3) sign that mirrored axes of motion and force take."""
-    for flip_y in (False, True):
-        for flip_x in (False, True):
-            s = np.array([-1.0 if flip_x else 1.0, -1.0 if flip_y else 1.0, 1.0])
-            yield flip_y, flip_x, s[:, None, None, None] * s
 
 
 def _cell_means(nodes: np.ndarray) -> np.ndarray:
@@ -144,12 +127,18 @@ def _cell_means(nodes: np.ndarray) -> np.ndarray:
 
 
 def cell_edges(length_mm: float, cell_mm: float) -> np.ndarray:
-    """Return borders of cells over ``length_mm``: multiples of ``cell_mm`` about 0, and what is left at both ends."""
+    """Return borders of cells: multiples of ``cell_mm`` about 0, and the remainder at both ends."""
     half = length_mm / 2
     whole = np.floor(half / cell_mm + _SPLIT_MM)
     edges = np.arange(-whole, whole + 1) * cell_mm
-    rest = half - whole * cell_mm
-    return np.concatenate([[-half], edges, [half]]) if rest > _SPLIT_MM else edges
+    if half - whole * cell_mm > _SPLIT_MM:
+        edges = np.concatenate([[-half], edges, [half]])
+    return edges
+
+
+def cell_centres(x_mm: np.ndarray, y_mm: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return x and y of the cells between borders, (rows, columns) each."""
+    return np.meshgrid((x_mm[1:] + x_mm[:-1]) / 2, (y_mm[1:] + y_mm[:-1]) / 2)
 
 
 class PadMesh:
@@ -159,33 +148,26 @@ class PadMesh:
         # .4 s to import, and the cache seldom misses
         from skfem import Basis, ElementHex1, ElementVector, MeshHex
 
-        self.x_mm, self.y_mm = (cell_edges(length, gel.cell_mm) for length in gel.size_mm)
+        self.x_mm = cell_edges(gel.size_mm[0], gel.cell_mm)
+        self.y_mm = cell_edges(gel.size_mm[1], gel.cell_mm)
         self.cell_shape = (len(self.y_mm) - 1, len(self.x_mm) - 1)
         levels = _levels(gel)
         grid = MeshHex.init_tensor(self.x_mm, self.y_mm, levels)
-        x, y = ((e[1:] + e[:-1]) / 2 for e in (self.x_mm, self.y_mm))
-        radius = np.hypot(*np.meshgrid(x, y))
-        self.inside = (
-            radius <= gel.size_mm[0] / 2
-            if gel.dome_radius_mm
-            else np.ones(self.cell_shape, dtype=bool)
-        )
+        self.inside = np.ones(self.cell_shape, dtype=bool)
+        if gel.dome_radius_mm:
+            self.inside = np.hypot(*cell_centres(self.x_mm, self.y_mm)) <= gel.size_mm[0] / 2
         centre = grid.p[:, grid.t].mean(axis=1)
-        column, row = (
-            np.searchsorted(self.x_mm, centre[0]) - 1,
-            np.searchsorted(self.y_mm, centre[1]) - 1,
-        )
+        column = np.searchsorted(self.x_mm, centre[0]) - 1
+        row = np.searchsorted(self.y_mm, centre[1]) - 1
         grid = grid.restrict(np.flatnonzero(self.inside[row, column]))
         level = np.searchsorted(levels, grid.p[2] - _SPLIT_MM)
         self._node = np.full((len(levels), len(self.y_mm), len(self.x_mm)), -1)
-        place = [
-            np.searchsorted(e, v - _SPLIT_MM)
-            for e, v in ((self.y_mm, grid.p[1]), (self.x_mm, grid.p[0]))
-        ]
-        self._node[level, place[0], place[1]] = np.arange(grid.p.shape[1])
+        row = np.searchsorted(self.y_mm, grid.p[1] - _SPLIT_MM)
+        column = np.searchsorted(self.x_mm, grid.p[0] - _SPLIT_MM)
+        self._node[level, row, column] = np.arange(grid.p.shape[1])
         fixed = level == len(levels) - 1
         if gel.dome_radius_mm:
-            fixed |= self._rim()[place[0], place[1]]
+            fixed |= self._rim()[row, column]
         layer = _layer_of(gel, grid.p[2][grid.t].mean(axis=0))
         mesh = MeshHex(_bent(gel, grid.p), grid.t)
         element = ElementVector(ElementHex1())
@@ -196,7 +178,8 @@ class PadMesh:
         free = np.setdiff1d(np.arange(basis.N), self._dofs[:, fixed].ravel())
         self._place = np.full(basis.N, -1)
         self._place[free] = np.arange(len(free))
-        self._free, self._solve = free, _factorised(stiffness[free][:, free])
+        self._free = free
+        self._solve = _factorised(stiffness[free][:, free])
         held = [np.setdiff1d(self._dofs[axis], free) for axis in range(3)]
         self._reaction = [stiffness[rows][:, free] for rows in held]
         self._readout = int(np.searchsorted(levels, gel.readout_mm - _SPLIT_MM))
@@ -208,12 +191,12 @@ class PadMesh:
         return (around > 0) & (around < 4)
 
     def response(self, row: int, column: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return (3, rows, columns, 3) motion of the skin's and the readout's nodes per newton on a cell, each axis."""
+        """Return motion of skin and readout nodes, (3, rows, columns, 3) each, per N on a cell."""
         moved = self._moved(row, column)
         return self._at_level(moved, 0), self._at_level(moved, self._readout)
 
     def reaction(self, row: int, column: int) -> np.ndarray:
-        """Return (3, 3) force the mount is pushed with, [axis, axis of 1 N on a cell]: in balance the identity."""
+        """Return (3, 3) force on the mount, [axis, axis of 1 N on a cell]: ideally the identity."""
         moved = self._moved(row, column)[self._free]
         return -np.stack([(rows @ moved).sum(axis=0) for rows in self._reaction])
 
@@ -234,14 +217,13 @@ class PadMesh:
 
 
 def _levels(gel: Gel) -> np.ndarray:
-    """Return depths of the node layers: skin, borders of materials, readout, and as many between as needed."""
+    """Return depths of the node layers: skin, borders of materials, readout, and some between."""
     borders = np.cumsum([0.0, *(layer.thickness_mm for layer in gel.layers)])
     wanted = np.unique(np.round([*borders, gel.readout_mm], 6))
     largest = gel.thickness_mm / (_HEIGHTS - 1)
-    parts = [
-        np.linspace(a, b, max(1, round((b - a) / largest)), endpoint=False)
-        for a, b in itertools.pairwise(wanted)
-    ]
+    parts = []
+    for a, b in itertools.pairwise(wanted):
+        parts.append(np.linspace(a, b, max(1, round((b - a) / largest)), endpoint=False))
     return np.concatenate([*parts, wanted[-1:]])
 
 
@@ -250,7 +232,7 @@ def _layer_of(gel: Gel, depth_mm: np.ndarray) -> np.ndarray:
 
 
 def _bent(gel: Gel, point_mm: np.ndarray) -> np.ndarray:
-    """Return (3, N) nodes of a dome: its skin follows the sphere, its inner layers stretch down to a flat back."""
+    """Return (3, N) nodes bent to a dome: the skin follows the sphere, the back stays flat."""
     if gel.dome_radius_mm is None:
         return point_mm
     x, y, depth = point_mm
@@ -267,15 +249,16 @@ def sagitta_mm(radius_mm: np.ndarray | float, dome_radius_mm: float) -> np.ndarr
     return dome_radius_mm - np.sqrt(np.maximum(dome_radius_mm**2 - np.square(radius_mm), 0))
 
 
-def _stiffness(basis, centre_only, layers: list[Layer]):  # type: ignore[no-untyped-def]  # scikit-fem has no types
-    """Return the sparse stiffness matrix in N/mm: shear in full, volume change at the elements' centres."""
+# scikit-fem has no types
+def _stiffness(basis, centre_only, layers: list[Layer]):  # type: ignore[no-untyped-def]
+    """Return the sparse stiffness matrix in N/mm: shear in full, volume change at the centres."""
     from skfem import BilinearForm
     from skfem.helpers import ddot, div, sym_grad
 
-    young, poisson = (
-        np.array([getattr(layer, n) for layer in layers]) for n in ("young_MPa", "poisson")
-    )
-    shear, bulk = young / (2 + 2 * poisson), young / (3 - 6 * poisson)
+    young = np.array([layer.young_MPa for layer in layers])
+    poisson = np.array([layer.poisson for layer in layers])
+    shear = young / (2 + 2 * poisson)
+    bulk = young / (3 - 6 * poisson)
 
     @BilinearForm
     def change_of_shape(u, v, w):  # type: ignore[no-untyped-def]
@@ -288,15 +271,17 @@ def _stiffness(basis, centre_only, layers: list[Layer]):  # type: ignore[no-unty
     def at_points(b, value: np.ndarray) -> np.ndarray:  # type: ignore[no-untyped-def]
         return np.repeat(value[:, None], b.X.shape[1], axis=1)
 
-    return change_of_shape.assemble(
-        basis, shear=at_points(basis, shear)
-    ) + change_of_volume.assemble(centre_only, bulk=at_points(centre_only, bulk))
+    of_shape = change_of_shape.assemble(basis, shear=at_points(basis, shear))
+    of_volume = change_of_volume.assemble(centre_only, bulk=at_points(centre_only, bulk))
+    return of_shape + of_volume
 
 
 def _factorised(matrix):  # type: ignore[no-untyped-def]
     from scipy.sparse.linalg import splu
 
-    options = {"SymmetricMode": True}
     return splu(
-        matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options=options, diag_pivot_thresh=0.0
+        matrix.tocsc(),
+        permc_spec="MMD_AT_PLUS_A",
+        options={"SymmetricMode": True},
+        diag_pivot_thresh=0.0,
     ).solve

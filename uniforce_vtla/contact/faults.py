@@ -1,7 +1,7 @@
 """Faults of a sensor, in physical doses: another pad, a moved camera, lost markers, a late stream.
 
-Names after "+" in the words of a worn sensor: ``tactip:1+flicker=0.2``. Ids of RoboTactile's suite stand in
-``benchmarks.stress`` where the fault is the same.
+Names after "+" in the words of a mounted sensor: ``tactip:1+flicker=0.2``. Ids of RoboTactile's
+suite stand in ``benchmarks.stress`` where the fault is the same.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from uniforce_vtla.contact.worn import WornSensor
 
 CONTROL_HZ = 30  # steps of lag and stall
 CREEP_s = 0.6  # relaxation time of the creep that a fault brings
-CAMERA, TAXEL = ("camera",), ("taxel",)
+CAMERA = ("camera",)
+TAXEL = ("taxel",)
 EVERY = (*CAMERA, *TAXEL, "points")
 
 
@@ -51,9 +52,8 @@ def _since(
 
     def put(worn: WornSensor, dose: float) -> WornSensor:
         now = worn.since or worn.unit
-        return replace(
-            worn, since=replace(now, **{name: of(now, dose) for name, of in change.items()})
-        )
+        changed = {name: of(now, dose) for name, of in change.items()}
+        return replace(worn, since=replace(now, **changed))
 
     return put
 
@@ -83,15 +83,39 @@ FAULTS = {
         _since(view_turn_rad=lambda u, deg: u.view_turn_rad + float(np.radians(deg))),
         CAMERA,
     ),
-    "lost": Fault("markers gone after the reference", "share", _since(lost=lambda u, share: share), CAMERA),
-    "flicker": Fault(
-        "markers missed at random", "chance per frame", lambda w, p: replace(w, marker_loss=p), CAMERA
+    "lost": Fault(
+        "markers gone after the reference", "share", _since(lost=lambda u, share: share), CAMERA
     ),
-    "dead": Fault("patch of markers or taxels that stands still", "share", _since(dead=lambda u, share: share)),
-    "crosstalk": Fault("taxels that read their neighbours", "share", _since(crosstalk=lambda u, share: share), TAXEL),
+    "flicker": Fault(
+        "markers missed at random",
+        "chance per frame",
+        lambda w, p: replace(w, marker_loss=p),
+        CAMERA,
+    ),
+    "dead": Fault(
+        "patch of markers or taxels that stands still", "share", _since(dead=lambda u, share: share)
+    ),
+    "crosstalk": Fault(
+        "taxels that read their neighbours",
+        "share",
+        _since(crosstalk=lambda u, share: share),
+        TAXEL,
+    ),
     "light": Fault("another exposure after the reference", "×", _darker, CAMERA),
-    "stale": Fault("reference taken under load", "N", lambda w, force_N: replace(w, stale_N=force_N)),
-    "creep": Fault("part of a motion that comes late", "share", lambda w, s: replace(w, creep=Creep(s, CREEP_s))),
-    "lag": Fault("images late by as much more", "ms", lambda w, ms: replace(w, lag_steps=w.lag_steps + _steps(ms))),
-    "stall": Fault("stream stands still, once in 2 s", "ms", lambda w, ms: replace(w, stall_steps=_steps(ms))),
-}  # fmt: skip
+    "stale": Fault(
+        "reference taken under load", "N", lambda w, force_N: replace(w, stale_N=force_N)
+    ),
+    "creep": Fault(
+        "part of a motion that comes late",
+        "share",
+        lambda w, s: replace(w, creep=Creep(s, CREEP_s)),
+    ),
+    "lag": Fault(
+        "images late by as much more",
+        "ms",
+        lambda w, ms: replace(w, lag_steps=w.lag_steps + _steps(ms)),
+    ),
+    "stall": Fault(
+        "stream stands still, once in 2 s", "ms", lambda w, ms: replace(w, stall_steps=_steps(ms))
+    ),
+}

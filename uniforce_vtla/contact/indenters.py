@@ -1,7 +1,7 @@
 """Objects that press: 18 named indenters as height maps, and the flat face of a held tool.
 
-Names follow the 18 GenForce indenters; the shapes are our own formulas (only the names are documented), sized
-to press a 25 mm pad. A height is how far the surface lies behind the foremost point, ``inf`` beyond the body.
+Names follow the 18 GenForce indenters; the shapes are our own formulas, sized to press a 25 mm pad.
+A height is how far the surface lies behind the foremost point, ``inf`` beyond the body.
 """
 
 from collections.abc import Callable, Sequence
@@ -85,14 +85,14 @@ PRETRAIN = ("cylinder", "cylinder_si", "dotin", "hexagon", "line", "moon", "pris
 def gap_map(
     name: str, center_mm: Sequence[float], angle_rad: float, scale: float = 1.0
 ) -> np.ndarray:
-    """Return (G, G) float32 gap of one indenter: foremost point at 0, ``inf`` where it has no body."""
+    """Return (G, G) float32 gap of one indenter: foremost point at 0, ``inf`` beyond its body."""
     return gap_maps([name], np.array([center_mm]), np.array([angle_rad]), np.array([scale]))[0]
 
 
 def gap_maps(
     names: Sequence[str], center_mm: np.ndarray, angle_rad: np.ndarray, scale: np.ndarray
 ) -> np.ndarray:
-    """Return (B, G, G) float32 gaps of ``names`` at (B, 2) centres, turned by (B,) angles, sized by (B,) scales.
+    """Return (B, G, G) float32 gaps at (B, 2) centres, turned by (B,) angles, sized by (B,) scales.
 
     Raises ContractError: unknown indenter.
     """
@@ -154,12 +154,13 @@ def _local(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return positions as (B, N) x and y in each object's own frame."""
     arm = position_mm[None] - np.asarray(center_mm)[:, None]
-    cos, sin = np.cos(angle_rad)[:, None], np.sin(angle_rad)[:, None]
+    cos = np.cos(angle_rad)[:, None]
+    sin = np.sin(angle_rad)[:, None]
     return cos * arm[..., 0] + sin * arm[..., 1], cos * arm[..., 1] - sin * arm[..., 0]
 
 
 def _grounded(gap: np.ndarray) -> np.ndarray:
-    """Shift (B, N) so that the point that touches first is at 0; rows without an object stay ``inf``."""
+    """Shift (B, N) so that the point that touches first is at 0; no object stays ``inf``."""
     first = gap.min(axis=1, keepdims=True)
     return gap - np.where(np.isfinite(first), first, 0)
 

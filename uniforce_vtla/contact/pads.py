@@ -1,4 +1,4 @@
-"""The grid every contact lives on, where a sensor has skin on it, and how far that skin stands back.
+"""The grid of cells that carry contact, and where and how far back a sensor has skin on it.
 
 Square cells, x right, y down, 0 at the pad's centre; the skin stands back from the tangent plane.
 """
@@ -7,7 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uniforce_vtla.contact.elastic import Gel, Influence, cell_edges, influence, sagitta_mm
+from uniforce_vtla.contact.elastic import (
+    Gel,
+    Influence,
+    cell_centres,
+    cell_edges,
+    influence,
+    sagitta_mm,
+)
 from uniforce_vtla.errors import ContractError, expected
 
 GRID_CELLS = 32
@@ -37,8 +44,9 @@ class Pad:
 
         Raises ContractError: a gap map of another grid, or NaN in it.
         """
-        if gap_mm.shape[1:] != (GRID_CELLS, GRID_CELLS) or np.isnan(gap_mm).any():
-            came = "NaN" if gap_mm.shape[1:] == (GRID_CELLS, GRID_CELLS) else gap_mm.shape
+        is_grid = gap_mm.shape[1:] == (GRID_CELLS, GRID_CELLS)
+        if not is_grid or np.isnan(gap_mm).any():
+            came = "NaN" if is_grid else gap_mm.shape
             wanted = f"numbers or inf, (B, {GRID_CELLS}, {GRID_CELLS})"
             raise ContractError(expected("gap_mm", wanted, came, "Use contact.indenters."))
         near = (gap_mm.reshape(len(gap_mm), -1) + self.dome_mm)[:, self.block]  # (B, C, b·b)
@@ -52,15 +60,15 @@ def has_object(total_gap_mm: np.ndarray) -> np.ndarray:
 
 def build_pad(gel: Gel) -> Pad:
     """Return the pad of ``gel``; its finite elements are solved at first use."""
-    x, y = (cell_edges(length, gel.cell_mm) for length in gel.size_mm)
-    centre = np.stack(np.meshgrid((x[1:] + x[:-1]) / 2, (y[1:] + y[:-1]) / 2), axis=-1).reshape(
-        -1, 2
-    )
+    x = cell_edges(gel.size_mm[0], gel.cell_mm)
+    y = cell_edges(gel.size_mm[1], gel.cell_mm)
+    centre = np.stack(cell_centres(x, y), axis=-1).reshape(-1, 2)
     area = (np.diff(y)[:, None] * np.diff(x)).ravel()
     dome = np.zeros(GRID_CELLS**2, dtype=np.float32)
     if gel.dome_radius_mm:
         inside = np.hypot(*centre.T) <= gel.size_mm[0] / 2
-        centre, area = centre[inside], area[inside]
+        centre = centre[inside]
+        area = area[inside]
         dome = sagitta_mm(np.hypot(*cell_positions_mm().T), gel.dome_radius_mm).astype(np.float32)
     moved = influence(gel)
     normal = np.ascontiguousarray(moved.skin[2, :, 2])
@@ -80,5 +88,6 @@ def _blocks(centre_mm: np.ndarray, gel: Gel) -> np.ndarray:
     corner = centre_mm / CELL_MM - (side - 1) / 2 + GRID_CELLS / 2
     first = np.clip(np.floor(corner), 0, GRID_CELLS - side)  # (C, 2) column, row
     step = np.arange(side)
-    rows, columns = first[:, 1, None, None] + step[:, None], first[:, 0, None, None] + step
+    rows = first[:, 1, None, None] + step[:, None]
+    columns = first[:, 0, None, None] + step
     return (rows * GRID_CELLS + columns).reshape(len(centre_mm), -1).astype(int)

@@ -102,7 +102,7 @@ def finger_views(
     settings: PairSettings,
     transform: Transform | None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return (n, …) references and currents of one finger, a fresh unit every ``pairs_per_unit`` contacts.
+    """Return (n, …) references and currents of one finger, a new unit every ``pairs_per_unit``.
 
     Args:
         rng: draws units and noise.
@@ -111,41 +111,39 @@ def finger_views(
         settings: of the units; what decides contacts isn't read.
         transform: applied to (B, 480, 640) images before they are kept.
     """
-    references, currents = [], []
+    references = []
+    currents = []
     for part in slices(len(contact.gap_mm), settings.pairs_per_unit):
         simulator = draw_simulator(
             rng, sensor, settings.unit_strength, settings.options, settings.look
         )
         currents.append(images_of(simulator, rows_of(contact, part), transform))
         reference = simulator.reference()[None]
-        kept = transform(reference) if transform else reference
-        references.append(np.repeat(kept, len(currents[-1]), axis=0))
+        if transform:
+            reference = transform(reference)
+        references.append(np.repeat(reference, len(currents[-1]), axis=0))
     return np.concatenate(references), np.concatenate(currents)
 
 
 def _disturbed(
     rng: np.random.Generator, contact: ContactState, settings: PairSettings
 ) -> ContactState:
-    """Return the contact as the other finger gets it: the same, but for misalignment and imbalance asked for."""
-    gap, force = contact.gap_mm, contact.force_N
-    if settings.misaligned_cells:
-        shifts = rng.integers(
-            -settings.misaligned_cells, settings.misaligned_cells + 1, (len(gap), 2)
-        )
-        reach, cells = settings.misaligned_cells, gap.shape[1]
+    """Return the contact of the other finger, misaligned and out of balance as asked for."""
+    gap = contact.gap_mm
+    force = contact.force_N
+    reach = settings.misaligned_cells
+    if reach:
+        starts = reach - rng.integers(-reach, reach + 1, (len(gap), 2))  # column, row
         # no object beyond
         padded = np.pad(gap, ((0, 0), (reach, reach), (reach, reach)), constant_values=np.inf)
-        starts = reach - shifts  # (n, 2) column, row
-        gap = np.stack(
-            [g[y : y + cells, x : x + cells] for g, (x, y) in zip(padded, starts, strict=True)]
-        )
+        gap = np.empty_like(gap)
+        cells = gap.shape[1]
+        for row, (x, y) in enumerate(starts):
+            gap[row] = padded[row, y : y + cells, x : x + cells]
     if settings.imbalance:
         off = rng.uniform(-1, 1, force.shape) * settings.imbalance * force[:, 2:]
         force = force + off
-        room = (
-            settings.force_range.friction
-            * force[:, 2]
-            / np.maximum(np.hypot(*force[:, :2].T), 1e-9)
-        )
+        shear = np.maximum(np.hypot(*force[:, :2].T), 1e-9)
+        room = settings.force_range.friction * force[:, 2] / shear
         force[:, :2] *= np.minimum(1, room)[:, None]  # stays within friction
     return ContactState(gap, force.astype(np.float32), contact.torsion_Nmm)

@@ -1,6 +1,6 @@
-"""Normal load → pressure: the skin meets a rigid object without friction, on the compliance of finite elements.
+"""Normal load → pressure: the skin meets a rigid object without friction.
 
-Conjugate gradients under p ≥ 0 and a given total (Polonsky and Keer, Wear 231, 1999), many contacts at a time.
+Conjugate gradients under p ≥ 0 and a given total (Polonsky and Keer, Wear 231, 1999), in batches.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ _TINY = np.float32(1e-30)
 
 @dataclass(frozen=True)
 class Pressure:
-    """``press_N`` (B, C) on the pad's cells, ``depth_mm`` (B,) how far the object moved since first touch."""
+    """``press_N`` (B, C) on the pad's cells, ``depth_mm`` (B,) of the object since first touch."""
 
     press_N: np.ndarray
     depth_mm: np.ndarray
@@ -45,7 +45,8 @@ def solve_pressure(
     if np.any(~has_object(gap) & (fz_N > 0)):
         do = "Move it over the pad or set 0 N."
         raise ContractError(expected("contact", "an object over the pad", "none, with fz > 0", do))
-    press, depth = np.zeros_like(gap), np.zeros(len(gap), np.float32)
+    press = np.zeros_like(gap)
+    depth = np.zeros(len(gap), np.float32)
     rows = np.flatnonzero(fz_N > 0)
     if len(rows):
         load = np.maximum(fz_N[rows], _LEAST_N).astype(np.float32)[:, None]
@@ -54,14 +55,15 @@ def solve_pressure(
         above = (gap - gap.min(axis=1, keepdims=True)) * (np.float32(stiffness) / load)
         near = (above * load < _REACH_MM * stiffness) * pad.area_mm2
         share, reached = share_load(pad.normal, above, near / near.sum(axis=1, keepdims=True))
-        press[rows], depth[rows] = share * fz_N[rows, None], reached * load[:, 0] / stiffness
+        press[rows] = share * fz_N[rows, None]
+        depth[rows] = reached * load[:, 0] / stiffness
     return Pressure(press, depth)
 
 
 def share_load(
     compliance: np.ndarray, above: np.ndarray, share: np.ndarray, steps: int = _MAX_STEPS
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return (B, C) shares ≥ 0 of each unit load, and (B,) depth: displacement + gap is the depth where they touch.
+    """Return (B, C) shares ≥ 0 of each unit load and (B,) depth: displacement + gap in contact.
 
     Args:
         compliance: (C, C) symmetric.
@@ -69,11 +71,9 @@ def share_load(
         share: (B, C) to start from, rows of sum 1.
         steps: at most.
     """
-    direction, old_length, carry = (
-        np.zeros_like(share),
-        np.ones(len(share), np.float32),
-        np.zeros(len(share)),
-    )
+    direction = np.zeros_like(share)
+    old_length = np.ones(len(share), np.float32)
+    carry = np.zeros(len(share))
     for _ in range(steps):
         touching = share > 0
         error = share @ compliance + above
@@ -84,7 +84,7 @@ def share_load(
         change = direction @ compliance
         change -= _mean(change, touching)
         curvature = np.where(touching, change * direction, 0).sum(axis=1)
-        # what has converged waits for the others of its batch: on rounding alone its step would be anything
+        # freeze converged items; their residual is only rounding noise
         moves = curvature > _FLATTEST * (direction**2).sum(axis=1)
         along = np.where(touching, error * direction, 0).sum(axis=1)
         size = np.where(moves, along / np.maximum(curvature, _TINY), 0).astype(np.float32)[:, None]
@@ -96,7 +96,9 @@ def share_load(
         stepped[empty, error[empty].argmin(axis=1)] = 1
         stepped /= stepped.sum(axis=1, keepdims=True)
         moved = np.abs(stepped - share).sum(axis=1).max()
-        share, old_length, carry = stepped, length, ~sinks_in.any(axis=1)
+        share = stepped
+        old_length = length
+        carry = ~sinks_in.any(axis=1)
         if moved < _TOLERANCE:
             break
     return share, ((share @ compliance + above) * share).sum(axis=1)

@@ -1,4 +1,4 @@
-"""How a unit's markers and taxels answer to traction: what the finite elements say at each of them."""
+"""Response of a unit's markers and taxels to traction, from the finite elements."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ class ContactOptions:
 
 @dataclass(frozen=True)
 class MarkerMotion:
-    """Motion of M markers: ``shift_mm`` (B, M, 2) as the camera sees it, ``growth`` (B, M) factor on their size."""
+    """Motion of M markers in the camera's view."""
 
-    shift_mm: np.ndarray
-    growth: np.ndarray
+    shift_mm: np.ndarray  # (B, M, 2)
+    growth: np.ndarray  # (B, M) factor on their size
 
     def without(self, still: np.ndarray) -> MarkerMotion:
         """Return this motion but for the (M,) bool markers that stand still."""
@@ -52,28 +52,27 @@ class MarkerMotion:
 
 
 class PointMotion:
-    """Displacement of points at a pad's readout depth, and its gradient along the skin; linear in traction."""
+    """Displacement of points at the readout depth and its gradient; linear in traction."""
 
     def __init__(
         self, influence: Influence, point_mm: np.ndarray, scale: float, reach_mm: float = 0.0
     ) -> None:
         """Take (M, 2) points; with a reach each moves as the mean of what lies within it."""
-        ring = (
-            [reach_mm / 2**0.5 * np.array(way) for way in ((1, 1), (1, -1), (-1, 1), (-1, -1))]
-            if reach_mm
-            else [0]
-        )
-        around = np.concatenate([point_mm + offset for offset in ring])
+        ring: np.ndarray = np.zeros((1, 1, 2))
+        if reach_mm:
+            ways = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)])
+            ring = reach_mm / 2**0.5 * ways[:, None]  # (4, 1, 2)
+        around = (point_mm + ring).reshape(-1, 2)
         at = _interpolated(influence.fields, influence.x_mm, influence.y_mm, around)  # (M, F, 3, C)
         at = at.reshape(len(ring), len(point_mm), *at.shape[1:]).mean(axis=0)
         by_cell = (at * np.float32(scale)).transpose(3, 2, 1, 0)  # (C, 3, F, M)
-        self._of_shear, self._of_press = (
-            np.ascontiguousarray(part) for part in (by_cell[:, :2], by_cell[:, 2])
-        )
+        self._of_shear = np.ascontiguousarray(by_cell[:, :2])
+        self._of_press = np.ascontiguousarray(by_cell[:, 2])
 
     def __call__(self, traction: Traction) -> np.ndarray:
         """Return (B, F, M): the six of ``Influence.fields``."""
-        B, (_, F, M) = len(traction.press_N), self._of_press.shape
+        B = len(traction.press_N)
+        _, F, M = self._of_press.shape
         shear = traction.shear_N.transpose(0, 2, 1).reshape(B, -1)
         motion = traction.press_N @ self._of_press[traction.cells].reshape(-1, F * M)
         return (motion + shear @ self._of_shear[traction.cells].reshape(-1, F * M)).reshape(B, F, M)
@@ -82,8 +81,9 @@ class PointMotion:
 def _interpolated(
     field: np.ndarray, x_mm: np.ndarray, y_mm: np.ndarray, point_mm: np.ndarray
 ) -> np.ndarray:
-    """Return (M, …) of a (rows, columns, …) field at (M, 2) points, bilinearly; beyond the pad its border's value."""
-    (i, tx), (j, ty) = _place(x_mm, point_mm[:, 0]), _place(y_mm, point_mm[:, 1])
+    """Return (M, …) of a (rows, columns, …) field at (M, 2) points, bilinearly, clamped to it."""
+    i, tx = _place(x_mm, point_mm[:, 0])
+    j, ty = _place(y_mm, point_mm[:, 1])
     corners = (j * len(x_mm) + i)[:, None] + np.array([0, 1, len(x_mm), len(x_mm) + 1])
     weights = np.stack([(1 - ty) * (1 - tx), (1 - ty) * tx, ty * (1 - tx), ty * tx], axis=1)
     rows = np.repeat(np.arange(len(point_mm)), 4)
@@ -107,12 +107,14 @@ class CameraResponse:
     def __init__(
         self, influence: Influence, rest_mm: np.ndarray, material: PadMaterial, scale: float = 1.0
     ) -> None:
-        self._rest_mm, self._material = rest_mm, material
+        self._rest_mm = rest_mm
+        self._material = material
         self._motion = PointMotion(influence, rest_mm, scale)
 
     def __call__(self, traction: Traction) -> MarkerMotion:
         """Return the motion of all markers under a batch of tractions."""
-        m, field = self._material, self._motion(traction)
+        m = self._material
+        field = self._motion(traction)
         shift = field[:, :2] - m.pin_mm * field[:, 4:]  # a pin tilts with the skin that holds it
         # (B, M): what is pressed towards the camera looks larger
         nearer = field[:, 2] / m.camera_mm
@@ -132,7 +134,7 @@ class PointResponse:
 
 
 class TaxelResponse:
-    """Magnets in the elastomer over Hall sensors: a magnet that moves changes the field of every sensor.
+    """Magnets in the elastomer over Hall sensors: each magnet changes the field of every sensor.
 
     Dipoles along z. Image x → count x, image y (down) → minus count y.
     """
@@ -158,7 +160,7 @@ class TaxelResponse:
         return change * np.array([1, -1, 1], np.float32) * self._gain
 
     def _field(self, moved_mm: np.ndarray) -> np.ndarray:
-        """Return (B, M, 3) counts of the field at the sensors, given (B, 3 or more, M) displacements of magnets."""
+        """Return (B, M, 3) counts at the sensors, given (B, ≥ 3, M) displacements of magnets."""
         m = self._material
         # (B, sensor, magnet, 2)
         aside = self._apart_mm + moved_mm[:, :2].transpose(0, 2, 1)[:, None]
@@ -171,7 +173,7 @@ class TaxelResponse:
 
 
 class ForceTaxelResponse:
-    """Taxels that say newtons: each gets its share of the forces on the skin around it, all together all of it."""
+    """Taxels that measure newtons: the forces on the skin are shared out among those nearby."""
 
     def __init__(
         self, skin_mm: np.ndarray, taxel_mm: np.ndarray, made: ForceTaxelMaterial, gain: np.ndarray
@@ -179,13 +181,11 @@ class ForceTaxelResponse:
         """Take the skin's cells (C, 2), the taxels (M, 2) and each one's gain (M, 3)."""
         apart_mm = np.linalg.norm(skin_mm[:, None] - taxel_mm, axis=-1)  # (C, M)
         # from the nearest one's on, so that no cell is too far from all
-        share = np.exp(
-            (apart_mm.min(axis=1, keepdims=True) ** 2 - apart_mm**2) / (2 * made.spread_mm**2)
-        )
+        nearest_mm = apart_mm.min(axis=1, keepdims=True)
+        share = np.exp((nearest_mm**2 - apart_mm**2) / (2 * made.spread_mm**2))
         self._share = (share / share.sum(axis=1, keepdims=True)).astype(np.float32)
-        self._gain = (
-            gain.astype(np.float32) * np.array([1, -1, 1], np.float32) / np.float32(made.count_N)
-        )
+        y_up = np.array([1, -1, 1], np.float32)
+        self._gain = gain.astype(np.float32) * y_up / np.float32(made.count_N)
 
     def __call__(self, traction: Traction) -> np.ndarray:
         """Return (B, M, 3) float32 counts, without noise; count y points up."""

@@ -1,4 +1,4 @@
-"""Random contacts: objects on the pad and loads within friction, balanced over what a policy must tell apart."""
+"""Random contacts: objects on the pad and loads within friction."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ class ForceRange:
     friction: float = 0.95  # shear over normal; just under the simulator's 1.0: rarely gross slip
     # torsion over friction × normal; a disc of radius 4 mm slips at 2/3 of that
     torsion_arm_mm: float = 2.5
-    # the same of flat faces, as frozen sets were drawn; even pressure over a 25 mm pad carries 9.6 mm
+    # the same of flat faces; even pressure over a 25 mm pad carries 9.6 mm
     flat_torsion_arm_mm: float = 2.5
 
 
@@ -47,32 +47,25 @@ def sample_objects(
     flat_side_mm: tuple[float, float] = FLAT_SIDE_mm,
     flat_tilt_rad: float = FLAT_TILT_rad,
 ) -> Objects:
-    """Return ``n`` objects at random places (±``reach_mm``), angles and sizes (±15 %; flat faces by their sides)."""
+    """Return ``n`` random objects: places ±``reach_mm``, any angle, sizes ±15 % or sides."""
     names = [str(indenters[i]) for i in rng.integers(len(indenters), size=n)]
     center = rng.uniform(-reach_mm, reach_mm, (n, 2))
     angle = rng.uniform(-np.pi, np.pi, n)
     gap = gap_maps(names, center, angle, rng.uniform(0.85, 1.15, n))
-    flat = rng.random(n) < flat_share
-    gap[flat] = _flat_faces(rng, int(flat.sum()), flat_side_mm, flat_tilt_rad)
-    return Objects(
-        gap, tuple(FLAT if is_flat else name for is_flat, name in zip(flat, names, strict=True))
+    flat = np.flatnonzero(rng.random(n) < flat_share)
+    gap[flat] = flat_face_gap(
+        rng.uniform(-5, 5, (len(flat), 2)),
+        rng.uniform(*flat_side_mm, (len(flat), 2)),
+        rng.uniform(-0.3, 0.3, len(flat)),
+        rng.uniform(-flat_tilt_rad, flat_tilt_rad, (len(flat), 2)),
     )
-
-
-def _flat_faces(
-    rng: np.random.Generator, n: int, side_mm: tuple[float, float], tilt_rad: float
-) -> np.ndarray:
-    """Return (n, G, G) gaps of tool sides, slightly tilted."""
-    return flat_face_gap(
-        rng.uniform(-5, 5, (n, 2)),
-        rng.uniform(*side_mm, (n, 2)),
-        rng.uniform(-0.3, 0.3, n),
-        rng.uniform(-tilt_rad, tilt_rad, (n, 2)),
-    )
+    for i in flat:
+        names[i] = FLAT
+    return Objects(gap, tuple(names))
 
 
 def held_tools(rng: np.random.Generator, n: int) -> np.ndarray:
-    """Return (n, G, G) gaps of a tool's flat side as parallel fingers hold it: larger than a pad, hardly tilted."""
+    """Return (n, G, G) gaps of a tool's flat side held between parallel fingers."""
     center_mm = np.column_stack([rng.uniform(-3, 3, n), rng.uniform(-5, 5, n)])
     angle_rad = rng.uniform(-0.05, 0.05, n)
     tilt_rad = rng.uniform(-HELD_TILT_rad, HELD_TILT_rad, (n, 2))
@@ -82,10 +75,10 @@ def held_tools(rng: np.random.Generator, n: int) -> np.ndarray:
 def sample_loads(
     rng: np.random.Generator, n: int, force_range: ForceRange, names: Sequence[str] = ()
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return force (n, 3) N and torsion (n,) Nmm within friction; ``names`` of the objects tell flat faces.
+    """Return force (n, 3) N and torsion (n,) Nmm within friction; ``names`` mark flat faces.
 
-    6 % no contact, 24 % light normal forces, the rest even; shear even over directions and its allowed
-    range; torsion in half of the contacts.
+    6 % no contact, 24 % light normal forces, the rest even. Shear is even over directions and its
+    allowed range; half of the contacts have torsion.
     """
     kind = rng.random(n)
     fz = rng.uniform(0, force_range.normal_N, n)
@@ -97,37 +90,31 @@ def sample_loads(
     # the square ±shear_N, in every direction
     longest = force_range.shear_N / np.abs(unit).max(axis=1)
     shear = unit * (np.minimum(force_range.friction * fz, longest) * share)[:, None]
-    spare = np.sqrt(
-        np.maximum(1 - (np.hypot(*shear.T) / np.maximum(force_range.friction * fz, 1e-9)) ** 2, 0)
-    )
+    used = np.hypot(*shear.T) / np.maximum(force_range.friction * fz, 1e-9)  # share of friction
+    spare = np.sqrt(np.maximum(1 - used**2, 0))
     twist = np.where(rng.random(n) < 0.5, rng.uniform(-1, 1, n), 0)
-    flat = (
-        np.array([name == FLAT for name in names], dtype=bool) if names else np.zeros(n, dtype=bool)
-    )
-    arm_mm = np.where(flat, force_range.flat_torsion_arm_mm, force_range.torsion_arm_mm)
+    arm_mm = np.full(n, force_range.torsion_arm_mm)
+    arm_mm[np.flatnonzero(np.array(names) == FLAT)] = force_range.flat_torsion_arm_mm
     torsion = twist * spare * force_range.friction * fz * arm_mm
-    return np.concatenate([shear, fz[:, None]], axis=1).astype(np.float32), torsion.astype(
-        np.float32
-    )
+    force = np.concatenate([shear, fz[:, None]], axis=1)
+    return force.astype(np.float32), torsion.astype(np.float32)
 
 
 def press_shear_release(
     rng: np.random.Generator, length: int, force_range: ForceRange
 ) -> np.ndarray:
-    """Return (length, 3) float32 force: press in, shear out and back, release, with a little wobble.
+    """Return (length, 3) float32 force: press in, shear out and back, release, with wobble.
 
-    The four parts take random shares of the time; the peak normal force is even over the range, and so is
-    the peak shear within friction.
+    The four parts take random shares of the time. The peak normal force is even over the range, and
+    so is the peak shear within friction.
     """
     corners = np.concatenate([[0], np.cumsum(rng.dirichlet(np.full(4, 4.0)))])  # 0 … 1
     time = np.linspace(0, 1, length)
     press = np.interp(time, corners, [0, 1, 1, 1, 0]) * rng.uniform(0.05, 1) * force_range.normal_N
     direction = rng.uniform(-np.pi, np.pi)
     unit = np.array([np.cos(direction), np.sin(direction)])
-    peak = (
-        min(force_range.shear_N / np.abs(unit).max(), force_range.friction * press.max())
-        * rng.random()
-    )
+    most_N = min(force_range.shear_N / np.abs(unit).max(), force_range.friction * press.max())
+    peak = most_N * rng.random()
     shear = np.interp(time, corners, [0, 0, 1, 0, 0])[:, None] * peak * unit
     wobble = 1 + 0.03 * rng.standard_normal(length)  # hand and robot never hold a force exactly
     fz = press * wobble

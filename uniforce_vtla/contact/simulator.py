@@ -1,4 +1,4 @@
-"""A simulated sensor: contact state in, marker images, raw frames or counts out; many contacts chunk by chunk."""
+"""A simulated sensor: contact state in, marker images, raw frames or counts out, in batches."""
 
 from collections.abc import Callable
 
@@ -22,6 +22,7 @@ from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.point_render import place_points
 from uniforce_vtla.markers.raster import CENTRE_PX, fill_discs, fill_squares
 from uniforce_vtla.markers.taxel_render import TaxelDiscs, TaxelScales, draw_discs, place_discs
+from uniforce_vtla.sensors.layouts import turned
 from uniforce_vtla.sensors.material import ForceTaxelMaterial, TaxelMaterial
 
 Transform = Callable[[np.ndarray], np.ndarray]  # (B, 480, 640) uint8 → (B, …), e.g. an area resize
@@ -74,7 +75,7 @@ class TactileSimulator:
         return self._images(traction, self.options.noise)
 
     def markers_px(self, contact: ContactState) -> tuple[np.ndarray, np.ndarray]:
-        """Return marker centres (B, M, 2) as x, y pixels and sizes (B, M): sides or diameters in pixels.
+        """Return marker centres (B, M, 2) in pixels x, y and sizes (B, M): sides or diameters.
 
         A lost marker's centre is NaN.
         """
@@ -89,7 +90,7 @@ class TactileSimulator:
         return self._pressure(contact).depth_mm
 
     def carried(self, contact: ContactState) -> tuple[np.ndarray, np.ndarray]:
-        """Return force (B, 3) N and torsion (B,) Nmm the pad really carries: less than asked where it slips."""
+        """Return force (B, 3) N and torsion (B,) Nmm the pad carries: less where it slips."""
         traction = self.traction(contact)
         return transmitted(traction.press_N, traction.shear_N, self.pad.position_mm[traction.cells])
 
@@ -105,21 +106,27 @@ class TactileSimulator:
         return self._rows(self.traction(contact), self.options.noise)
 
     def raw_reference(self) -> np.ndarray:
-        """Return one free-air raw signal: (480, 640, 3) uint8 RGB frame, (M, 3) int32 counts or (N, 3) float32 mm."""
+        """Return a raw signal in free air, see ``raw_frames``, without the batch axis."""
         return self.raw_frames(free_air(1))[0]
 
     def raw_frames(self, contact: ContactState) -> np.ndarray:
-        """Return what the driver would deliver: (B, 480, 640, 3) uint8 RGB, (B, M, 3) int32 counts or (B, N, 3) mm."""
+        """Return (B, 480, 640, 3) uint8 RGB frames, (B, M, 3) int32 counts or (B, N, 3) mm."""
         if isinstance(self._respond, Drawn):
             rows = self._rows(self.traction(contact), self.options.noise)
-            return rows if self.spec.points else (self._baseline + rows).astype(np.int32)
+            if self.spec.points:
+                return rows
+            return (self._baseline + rows).astype(np.int32)
         press_N = self._pressure(contact).press_N  # solved once for picture and shade
         images = self.images_under(self._traction(press_N, contact))
         if self.spec.dome_radius_mm is not None:
             return tactip_frames(images, self._rng, self.options.pixel_noise)
-        scale, noise = self.spec.px_per_mm[0], self.options.pixel_noise
         return gelsight_frames(
-            images, self._indentation_mm(press_N), CELL_MM, scale, self._rng, noise
+            images,
+            self._indentation_mm(press_N),
+            CELL_MM,
+            self.spec.px_per_mm[0],
+            self._rng,
+            self.options.pixel_noise,
         )
 
     def _pressure(self, contact: ContactState) -> Pressure:
@@ -138,33 +145,35 @@ class TactileSimulator:
 
     def _traction(self, press: np.ndarray, contact: ContactState) -> Traction:
         cells = np.flatnonzero(press.any(axis=0))  # most contacts press few
-        press, skin = press[:, cells], self.pad.influence.skin[:, cells][..., cells]
-        load = (contact.force_N[:, :2], contact.torsion_Nmm)
+        press = press[:, cells]
         shear = solve_traction(
-            press, self.pad.position_mm[cells], skin, *load, self.options.friction
+            press,
+            self.pad.position_mm[cells],
+            self.pad.influence.skin[:, cells][..., cells],
+            contact.force_N[:, :2],
+            contact.torsion_Nmm,
+            self.options.friction,
         )
         return Traction(cells, press, shear)
 
     def _markers(self, traction: Traction, noise: bool) -> tuple[np.ndarray, np.ndarray]:
         if isinstance(self._respond, Drawn):
             discs = self._discs(traction, noise)
-            return np.stack([d.centres_px for d in discs]), 2 * np.stack(
-                [d.radii_px for d in discs]
-            )
+            centres_px = np.stack([d.centres_px for d in discs])
+            return centres_px, 2 * np.stack([d.radii_px for d in discs])
         motion = self._respond(traction).without(self._dead)
         mm = self.spec.marker_size_mm * self.unit.marker_size * self.unit.view_scale
         size = mm * self.spec.px_per_mm[0] * motion.growth
         return self._disturbed(self._project(self._rest_mm + motion.shift_mm), noise), size
 
     def _project(self, point_mm: np.ndarray) -> np.ndarray:
-        """Return (B, M, 2) pixels of points on the pad: scale, a tilted camera, the lens's compression at the rim."""
+        """Return (B, M, 2) pixels of points on the pad: scale, tilted camera, fisheye."""
         rim_mm = max(self.spec.pad_size_mm) / 2
         squeeze = 1 - self.spec.fisheye * (point_mm**2).sum(axis=-1, keepdims=True) / rim_mm**2
         if any(self.unit.tilt):
             squeeze = squeeze * (1 + (point_mm @ np.asarray(self.unit.tilt))[..., None] / rim_mm)
         scale = np.asarray(self.spec.px_per_mm) * self.unit.view_scale
-        cos, sin = np.cos(self.unit.view_turn_rad), np.sin(self.unit.view_turn_rad)
-        seen_mm = point_mm * squeeze @ np.array([[cos, sin], [-sin, cos]]) + self.unit.view_shift_mm
+        seen_mm = turned(point_mm * squeeze, self.unit.view_turn_rad) + self.unit.view_shift_mm
         return CENTRE_PX + seen_mm * scale
 
     def _disturbed(self, centre_px: np.ndarray, noise: bool) -> np.ndarray:
@@ -187,7 +196,9 @@ class TactileSimulator:
         if noise:
             scatter = self._rng.standard_normal(rows.shape) * self._row_noise
             rows = rows + scatter.astype(np.float32)
-        return rows if self.spec.points else np.round(rows)
+        if self.spec.points:
+            return rows
+        return np.round(rows)
 
     def _discs(self, traction: Traction, noise: bool) -> list[TaxelDiscs]:
         rows = self._rows(traction, noise)
@@ -196,30 +207,27 @@ class TactileSimulator:
         return [place_discs(counts, self.spec, _SCALES) for counts in rows]
 
     def _images(self, traction: Traction, noise: bool) -> np.ndarray:
-        """Return (B, 480, 640): taxels and points drawn by the canonicalizer's rule, camera markers by our own."""
+        """Return (B, 480, 640) marker images."""
         if isinstance(self._respond, Drawn):
             return np.stack([draw_discs(discs) for discs in self._discs(traction, noise)])
         centre_px, size_px = self._markers(traction, noise)
-        turn = self.unit.rotation_rad + self.unit.view_turn_rad
         if self.spec.marker_shape == "disc":
             return fill_discs(centre_px, size_px)
-        return fill_squares(
-            centre_px, size_px, turn + (np.pi / 4 if self.spec.marker_shape == "diamond" else 0)
-        )
+        turn_rad = self.unit.rotation_rad + self.unit.view_turn_rad
+        if self.spec.marker_shape == "diamond":
+            turn_rad += np.pi / 4
+        return fill_squares(centre_px, size_px, turn_rad)
 
     def _build_response(self) -> CameraResponse | Drawn:
         rng = np.random.default_rng(self.unit.seed)
         offset = np.asarray(self.unit.offset_mm, dtype=np.float32)
         if self.spec.taxels:
             taxel_mm = self.spec.layout_mm + offset
-            gain = self.unit.gain * (
-                1 + 0.5 * self.unit.jitter_mm * rng.standard_normal((len(taxel_mm), 3))
-            )
+            spread = 0.5 * self.unit.jitter_mm * rng.standard_normal((len(taxel_mm), 3))
+            gain = self.unit.gain * (1 + spread)
         if isinstance(self._material, ForceTaxelMaterial):
-            self._baseline, self._row_noise = (
-                np.zeros(self.spec.raw_shape, int),
-                self._material.noise_counts,
-            )
+            self._baseline = np.zeros(self.spec.raw_shape, int)
+            self._row_noise = self._material.noise_counts
             return ForceTaxelResponse(self.pad.position_mm, taxel_mm, self._material, gain)
         if isinstance(self._material, TaxelMaterial):
             self._row_noise = self.options.noise_counts
@@ -237,9 +245,12 @@ class TactileSimulator:
         return CameraResponse(self.pad.influence, self._rest_mm, self._material, scale)
 
     def _damage(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return (M,) bool twice: markers that are gone, and markers, taxels or points that never move."""
-        places_mm = self.spec.points.place_mm if self.spec.points else self.spec.layout_mm
-        rng, count = np.random.default_rng([self.unit.seed, 1]), len(places_mm)
+        """Return (M,) bool twice: markers that are gone, and those that never move."""
+        places_mm = self.spec.layout_mm
+        if self.spec.points:
+            places_mm = self.spec.points.place_mm
+        count = len(places_mm)
+        rng = np.random.default_rng([self.unit.seed, 1])
         gone = np.argsort(rng.random(count)) < round(self.unit.lost * count)
         place = places_mm[rng.integers(count)]
         near = np.argsort(np.argsort(np.linalg.norm(places_mm - place, axis=1), kind="stable"))
@@ -247,10 +258,9 @@ class TactileSimulator:
 
     def _unit_layout(self, rng: np.random.Generator, offset_mm: np.ndarray) -> np.ndarray:
         """Return (M, 2) rest positions of this unit's markers in mm."""
-        cos, sin = np.cos(self.unit.rotation_rad), np.sin(self.unit.rotation_rad)
-        turned = self.spec.layout_mm @ np.array([[cos, sin], [-sin, cos]])
-        jitter = rng.standard_normal(turned.shape) * self.unit.jitter_mm
-        return (turned + offset_mm + jitter).astype(np.float32)
+        drawn_mm = turned(self.spec.layout_mm, self.unit.rotation_rad)
+        jitter = rng.standard_normal(drawn_mm.shape) * self.unit.jitter_mm
+        return (drawn_mm + offset_mm + jitter).astype(np.float32)
 
 
 def free_air(batch: int) -> ContactState:
@@ -266,7 +276,7 @@ def draw_simulator(
     options: ContactOptions,
     look: Look | None = None,
 ) -> TactileSimulator:
-    """Return a simulator of a random unit of ``sensor``, seen by a random camera where a ``look`` is given."""
+    """Return a simulator of a random unit, seen by a random camera where ``look`` is given."""
     unit = UnitVariation.draw(rng, sensor, unit_strength)
     if look is not None and as_virtual(sensor).spec.signal == "camera":
         unit = unit.seen_through(rng, look)
@@ -275,7 +285,7 @@ def draw_simulator(
 
 def slices(n: int, size: int) -> list[slice]:
     """Return slices that cut ``n`` rows into pieces of ``size``, the last one shorter."""
-    return [slice(start, min(start + size, n)) for start in range(0, n, size)]
+    return [slice(start, start + size) for start in range(0, n, size)]
 
 
 def rows_of(contact: ContactState, rows: slice) -> ContactState:
@@ -290,5 +300,7 @@ def images_of(
     chunks = []
     for part in slices(len(contact.gap_mm), _CHUNK):
         images = simulator.marker_images(rows_of(contact, part))
-        chunks.append(transform(images) if transform else images)
+        if transform:
+            images = transform(images)
+        chunks.append(images)
     return np.concatenate(chunks)

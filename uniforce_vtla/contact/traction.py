@@ -6,8 +6,8 @@ import numpy as np
 
 # marker motion is then within some 4 % of friction solved step by step; more don't come closer
 _STICK_STEPS = 2
-# share of the normal force, and its arm, that sticking may lose of the load
-_LOST, _ARM_mm = 2e-3, 3.0
+_LOST = 2e-3  # share of the normal force that sticking may lose of the load
+_ARM_mm = 3.0  # at which a lost moment counts as a lost force
 _TINY = np.float32(1e-30)
 # rounds of handing capped cells' excess to sticking ones; the residual is < 1 % after 4
 _PASSES = 6
@@ -32,9 +32,9 @@ def solve_traction(
 ) -> np.ndarray:
     """Return (B, 2, C) tangential forces on cells, in N, that carry shear and torsion.
 
-    Every cell first gets q = p·(s + ω × r), r from the centre of pressure. Cells beyond |q| = μ·p slip: they keep
-    μ·p, and the rest of the load is offered to the others. Then forces that cancel in sum make the skin follow the
-    rigid object: friction holds a gel that pressure would push aside. A load beyond friction is not reached.
+    Every cell first gets q = p·(s + ω × r), r from the centre of pressure. Cells beyond |q| = μ·p
+    slip: they keep μ·p, and the rest of the load goes to the others. Then forces that cancel in sum
+    make the skin follow the rigid object. A load beyond friction is not reached.
 
     Args:
         press_N: (B, C) normal force on each cell.
@@ -52,7 +52,9 @@ def solve_traction(
     ratio = even = _cap(_share(press_N, arm, *load), press_N, arm, *load, friction)
     dragged = skin[:2, :, :2].reshape(2 * C, 2 * C)  # symmetric
     pushed = (press_N @ skin[:2, :, 2].reshape(2 * C, C).T).reshape(B, 2, C)
-    weight, direction, old = press_N / total, np.zeros_like(ratio), np.ones(B, np.float32)
+    weight = press_N / total
+    direction = np.zeros_like(ratio)
+    old = np.ones(B, np.float32)
     for step in range(_STICK_STEPS):
         moved = ((ratio * press_N[:, None]).reshape(B, -1) @ dragged).reshape(B, 2, C) + pushed
         slip = _less_rigid(moved, weight, arm)
@@ -60,12 +62,11 @@ def solve_traction(
         direction = (length / np.maximum(old, _TINY) * (step > 0))[:, None, None] * direction - slip
         change = ((direction * press_N[:, None]).reshape(B, -1) @ dragged).reshape(B, 2, C)
         along = direction * press_N[:, None]
-        size = -(slip * along).sum(axis=(1, 2)) / np.maximum(
-            (change * along).sum(axis=(1, 2)), _TINY
-        )
+        curvature = np.maximum((change * along).sum(axis=(1, 2)), _TINY)
+        size = -(slip * along).sum(axis=(1, 2)) / curvature
         ratio = _cap(ratio + size[:, None, None] * direction, press_N, arm, *load, friction)
         old = length
-    # near gross slip too few cells stick to carry the load: as much of the even shares as it takes
+    # near gross slip, blend in a uniform load, just enough to balance
     shear = ratio * press_N[:, None]
     lost = np.hypot(*(even * press_N[:, None] - shear).sum(axis=2).T) / total[:, 0]
     lost = lost + np.abs(_moment((even - ratio) * press_N[:, None], arm)) / total[:, 0] / _ARM_mm
@@ -85,7 +86,7 @@ def _less_rigid(moved: np.ndarray, weight: np.ndarray, arm: np.ndarray) -> np.nd
 def transmitted(
     press_N: np.ndarray, cell_shear_N: np.ndarray, position_mm: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the force (B, 3) in N and the moment about the centre of pressure (B,) in Nmm carried by a field."""
+    """Return force (B, 3) N and moment about the centre of pressure (B,) Nmm of a field."""
     centre = (press_N @ position_mm) / np.maximum(press_N.sum(axis=1, keepdims=True), 1e-9)
     arm = position_mm.T[None] - centre[:, :, None]
     force = np.concatenate([cell_shear_N.sum(axis=2), press_N.sum(axis=1, keepdims=True)], axis=1)
@@ -116,7 +117,7 @@ def _cap(
     torsion_Nmm: np.ndarray,
     friction: float,
 ) -> np.ndarray:
-    """Return ``ratio`` with every cell's length ≤ friction, the excess handed to cells that still stick."""
+    """Return ``ratio`` with every cell's length ≤ friction; sticking cells take the excess."""
     for _ in range(_PASSES):
         length = np.sqrt((ratio**2).sum(axis=1))  # (B, C)
         if not np.any(length > friction * (1 + 1e-5)):
@@ -125,10 +126,7 @@ def _cap(
         q = ratio * p[:, None]
         missing = shear_N - q.sum(axis=2)  # (B, 2)
         sticking = p * (length < friction)
-        ratio = (
-            ratio
-            + _share(sticking, arm, missing, torsion_Nmm - _moment(q, arm))
-            * (sticking > 0)[:, None]
-        )
+        more = _share(sticking, arm, missing, torsion_Nmm - _moment(q, arm))
+        ratio = ratio + more * (sticking > 0)[:, None]
     length = np.sqrt((ratio**2).sum(axis=1))
     return ratio * np.minimum(1, friction / np.maximum(length, 1e-9))[:, None]

@@ -13,8 +13,8 @@ from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
 class UnitVariation:
     """Differences from unit to unit.
 
-    What a reference image shows (layout, view) may vary freely; what it can't show (stiffness, gain) stays
-    narrow, else an unseen unit's force scale can't be read from its picture.
+    A reference image shows layout and view, so they may vary freely. It can't show stiffness and
+    gain: these stay narrow, or an unseen unit's force scale can't be known.
     """
 
     offset_mm: tuple[float, float] = (0.0, 0.0)  # shift of the marker pattern, x right, y down
@@ -27,9 +27,9 @@ class UnitVariation:
     seed: int = 0  # draws the jitter and, for taxels, baseline and gain per channel
     # factor on the size of every marker: print, threshold and light decide it (cameras)
     marker_size: float = 1.0
-    # relative magnification gained at the pad's right and lower rim, by a camera that isn't square on
+    # magnification gained towards the pad's right and lower rim: a camera that isn't square on
     tilt: tuple[float, float] = (0.0, 0.0)
-    # where the camera looks: moves and turns pattern and contact alike, x right, y down, x towards y
+    # of the camera: moves and turns pattern and contact alike; x right, y down, x towards y
     view_shift_mm: tuple[float, float] = (0.0, 0.0)
     view_turn_rad: float = 0.0
     lost: float = 0.0  # share of camera markers that are gone for good
@@ -40,11 +40,12 @@ class UnitVariation:
     def draw(
         cls, rng: np.random.Generator, sensor: str | VirtualSensor, strength: float = 1.0
     ) -> UnitVariation:
-        """Return a random unit of ``sensor``; ``strength`` 0 gives the drawing, 1 the usual spread."""
-        # a sensor of points knows their places, too
-        taxel = as_virtual(sensor).spec.signal != "camera"
-        shift_mm = (0.3 if taxel else 0.6) * strength  # moulding tolerance; ViTac 2024 draws ±1 mm
-        turn_rad = (0.0 if taxel else 0.03) * strength  # about 2°; ViTac 2024 draws ±.1 rad
+        """Return a random unit of ``sensor``; ``strength`` 0: the drawing, 1: the usual spread."""
+        shift_mm = 0.6 * strength  # moulding tolerance; ViTac 2024 draws ±1 mm
+        turn_rad = 0.03 * strength  # about 2°; ViTac 2024 draws ±.1 rad
+        if as_virtual(sensor).spec.signal != "camera":
+            shift_mm = 0.3 * strength
+            turn_rad = 0.0
         x, y = rng.uniform(-shift_mm, shift_mm, 2)
         return cls(
             offset_mm=(float(x), float(y)),
@@ -59,8 +60,8 @@ class UnitVariation:
     def mounted(self, rng: np.random.Generator, look: Look) -> UnitVariation:
         """Return this unit behind a camera mounted at random, as ``seen_through`` draws it.
 
-        There the pattern moves on the gel, as frozen sets have it; here the camera moves, and with it where contact is
-        seen and which way shear points.
+        In ``seen_through`` the pattern moves on the gel, as in frozen sets. Here the camera moves,
+        and with it the place of contact and the direction of shear.
         """
         seen = self.seen_through(rng, look)
         shift_mm = (seen.offset_mm[0] - self.offset_mm[0], seen.offset_mm[1] - self.offset_mm[1])
@@ -74,16 +75,19 @@ class UnitVariation:
         )
 
     def seen_through(self, rng: np.random.Generator, look: Look) -> UnitVariation:
-        """Return this unit seen by a random camera: everything a reference image shows may vary freely."""
+        """Return this unit seen by a random camera: all that a reference image shows may vary."""
         turn = float(rng.uniform(-1, 1) * look.turn_rad)
         x, y = rng.uniform(-1, 1, 2) * look.shift_mm
+        zoom = float(1 + rng.uniform(-1, 1) * look.zoom)
+        marker_size = float(rng.uniform(*look.marker_size))
+        tilt_x, tilt_y = rng.uniform(-1, 1, 2) * look.tilt
         return replace(
             self,
             offset_mm=(self.offset_mm[0] + float(x), self.offset_mm[1] + float(y)),
             rotation_rad=self.rotation_rad + turn,
-            view_scale=self.view_scale * float(1 + rng.uniform(-1, 1) * look.zoom),
-            marker_size=float(rng.uniform(*look.marker_size)),
-            tilt=tuple(float(t) for t in rng.uniform(-1, 1, 2) * look.tilt),  # type: ignore[arg-type]
+            view_scale=self.view_scale * zoom,
+            marker_size=marker_size,
+            tilt=(float(tilt_x), float(tilt_y)),
         )
 
 

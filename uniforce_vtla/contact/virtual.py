@@ -1,7 +1,7 @@
-"""Sensors that exist only here: any layout, marker and view with any material; and a real one's material.
+"""Sensors that exist only in simulation: any layout, marker and view with any material.
 
-The three real sensors are the registry's; a *virtual* one shows what the tokenizer does on a sensor that was never
-pretrained on.  GelSight-D (diamonds on a staggered lattice) is the one the paper tests with.
+They show how the tokenizer does on a sensor it was never pretrained on. The paper tests with
+GelSight-D (diamonds on a staggered lattice).
 """
 
 from dataclasses import dataclass, replace
@@ -56,7 +56,8 @@ GELSIGHT_D = VirtualSensor(
         marker_size_mm=0.95,
         pad_size_mm=(25.0, 25.0),
         rated_depth_mm=1.5,
-        source="GenForce's diamond pattern as the UniForce paper names it; only the name is documented",
+        source="GenForce's diamond pattern as the UniForce paper names it; "
+        "only the name is documented",
     ),
     get_material("gelsight"),
     like="gelsight",
@@ -64,7 +65,7 @@ GELSIGHT_D = VirtualSensor(
 
 
 def as_virtual(sensor: str | VirtualSensor) -> VirtualSensor:
-    """Return a registry sensor with its material, or the virtual sensor itself; SensorError: an unknown name."""
+    """Return a registry sensor with its material, or the virtual sensor; SensorError: unknown."""
     if isinstance(sensor, VirtualSensor):
         return sensor
     if sensor == GELSIGHT_D.name:
@@ -73,27 +74,24 @@ def as_virtual(sensor: str | VirtualSensor) -> VirtualSensor:
 
 
 def hidden_sensors() -> dict[str, VirtualSensor]:
-    """Return sensors that look usual and answer by × .6 to × 1.5 of what the family does: for calibration."""
-    gel, dome, taxels = (get_material(name) for name in ("gelsight", "tactip", "uskin"))
+    """Return usual-looking sensors that respond × .6 to × 1.5, for calibration."""
+    gel = get_material("gelsight")
+    taxels = get_material("uskin")
     assert isinstance(taxels, TaxelMaterial)
     materials: dict[str, Material] = {
         "gelsight_stiff": replace(gel, stiffness=1.6),
         "gelsight_soft": replace(gel, stiffness=0.7),
-        "tactip_soft": replace(dome, stiffness=0.65),
+        "tactip_soft": replace(get_material("tactip"), stiffness=0.65),
         "uskin_keen": replace(taxels, rest_counts=1.5 * taxels.rest_counts),
         "uskin_dull": replace(taxels, rest_counts=0.6 * taxels.rest_counts),
     }
-    return {
-        name: _renamed(name.partition("_")[0], name, material)
-        for name, material in materials.items()
-    }
+    found = {}
+    for name, material in materials.items():
+        like = name.partition("_")[0]
+        found[name] = VirtualSensor(replace(get_sensor(like), name=name), material, like)
+    return found
 
 
 def any_virtual(name: str) -> VirtualSensor:
     """Return a sensor by name, one of ``hidden_sensors`` too; SensorError: unknown."""
     return hidden_sensors().get(name) or as_virtual(name)
-
-
-def _renamed(base: str, name: str, material: Material) -> VirtualSensor:
-    sensor = as_virtual(base)
-    return VirtualSensor(replace(sensor.spec, name=name), material, like=base)

@@ -1,4 +1,4 @@
-"""Effects beside the contact model: rubber creeps (markers lag behind the force), light on a camera changes."""
+"""Effects beside the contact model: rubber creeps (markers lag behind the force), light changes."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ class Creep:
 
     @classmethod
     def draw(cls, rng: np.random.Generator, share: tuple[float, float]) -> Creep:
-        """Return a random pad: the late share even over ``share``, its time even in the logarithm."""
+        """Return a random pad: late share even over ``share``, time even in the logarithm."""
         return cls(float(rng.uniform(*share)), float(np.exp(rng.uniform(np.log(0.2), np.log(2.0)))))
 
 
 def lagging_force(force_N: np.ndarray, creep: Creep, rate_hz: float) -> np.ndarray:
     """Return the force (T, 3) whose static picture the pad shows while ``force_N`` (T, 3) acts.
 
-    It starts relaxed at the first frame.  Friction's cone is kept: both parts are mixtures of forces inside it.
+    It starts relaxed. Friction's cone is kept: both parts are mixtures of forces inside it.
     """
     keep = np.exp(-1 / (creep.relaxation_s * rate_hz))
     late = np.empty_like(force_N)
@@ -52,7 +52,8 @@ class Light:
     def draw(cls, rng: np.random.Generator) -> Light:
         """Return a random light."""
         gain = rng.uniform(*EXPOSURE) * (1 + rng.uniform(-CAST, CAST, 3))
-        angle, slope = rng.uniform(-np.pi, np.pi), rng.uniform(0, GRADIENT)
+        angle = rng.uniform(-np.pi, np.pi)
+        slope = rng.uniform(0, GRADIENT)
         gradient = (float(slope * np.cos(angle)), float(slope * np.sin(angle)))
         return cls((float(gain[0]), float(gain[1]), float(gain[2])), gradient)
 

@@ -31,8 +31,8 @@ STALL_EVERY = 60  # control steps, 2 s
 class WornSensor:
     """One unit of a sensor on a finger.
 
-    Cameras show raw frames, which the canonicalizer turns into marker images as on a robot; it may refuse one. The
-    drawn stiffness decides the picture and the pad in MuJoCo.
+    Cameras show raw frames, which the canonicalizer turns into marker images or refuses, as on a
+    robot. The drawn stiffness decides the picture and the pad in MuJoCo.
     """
 
     sensor: VirtualSensor  # its drawing and material
@@ -52,15 +52,14 @@ class WornSensor:
 
     @property
     def kind(self) -> str:
-        """Registry name of the sensor whose body it has: decides the pad in the simulator and what a policy knows."""
+        """Registry name of the sensor whose body it has: what MuJoCo has and a policy knows."""
         return self.sensor.like
 
     @property
     def stiffness(self) -> float:
         """Stiffness over the nominal one of its kind."""
-        return (
-            self.unit.stiffness * self.sensor.material.stiffness / get_material(self.kind).stiffness
-        )
+        nominal = get_material(self.kind).stiffness
+        return self.unit.stiffness * self.sensor.material.stiffness / nominal
 
 
 class WornView:
@@ -73,7 +72,7 @@ class WornView:
         seed: draws the noise.
         pixel_noise: of raw frames, see ``ContactOptions``.
         register: see ``Canonicalizer``.
-        stream: images follow one another, see ``Canonicalizer``, and the reference is taken as on a robot.
+        stream: images follow one another, see ``Canonicalizer``; the reference is a median.
 
     Raises SensorError: the canonicalizer refuses the reference.
     """
@@ -91,21 +90,22 @@ class WornView:
             loss_probability=worn.marker_loss,
             pixel_noise=pixel_noise,
         )
-        self.worn, self.simulator = worn, TactileSimulator(worn.sensor, worn.unit, options, seed)
+        self.worn = worn
+        self.simulator = TactileSimulator(worn.sensor, worn.unit, options, seed)
         self._canonicalizer = Canonicalizer(
             worn.kind, register=register, warn_share=WARN_SHARE, stream=stream
         )
         self._light = worn.light
-        if worn.direct:
-            stale = worn.stale_N > 0
-            shown = (
-                self.simulator.marker_images(_left_on(worn.stale_N))[0]
-                if stale
-                else self.simulator.reference()
-            )
-            self.reference = shown  # (480, 640) uint8
+        frames = 1
+        if stream and not worn.direct:
+            frames = REFERENCE_FRAMES
+        left_on = _left_on(worn.stale_N, frames)
+        self.reference: np.ndarray  # (480, 640) uint8
+        if worn.direct and worn.stale_N > 0:
+            self.reference = self.simulator.marker_images(left_on)[0]
+        elif worn.direct:
+            self.reference = self.simulator.reference()
         else:
-            left_on = _left_on(worn.stale_N, REFERENCE_FRAMES if stream else 1)
             seen = self._lit(self.simulator.raw_frames(left_on))
             raw = np.median(seen, axis=0).astype(seen.dtype)
             self._canonicalizer.set_reference(raw)
@@ -125,7 +125,7 @@ class WornView:
         return np.stack([self._canonicalizer.marker_image(frame) for frame in frames])
 
     def accepted(self, contact: ContactState) -> dict[int, np.ndarray]:
-        """Return row → its marker image, as ``images``; frames that the canonicalizer refuses are left out."""
+        """Return row → its marker image, without the frames that the canonicalizer refuses."""
         if self.worn.direct:
             return dict(enumerate(self.images(contact)))
         found = {}
@@ -135,21 +135,20 @@ class WornView:
         return found
 
     def _lit(self, raw: np.ndarray) -> np.ndarray:
-        return raw if self._light is None else self._light.on(raw)
+        if self._light is None:
+            return raw
+        return self._light.on(raw)
 
 
 def _left_on(press_N: float, frames: int = 1) -> ContactState:
-    """Return what is on a pad while its reference is taken: nothing, or a small flat thing that presses on it."""
+    """Return the contact while a reference is taken: none, or a small flat thing that presses."""
     if not press_N:
         return free_air(frames)
-    flat = (
-        np.zeros((frames, 2)),
-        np.full((frames, 2), STALE_SIDE_mm),
-        np.zeros(frames),
-        np.zeros((frames, 2)),
-    )
+    nothing = np.zeros((frames, 2))
+    sides_mm = np.full((frames, 2), STALE_SIDE_mm)
+    gap_mm = flat_face_gap(nothing, sides_mm, np.zeros(frames), nothing)
     force_N = np.tile(np.array([0, 0, press_N], np.float32), (frames, 1))
-    return ContactState(flat_face_gap(*flat), force_N, np.zeros(frames, np.float32))
+    return ContactState(gap_mm, force_N, np.zeros(frames, np.float32))
 
 
 def drawing(sensor: VirtualSensor) -> WornSensor:
@@ -160,9 +159,9 @@ def drawing(sensor: VirtualSensor) -> WornSensor:
 def unit_of(sensor: VirtualSensor, number: int) -> WornSensor:
     """Return a unit by its number: moulding, camera pose, light and rubber are drawn from it."""
     rng = np.random.default_rng([number, zlib.crc32(sensor.name.encode())])
-    unit, creep = UnitVariation.draw(rng, sensor), Creep.draw(rng, CREEP_SHARE)
+    unit = UnitVariation.draw(rng, sensor)
+    creep = Creep.draw(rng, CREEP_SHARE)
     if sensor.spec.signal != "camera":
         return WornSensor(sensor, unit, None, creep, lag_steps=LAG_STEPS)
-    return WornSensor(
-        sensor, unit.mounted(rng, Look()), Light.draw(rng), creep, MARKER_LOSS, LAG_STEPS
-    )
+    unit = unit.mounted(rng, Look())
+    return WornSensor(sensor, unit, Light.draw(rng), creep, MARKER_LOSS, LAG_STEPS)

@@ -1,7 +1,7 @@
 """Words by which commands name the sensor on a finger.
 
-``tactip`` is unit 1 of that sensor, ``tactip:7`` another one, ``tactip:any`` another one in every scene, and
-``tactip:drawing`` the fast path: the marker image as the contact model draws it, without a frame.
+``tactip`` is unit 1 of that sensor, ``tactip:7`` another one, ``tactip:any`` a new one in every
+scene. ``tactip:drawing`` is the fast path: the contact model's own marker image, without a frame.
 ``tactip:7+flicker=0.2+lag=100`` is unit 7 with two faults (``faults.FAULTS``).
 """
 
@@ -12,34 +12,42 @@ from uniforce_vtla.contact.virtual import any_virtual
 from uniforce_vtla.contact.worn import WornSensor, drawing, unit_of
 from uniforce_vtla.errors import SensorError, expected
 
-USUAL_UNIT, ANY, DRAWING = "1", "any", "drawing"
-Wear = Callable[[int], WornSensor]  # a scene's seed → what is worn there
+USUAL_UNIT = "1"
+ANY = "any"
+DRAWING = "drawing"
+Wear = Callable[[int], WornSensor]  # a scene's seed → the sensor mounted there
 
 
 def wear(sensor: str | WornSensor) -> Wear:
-    """Return what a finger wears in each scene.
+    """Return which sensor is mounted on a finger in each scene.
 
-    Raises SensorError: an unknown name, neither a number nor ``any`` nor ``drawing`` behind it, or an unknown fault.
+    Raises SensorError: an unknown name or fault, or neither a number nor ``any`` nor ``drawing``.
     """
     if isinstance(sensor, WornSensor):
         return lambda seed: sensor
     words, *faults = sensor.split("+")
     name, _, which = words.partition(":")
-    drawn, which = any_virtual(name), which or USUAL_UNIT
+    drawn = any_virtual(name)
+    which = which or USUAL_UNIT
     if which == ANY:
         # no unit that a number names
         return lambda seed: with_faults(unit_of(drawn, 1_000_000 + seed), faults)
-    if which != DRAWING and not (which.isdecimal() and int(which) < 1_000_000):
-        wanted, do = f"a number below 1,000,000, {ANY} or {DRAWING}", "Or leave it out: unit 1."
+    if which == DRAWING:
+        one = drawing(drawn)
+    elif which.isdecimal() and int(which) < 1_000_000:
+        one = unit_of(drawn, int(which))
+    else:
+        wanted = f"a number below 1,000,000, {ANY} or {DRAWING}"
+        do = "Or leave it out: unit 1."
         raise SensorError(expected(f"unit of {name}", wanted, repr(which), do))
-    one = with_faults(drawing(drawn) if which == DRAWING else unit_of(drawn, int(which)), faults)
+    one = with_faults(one, faults)
     return lambda seed: one
 
 
 def with_faults(worn: WornSensor, faults: Sequence[str]) -> WornSensor:
-    """Return a worn unit with faults in words, ``flicker=0.2``.
+    """Return a mounted unit with faults in words, ``flicker=0.2``.
 
-    Raises SensorError: an unknown fault, one that this kind of sensor can't have, or no number behind it.
+    Raises SensorError: an unknown fault, one that this sensor type can't have, or no number.
     """
     for words in faults:
         name, _, dose = words.partition("=")

@@ -36,16 +36,21 @@ class EpisodeRow:
 
     @property
     def code(self) -> str:
-        """One letter: C clean success, s success with an event, f failed grasp, r residual, a aborted."""
+        """One letter: C clean, s success with an event, f failed grasp, r residual, a aborted."""
         return "C" if self.clean else self.outcome[0]
 
 
 def row_of(rollout: Rollout) -> EpisodeRow:
     """Return the row of a rollout; of one that ended before its first step all ink is left."""
-    result, trace = rollout.result, rollout.trace
+    result = rollout.result
+    trace = rollout.trace
     press = np.asarray(trace.press_N, dtype=np.float64)
     pressing = press[press > CONTACT_N]
-    think_ms = rollout.think_ms if len(rollout.think_ms) else np.zeros(1)
+    if not pressing.size:
+        pressing = np.zeros(1)
+    think_ms = rollout.think_ms
+    if not len(think_ms):
+        think_ms = np.zeros(1)
     return EpisodeRow(
         seed=rollout.seed,
         outcome=result.outcome,
@@ -53,7 +58,7 @@ def row_of(rollout: Rollout) -> EpisodeRow:
         slippage=bool(result.slippage),
         excess_force=bool(result.excess_force),
         residual=_last(trace.residual, 1.0),
-        press_mean_N=float(pressing.mean()) if pressing.size else 0.0,
+        press_mean_N=float(pressing.mean()),
         press_max_N=float(press.max(initial=0.0)),
         seconds=_last(trace.time_s, 0.0),
         think_p50_ms=float(np.percentile(think_ms, 50)),
@@ -69,7 +74,7 @@ def _last(values: np.ndarray, before: float) -> float:
 
 
 def read_rows(path: Path) -> dict[int, EpisodeRow]:
-    """Return the finished rows of a file of ``append_line`` by seed; ContractError: rows of another version."""
+    """Return finished rows of ``append_line`` by seed; ContractError: of another version."""
     try:
         rows = [EpisodeRow(**line) for line in read_lines(path)]
     except (TypeError, ValueError) as error:
@@ -109,31 +114,33 @@ class ArmReport:
     def as_dict(self) -> dict[str, Any]:
         """Return the arm's entry in ``wiping.json``."""
         names = (*OUTCOME_NAMES, "clean", "slippage", "excess_force")
-        counts: dict[str, Any] = {"n": self.n, **{name: self.count(name) for name in names}}
-        interval = wilson(self.count("clean"), self.n)
-        seeds = [row.seed for row in self.rows]
-        return counts | {
+        counts = {name: self.count(name) for name in names}
+        interval = wilson(counts["clean"], self.n)
+        return {
+            "n": self.n,
+            **counts,
             "clean_wilson_95": [interval.low, interval.high],
             "in_band_share": self.in_band_share,
-            "seeds": [seeds[0], seeds[-1]],
+            "seeds": [self.rows[0].seed, self.rows[-1].seed],
             "by_seed": "".join(row.code for row in self.rows),
         }
 
 
 def table(reports: Sequence[ArmReport]) -> str:
-    """Return a Markdown table, one line per arm, k/n with Wilson 95 % intervals; "in band" is the mean share."""
-    head = "| arm | clean success | success | in band | failed grasp | residual | aborted | slippage | excess force |"
-    lines = [head, "|" + "---|" * 9]
+    """Return a Markdown table, one line per arm: k/n with Wilson 95 % intervals, mean in band."""
     counted = ("failed_grasp", "residual", "aborted", "slippage", "excess_force")
+    rows = [["arm", "clean success", "success", "in band"]]
+    rows[0] += [name.replace("_", " ") for name in counted]
     for report in reports:
-        counts = [f"{report.in_band_share:.2f}", *(report.count(name) for name in counted)]
-        clean, success = (wilson(report.count(c), report.n) for c in ("clean", "success"))
-        lines.append(
-            "| " + " | ".join([report.arm, str(clean), str(success), *map(str, counts)]) + " |"
-        )
+        clean = wilson(report.count("clean"), report.n)
+        success = wilson(report.count("success"), report.n)
+        row = [report.arm, str(clean), str(success), f"{report.in_band_share:.2f}"]
+        rows.append(row + [str(report.count(name)) for name in counted])
+    lines = [f"| {' | '.join(row)} |" for row in rows]
+    lines.insert(1, "|" + "---|" * len(rows[0]))
     return "\n".join(lines)
 
 
 def whose_turn(scene: int, names: Sequence[str]) -> str:
-    """Return which of several training seeds' checkpoints acts in a scene, counted from the first one scored."""
+    """Return which of several training seeds' checkpoints acts in a scene."""
     return names[scene % len(names)]

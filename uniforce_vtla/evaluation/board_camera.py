@@ -1,8 +1,8 @@
-"""How much ink is left, from a camera that sees the board: the residual of a real rollout, an estimate.
+"""Estimate the ink left on a real board from a camera's first and last picture.
 
-The simulator knows its ink; a robot has pictures. Four corners of the board give a homography to a top view; what
-was ink in the first picture is looked up in the last one. Cells hidden by the arm or the eraser are left out, not
-guessed, and the estimate says how many it could judge.
+Four corners of the board give a homography to a top view. What was ink in the first picture is
+looked up in the last one. Cells hidden by the arm or the eraser are left out, not guessed, and the
+estimate says how many it could judge.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ TOP_VIEW_px = (170, 230)
 RIM_share = 0.04  # of the board left out along its edges: blur and shadow
 INK_CONTRAST = 0.35  # a cell darker than the bare board by this share of its brightness is ink
 FADED = 0.25  # of its first strength: fainter is no ink, as in the simulator's own count
-# colour distance from the way bare → ink, over the bare board's brightness: a cell further off is neither
+# distance of a colour from the line bare → ink, over the bare brightness; beyond it is neither
 ALIKE = 0.15
 SMALLEST_WORD = 40  # cells; fewer are noise
 LEAST_JUDGED = 0.5  # of the first picture's ink; with less in view there is no estimate
@@ -25,10 +25,10 @@ LEAST_JUDGED = 0.5  # of the first picture's ink; with less in view there is no 
 
 @dataclass(frozen=True)
 class ResidualEstimate:
-    """``residual`` is ink left over ink at the start, among the cells that could be judged (``judged``, a share)."""
+    """Ink left on a board."""
 
-    residual: float
-    judged: float
+    residual: float  # over ink at the start, among the cells that could be judged
+    judged: float  # share of those cells
 
 
 def estimate_residual(
@@ -41,10 +41,12 @@ def estimate_residual(
         last: the same camera after it.
         corners_px: (4, 2) image points x, y of the board's corners, in order around it.
 
-    Raises ContractError: pictures of different shape, or corners that are no quadrilateral; DatasetError: no writing in
-    the first picture, or too little of it in view in the last.
+    Raises ContractError: pictures of different shape, or corners that are no quadrilateral;
+    DatasetError: no writing in the first picture, or too little of it in view in the last.
     """
-    before, after = (_top_view(image, corners_px) for image in _checked(first, last, corners_px))
+    _check(first, last, corners_px)
+    before = _top_view(first, corners_px)
+    after = _top_view(last, corners_px)
     bare = np.median(before.reshape(-1, 3), axis=0)  # most of a board is bare
     brightness = float(bare.mean())
     ink = brightness - before.mean(axis=-1) > INK_CONTRAST * brightness
@@ -71,28 +73,27 @@ def estimate_residual(
 def _on_the_way(
     view: np.ndarray, bare: np.ndarray, ink: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return how far each cell's colour lies from bare (0) to ink (1), and its distance from that straight way."""
+    """Return how far each cell's colour lies from bare (0) to ink (1), and off that line."""
     way = ink - bare
     share = np.clip((view - bare) @ way / (way @ way), 0, 1)
     return share, np.linalg.norm(view - bare - share[..., None] * way, axis=-1)
 
 
-def _checked(
-    first: np.ndarray, last: np.ndarray, corners_px: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _check(first: np.ndarray, last: np.ndarray, corners_px: np.ndarray) -> None:
     if first.shape != last.shape or first.ndim != 3 or first.shape[2] != 3:
         raise ContractError(
             expected("pictures", "two (H, W, 3)", f"{first.shape}, {last.shape}", "Use one camera.")
         )
-    area = (
-        abs(cv2.contourArea(corners_px.astype(np.float32))) if corners_px.shape == (4, 2) else 0.0
-    )
-    if area < 100 or not cv2.isContourConvex(corners_px.astype(np.float32)):
+    corners = corners_px.astype(np.float32)
+    if (
+        corners.shape != (4, 2)
+        or abs(cv2.contourArea(corners)) < 100
+        or not cv2.isContourConvex(corners)
+    ):
         do = "Name the board's corners in order around it."
         raise ContractError(
             expected("corners_px", "(4, 2), a convex quadrilateral", corners_px.tolist(), do)
         )
-    return first, last
 
 
 def _top_view(image: np.ndarray, corners_px: np.ndarray) -> np.ndarray:
@@ -101,5 +102,6 @@ def _top_view(image: np.ndarray, corners_px: np.ndarray) -> np.ndarray:
     target = np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]], np.float32)
     homography = cv2.getPerspectiveTransform(corners_px.astype(np.float32), target)
     view = cv2.warpPerspective(image, homography, (columns, rows), flags=cv2.INTER_LINEAR)
-    r, c = round(RIM_share * rows), round(RIM_share * columns)
+    r = round(RIM_share * rows)
+    c = round(RIM_share * columns)
     return view[r : rows - r, c : columns - c].astype(np.float32)

@@ -13,7 +13,7 @@ CleanBySeed = Mapping[int, bool]  # of one arm
 
 @dataclass(frozen=True)
 class AtMostWorse:
-    """The claim that ``first`` succeeds cleanly at most ``margin`` (a share) less often than ``second``."""
+    """The claim that ``first`` is clean at most ``margin`` (a share) less often than ``second``."""
 
     about: str
     first: str
@@ -30,7 +30,7 @@ def paired_clean(first: CleanBySeed, second: CleanBySeed) -> tuple[Clean, Clean]
 def _scored(
     arms: Mapping[str, CleanBySeed], pairs: Pairs
 ) -> Iterator[tuple[dict[str, Any], Clean, Clean]]:
-    """Yield, per pair of arms scored on shared seeds, their names and the clean successes of both."""
+    """Yield, per pair of arms with shared seeds, their names and both arms' clean successes."""
     for first, second in pairs:
         if first in arms and second in arms:
             one, two = paired_clean(arms[first], arms[second])
@@ -39,7 +39,7 @@ def _scored(
 
 
 def difference(one: Clean, two: Clean) -> dict[str, Any]:
-    """Return exact McNemar of two arms on the same seeds, and by how many points the first is better."""
+    """Return exact McNemar of two arms, and by how many percentage points the first is better."""
     return asdict(mcnemar(one, two)) | {"points": 100 * (sum(one) - sum(two)) / len(one)}
 
 
@@ -52,7 +52,7 @@ def better(arms: Mapping[str, CleanBySeed], pairs: Pairs) -> list[dict[str, Any]
 
 
 def as_good(arms: Mapping[str, CleanBySeed], claims: Sequence[AtMostWorse]) -> list[dict[str, Any]]:
-    """Return, per claim about arms scored on shared seeds, whether non-inferiority within its margin is shown."""
+    """Return, per claim about arms with shared seeds, whether non-inferiority is shown."""
     tests = []
     for claim in claims:
         for pair, one, two in _scored(arms, [(claim.first, claim.second)]):

@@ -1,7 +1,7 @@
 """Result of one episode: exclusive outcome, overlapping events, continuous numbers.
 
-Everything is computed from a trace of true (or, on hardware, estimated) quantities; nothing here knows an
-environment. Outcomes sum to n; events may overlap; a clean success is a success without an event.
+Everything is computed from a trace of true (on hardware: estimated) quantities, without an
+environment. Outcomes sum to n; events may overlap; a clean success is one without an event.
 """
 
 from dataclasses import dataclass, field, fields
@@ -53,17 +53,14 @@ class EpisodeTrace:
     def __post_init__(self) -> None:
         for name in STEP_FIELDS:
             values = getattr(self, name)
+            what = f"trace.{name}"
             if values.shape != self.time_s.shape or values.ndim != 1:
                 raise ContractError(
-                    expected(
-                        f"trace.{name}", self.time_s.shape, values.shape, "One value per step."
-                    )
+                    expected(what, self.time_s.shape, values.shape, "One value per step.")
                 )
             if not np.isfinite(values).all():
                 raise ContractError(
-                    expected(
-                        f"trace.{name}", "finite numbers", "NaN or inf", "Check the simulation."
-                    )
+                    expected(what, "finite numbers", "NaN or inf", "Check the simulation.")
                 )
 
 
@@ -80,7 +77,7 @@ def empty_trace() -> EpisodeTrace:
 class EpisodeResult:
     """The verdict on one episode.
 
-    ``outcome`` is one of ``keys.OUTCOME_NAMES``; ``reasons`` says in words what led to it and to each event.
+    ``outcome`` is one of ``keys.OUTCOME_NAMES``; ``reasons`` explains it and each event.
     """
 
     outcome: str
@@ -97,25 +94,24 @@ class EpisodeResult:
 
     @property
     def clean(self) -> bool:
-        """Success without slippage or excess force, pressed within the band: the number to optimise."""
+        """Success without slippage or excess force, pressed within the band."""
         return self.success and not self.slippage and not self.excess_force and self.in_band
 
 
 def score_episode(trace: EpisodeTrace, limits: ScoreLimits | None = None) -> EpisodeResult:
-    """Judge one episode; precedence aborted (no step was taken) > failed_grasp > residual > success."""
+    """Judge one episode; aborted (no step taken) > failed_grasp > residual > success."""
     limits = limits or ScoreLimits()
     if len(trace.time_s) == 0:
         return EpisodeResult("aborted", False, False, ("no step was taken",))
-    slips, excess = slip_events(trace, limits), excess_events(trace, limits)
+    slips = slip_events(trace, limits)
+    excess = excess_events(trace, limits)
     outcome, why = _outcome(trace, limits)
     metrics = _metrics(trace, limits)
+    reasons = (*why, *slips, *excess)
     in_band = metrics["in_band_share"] >= limits.in_band_share
-    off = (
-        []
-        if in_band
-        else [f"less than {limits.in_band_share:.0%} of the sliding pressed within the band"]
-    )
-    reasons = (*why, *slips, *excess, *off)
+    if not in_band:
+        share = f"{limits.in_band_share:.0%}"
+        reasons += (f"less than {share} of the sliding pressed within the band",)
     return EpisodeResult(outcome, bool(slips), bool(excess), reasons, metrics, in_band)
 
 
@@ -162,10 +158,11 @@ def slip_events(trace: EpisodeTrace, limits: ScoreLimits) -> list[str]:
 def excess_events(trace: EpisodeTrace, limits: ScoreLimits) -> list[str]:
     """Return the reasons for an excess-force event."""
     events = press_events(trace.press_N, trace.time_s, limits)
-    depths = {"left": trace.depth_left_mm, "right": trace.depth_right_mm}
-    for (side, depth), rated in zip(depths.items(), trace.rated_depth_mm, strict=True):
-        if depth.max() > rated:
-            events.append(f"{side} pad deeper than {rated:g} mm")
+    left_mm, right_mm = trace.rated_depth_mm
+    if trace.depth_left_mm.max() > left_mm:
+        events.append(f"left pad deeper than {left_mm:g} mm")
+    if trace.depth_right_mm.max() > right_mm:
+        events.append(f"right pad deeper than {right_mm:g} mm")
     return events
 
 
@@ -180,29 +177,31 @@ def press_events(press_N: np.ndarray, time_s: np.ndarray, limits: ScoreLimits) -
 
 
 def running_mean(values: np.ndarray, span_s: float, time_s: np.ndarray) -> np.ndarray:
-    """Mean over the last ``span_s``; (n − w + 1,) values, or the plain mean when the trace is shorter."""
+    """Return (n − w + 1,) means over the last ``span_s``; the plain mean of a shorter trace."""
     window = min(max(1, round(span_s / _step_s(time_s))), len(values))
     total = np.concatenate([[0.0], np.cumsum(values, dtype=np.float64)])
     return (total[window:] - total[:-window]) / window
 
 
 def _step_s(time_s: np.ndarray) -> float:
-    return float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
+    if len(time_s) < 2:
+        return 1.0
+    return float(np.median(np.diff(time_s)))
 
 
 def longest_run_s(flags: np.ndarray, time_s: np.ndarray) -> float:
     """Return the duration of the longest stretch of True in (n,) flags."""
-    found = runs(flags)
-    return float((found[:, 1] - found[:, 0]).max()) * _step_s(time_s) if len(found) else 0.0
+    frames = np.diff(runs(flags)).max(initial=0)
+    return float(frames) * _step_s(time_s)
 
 
 def runs(flags: np.ndarray) -> np.ndarray:
-    """Return (k, 2): first frame of each stretch of True in (n,) flags, and the one after its last."""
+    """Return (k, 2): first frame of each stretch of True in (n,) flags, and the end of it."""
     return np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]]))).reshape(-1, 2)
 
 
 def band_share(press_N: np.ndarray, slide_mm: np.ndarray, limits: ScoreLimits) -> float:
-    """Return the share of the sliding distance (n,) that is pressed within the band; 0 where nothing slid."""
+    """Return the share of the sliding distance (n,) pressed within the band; 0: nothing slid."""
     slid_mm = np.where(press_N > limits.wiping_press_N, slide_mm, 0.0)
     low, high = limits.band_N
     inside = (press_N >= low) & (press_N <= high)
@@ -211,16 +210,21 @@ def band_share(press_N: np.ndarray, slide_mm: np.ndarray, limits: ScoreLimits) -
 
 def _metrics(trace: EpisodeTrace, limits: ScoreLimits) -> dict[str, float]:
     wiping = trace.press_N > limits.wiping_press_N
-    press = trace.press_N[wiping] if wiping.any() else np.zeros(1)
-    height = trace.tool_z_mm[wiping] if wiping.any() else np.zeros(1)
+    press = trace.press_N[wiping]
+    height = trace.tool_z_mm[wiping]
     grip = (trace.grip_left_N + trace.grip_right_N) / 2
+    wiping_grip = grip[wiping]
+    if not wiping.any():
+        press = np.zeros(1)
+        height = np.zeros(1)
+        wiping_grip = grip
     return {
         "residual": float(trace.residual[-1]),
         "press_mean_N": float(press.mean()),
         "press_p95_N": float(np.percentile(press, 95)),
         "in_band_share": band_share(trace.press_N, trace.slide_mm, limits),
         "press_max_N": float(trace.press_N.max()),
-        "grip_mean_N": float(grip[wiping].mean()) if wiping.any() else float(grip.mean()),
+        "grip_mean_N": float(wiping_grip.mean()),
         "grip_max_N": float(grip.max()),
         "slip_max_mm": float(trace.slip_mm.max()),
         "depth_left_max_mm": float(trace.depth_left_mm.max()),

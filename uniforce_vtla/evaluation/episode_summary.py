@@ -1,7 +1,8 @@
-"""One recorded episode for people: its key frames, forces, latents and estimated events, and their time line."""
+"""One recorded episode for people: key frames, forces, latents, estimated events, time line."""
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -22,7 +23,10 @@ LETTERS = "ABCDEFGH"  # of the key frames, the same in picture and buttons
 FORCES = (("fx", "#4c78a8"), ("fy", "#e07b39"), ("fz", "#2a9d8f"))
 BEYOND = "#e63946"  # limits, and stretches beyond one
 BAND = "#2a9d8f"  # the press that was asked for
-WIDTH_IN, FILM_IN, PLOT_IN, LATENT_IN = 14.0, 1.12, 1.6, 0.8  # of the time line and its rows
+WIDTH_IN = 14.0  # of the time line, inches
+FILM_IN = 1.12  # height of its rows
+PLOT_IN = 1.6
+LATENT_IN = 0.8
 SMALL = 9  # points: 11 px on a page as wide as the time line
 
 
@@ -36,7 +40,7 @@ class KeyFrame:
 
 @dataclass(frozen=True)
 class Stretch:
-    """Frames ``first`` … ``end − 1`` beyond a limit; whether that makes an event is for the scores to say."""
+    """Frames ``first`` … ``end − 1`` beyond a limit; the scores say whether that is an event."""
 
     name: str
     first: int
@@ -69,31 +73,32 @@ class EpisodeSummary:
         """Where the estimated press, or the friction both pads use, is beyond its limit."""
         if self.found is None:
             return []
-        most_N, used = ScoreLimits().mean_press_N, self.found.friction_used.min(axis=1)
+        most_N = ScoreLimits().mean_press_N
+        used = self.found.friction_used.min(axis=1)
         beyond = {
             f"press > {most_N:g} N": self.found.press_N > most_N,
             "both pads at their friction limit": used > FRICTION_SHARE,
         }
-        return [
-            Stretch(name, int(first), int(end))
-            for name, flags in beyond.items()
-            for first, end in runs(flags)
-        ]
+        found = []
+        for name, flags in beyond.items():
+            found += [Stretch(name, int(first), int(end)) for first, end in runs(flags)]
+        return found
 
     @property
     def verdict(self) -> list[str]:
         """The estimated events in words."""
         if self.found is None:
             return [f"events can't be estimated: {self.note}"]
-        unjudged = (
-            [] if self.judges_slip else ["slippage isn't judged: the pads' friction wasn't given"]
-        )
-        return [*self.found.events, *unjudged]
+        if self.judges_slip:
+            return self.found.events
+        return [*self.found.events, "slippage isn't judged: the pads' friction wasn't given"]
 
     @property
     def true_verdict(self) -> list[str]:
         """The same judged by true forces; empty where there are none."""
-        return [] if self.truth is None else self.truth.events
+        if self.truth is None:
+            return []
+        return self.truth.events
 
 
 @dataclass(frozen=True)
@@ -126,23 +131,25 @@ def find_key_frames(force_N: np.ndarray, tool_z_m: np.ndarray) -> dict[str, int]
 
 def draw_timeline(summary: EpisodeSummary, path: Path) -> TimeLine:
     """Draw everything over the same seconds; letters mark key frames."""
-    events = (
-        [] if summary.found is None else ["press", *(["friction"] if summary.judges_slip else [])]
-    )
-    plots = [*events, *(f"force {finger}" for finger in summary.change)]
-    rows = [*summary.films, *plots, *(f"latent {finger}" for finger in summary.change)]
-    heights = (
-        [FILM_IN] * len(summary.films) + [PLOT_IN] * len(plots) + [LATENT_IN] * len(summary.change)
-    )
-    figure = Figure(figsize=(WIDTH_IN, sum(heights) + 0.8), layout="constrained")
-    panels = dict(
-        zip(rows, figure.subplots(len(rows), 1, sharex=True, height_ratios=heights), strict=True)
+    events = []
+    if summary.found is not None:
+        events.append("press")
+        if summary.judges_slip:
+            events.append("friction")
+    plots = events + [f"force {finger}" for finger in summary.change]
+    heights_in = dict.fromkeys(summary.films, FILM_IN) | dict.fromkeys(plots, PLOT_IN)
+    for finger in summary.change:
+        heights_in[f"latent {finger}"] = LATENT_IN
+    rows = list(heights_in)
+    figure = Figure(figsize=(WIDTH_IN, sum(heights_in.values()) + 0.8), layout="constrained")
+    panels: dict[str, Axes] = figure.subplot_mosaic(
+        [[row] for row in rows], sharex=True, height_ratios=list(heights_in.values())
     )
     for camera, film in summary.films.items():
         _strip(panels[camera], np.concatenate(film, axis=1), summary.time_s[-1], camera)
     for number, finger in enumerate(summary.change):
         _forces(panels[f"force {finger}"], summary, number, finger)
-        # rows of the pad from its top down, each as strong as its latents' mean distance from free air
+        # rows of the pad from the top, their latents' mean distance from free air
         pad_rows = summary.strength(finger).mean(axis=2).T  # (g, n)
         label = f"{finger}\nlatent,\npad rows"
         _strip(panels[f"latent {finger}"], pad_rows, summary.time_s[-1], label, fontsize=SMALL)
@@ -152,10 +159,14 @@ def draw_timeline(summary: EpisodeSummary, path: Path) -> TimeLine:
         _finish(panels[name], summary, names=name == plots[0])
     for number, (letter, frame) in enumerate(zip(LETTERS, summary.key_frames, strict=False)):
         # two lines: neighbours are near
-        above = {"xytext": (0, 3 + 12 * (number % 2)), "textcoords": "offset points"}
-        at = (summary.time_s[frame.frame], 1.0)
         panels[rows[0]].annotate(
-            f"{letter} {frame.name}", at, ha="center", fontsize=SMALL, fontweight="bold", **above
+            f"{letter} {frame.name}",
+            (summary.time_s[frame.frame], 1.0),
+            (0, 3 + 12 * (number % 2)),
+            textcoords="offset points",
+            ha="center",
+            fontsize=SMALL,
+            fontweight="bold",
         )
     panels[rows[-1]].set(xlabel="time [s]", xlim=(0, summary.time_s[-1]))
     save_figure(figure, path)
@@ -174,42 +185,27 @@ def _strip(
 def _event(panel: Axes, summary: EpisodeSummary, name: str) -> None:
     """Draw the press, or the friction the lesser pad uses, with its limit."""
 
-    def values(estimate: FingerEstimate) -> np.ndarray:
-        return estimate.press_N if name == "press" else estimate.friction_used.min(axis=1)
+    def plot(estimate: FingerEstimate | None, **style: Any) -> None:
+        if estimate is None:
+            return
+        values = estimate.press_N
+        if name == "friction":
+            values = estimate.friction_used.min(axis=1)
+        panel.plot(summary.time_s, values, **style)
 
-    limits = {
-        "press": (
-            ScoreLimits().mean_press_N,
-            "limit of the 0.5 s mean",
-            "press on board [N]",
-            "#6a4c93",
-        ),
-        "friction": (FRICTION_SHARE, "limit", "friction used,\nlesser pad", "#bc6c25"),
-    }
-    limit, limit_label, label, colour = limits[name]
-    if summary.truth is not None:
-        panel.plot(
-            summary.time_s,
-            values(summary.truth),
-            color="k",
-            lw=2.2,
-            alpha=0.25,
-            label="from true forces",
-        )
-    if summary.found is not None:
-        panel.plot(summary.time_s, values(summary.found), color=colour, lw=1.4, label="estimate")
-    panel.axhline(limit, color=BEYOND, lw=0.8, ls="--", label=limit_label)
-    if name == "press":
-        low_N, high_N = ScoreLimits().band_N
-        panel.axhspan(
-            low_N,
-            high_N,
-            color=BAND,
-            alpha=0.12,
-            lw=0,
-            label=f"asked for, {low_N:g} to {high_N:g} N",
-        )
-    panel.set_ylabel(label)
+    colour = {"press": "#6a4c93", "friction": "#bc6c25"}[name]
+    plot(summary.truth, color="k", lw=2.2, alpha=0.25, label="from true forces")
+    plot(summary.found, color=colour, lw=1.4, label="estimate")
+    limit: dict[str, Any] = {"color": BEYOND, "lw": 0.8, "ls": "--"}
+    if name == "friction":
+        panel.axhline(FRICTION_SHARE, label="limit", **limit)
+        panel.set_ylabel("friction used,\nlesser pad")
+        return
+    panel.axhline(ScoreLimits().mean_press_N, label="limit of the 0.5 s mean", **limit)
+    low_N, high_N = ScoreLimits().band_N
+    label = f"asked for, {low_N:g} to {high_N:g} N"
+    panel.axhspan(low_N, high_N, color=BAND, alpha=0.12, lw=0, label=label)
+    panel.set_ylabel("press on board [N]")
 
 
 def _forces(panel: Axes, summary: EpisodeSummary, number: int, finger: str) -> None:

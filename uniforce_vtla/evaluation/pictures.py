@@ -46,9 +46,7 @@ def draw_arms(reports: Sequence[ArmReport], path: Path, title: str) -> Path:
 
 
 def _draw_bar(axes: Axes, place: int, report: ArmReport) -> None:
-    counts = {outcome: report.count(outcome) for outcome in OUTCOME_NAMES} | {
-        "clean": report.count("clean")
-    }
+    counts = {name: report.count(name) for name in (*OUTCOME_NAMES, "clean")}
     counts["wiped, not clean"] = counts["success"] - counts["clean"]
     left = 0.0
     for name, colour in COLOURS.items():
@@ -68,10 +66,12 @@ def write_trace_sheet(path: Path, rollout: Rollout, title: str) -> Path:
     chosen = np.linspace(0, len(rollout.frames) - 1, THUMBNAILS).astype(int)
     rows[0].imshow(np.concatenate([rollout.frames[i] for i in chosen], axis=1))
     rows[0].axis("off")
-    events = [name for name in ("slippage", "excess_force") if getattr(rollout.result, name)]
-    rows[0].set_title(
-        f"{title}: {rollout.result.outcome}{', ' + ', '.join(events) if events else ''}"
-    )
+    facts = [rollout.result.outcome]
+    if rollout.result.slippage:
+        facts.append("slippage")
+    if rollout.result.excess_force:
+        facts.append("excess_force")
+    rows[0].set_title(f"{title}: {', '.join(facts)}")
     trace = rollout.trace
     time_s = np.asarray(trace.time_s)
     rows[1].plot(time_s, trace.press_N, label="press on board")

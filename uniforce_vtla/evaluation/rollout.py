@@ -60,7 +60,7 @@ class Rollout:
 
 
 class ChunkError(RolloutError):
-    """A controller's chunk is none: a fault of the program, which ends the run and not an episode alone."""
+    """A controller's chunk is invalid: a fault of the program, which ends the whole run."""
 
 
 def roll_out(
@@ -68,13 +68,14 @@ def roll_out(
 ) -> Rollout:
     """Run one episode to its end.
 
-    Where a sensor is lost or not healthy, from the first look on, the hand loses its tool, or the policy stops, the
-    robot stops too and the episode is aborted; the next one may go well.
+    The robot stops and the episode is aborted where a sensor is lost or not healthy, the hand loses
+    its tool, or the policy stops. The next episode may go well.
 
-    Raises ChunkError: the controller returned a non-finite or misshapen chunk; the robot is not moved by it.
+    Raises ChunkError: the controller returned a non-finite or misshapen chunk; it isn't executed.
     """
     think_ms: list[float] = []
     frames: list[np.ndarray] = []
+    shown = frames if keep_frames else None
     try:
         observation, _ = env.reset(seed=seed)
     # what the environment still holds is another episode's
@@ -83,7 +84,7 @@ def roll_out(
         return Rollout(seed, _aborted(score_episode(trace), error), trace, np.zeros(0))
     controller.reset(env)
     try:
-        _act(env, controller, observation, think_ms, frames if keep_frames else None)
+        _act(env, controller, observation, think_ms, shown)
         result = env.result()
     except ChunkError:
         raise

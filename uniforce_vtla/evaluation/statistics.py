@@ -53,8 +53,9 @@ def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> PairedTest:
     """
     only_first, only_second = discordant(first, second)
     total = only_first + only_second
-    p_value = float(stats.binomtest(only_first, total).pvalue) if total else 1.0
-    return PairedTest(only_first, only_second, p_value)
+    if total == 0:
+        return PairedTest(0, 0, 1.0)
+    return PairedTest(only_first, only_second, float(stats.binomtest(only_first, total).pvalue))
 
 
 def discordant(first: Sequence[bool], second: Sequence[bool]) -> tuple[int, int]:
@@ -67,25 +68,26 @@ def discordant(first: Sequence[bool], second: Sequence[bool]) -> tuple[int, int]
         raise ContractError(
             expected("paired arms", f"{len(first)} seeds", f"{len(second)} seeds", do)
         )
-    pairs = list(zip(first, second, strict=True))
-    return sum(a and not b for a, b in pairs), sum(b and not a for a, b in pairs)
+    one = np.asarray(first, dtype=bool)
+    two = np.asarray(second, dtype=bool)
+    return int((one & ~two).sum()), int((two & ~one).sum())
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
-    """Return p-values adjusted so that the chance of any false claim in the family stays below α (Holm 1979)."""
+    """Return p-values adjusted for the family of claims (Holm 1979)."""
     order = np.argsort(p_values, kind="stable")
     factors = len(p_values) - np.arange(len(p_values))
     adjusted = np.minimum(np.maximum.accumulate(np.asarray(p_values)[order] * factors), 1.0)
     result = np.empty(len(p_values))
     result[order] = adjusted
-    return [float(p) for p in result]
+    return result.tolist()
 
 
 @dataclass(frozen=True)
 class NonInferiority:
     """Whether an arm is at most ``margin`` worse than its reference.
 
-    ``difference`` is new − reference; ``lower`` its one-sided 95 % bound; ``p_value`` of "worse by the margin".
+    ``difference`` is new − reference; ``lower`` its one-sided 95 % bound; ``p_value`` of the null.
     """
 
     difference: float
@@ -118,23 +120,26 @@ def non_inferior(
     def excess(delta: float) -> float:
         return _tango(only_new, only_reference, n, delta) - quantile
 
-    ends = -1 + 1e-9, 1 - 1e-9
-    lower = -1.0 if excess(ends[0]) < 0 else float(optimize.brentq(excess, *ends))
+    least = -1 + 1e-9
+    lower = -1.0
+    if excess(least) >= 0:
+        lower = float(optimize.brentq(excess, least, 1 - 1e-9))
     z = _tango(only_new, only_reference, n, -margin)
     return NonInferiority((only_new - only_reference) / n, lower, margin, float(stats.norm.sf(z)))
 
 
 def _tango(only_new: int, only_reference: int, n: int, delta: float) -> float:
-    """Return the score statistic for a true difference ``delta``; at 0 it is McNemar's z (Tango 1998, eq. 14)."""
+    """Return the score statistic for a true difference ``delta`` (Tango 1998, eq. 14).
+
+    At 0 it is McNemar's z.
+    """
     b = -only_new - only_reference + (2 * n - only_new + only_reference) * delta
     c = -only_reference * delta * (1 - delta)
     q = (math.sqrt(max(b * b - 8 * n * c, 0.0)) - b) / (4 * n)
     variance = n * (2 * q + delta * (1 - delta))
     shift = only_new - only_reference - n * delta
-    return (
-        shift / math.sqrt(variance)
-        if variance > 1e-12
-        else math.copysign(math.inf, shift)
-        if shift
-        else 0.0
-    )
+    if variance > 1e-12:
+        return shift / math.sqrt(variance)
+    if shift == 0:
+        return 0.0
+    return math.copysign(math.inf, shift)

@@ -4,7 +4,7 @@ from uniforce_vtla.markers.canonicalizer import Canonicalizer
 from uniforce_vtla.markers.mirror import to_canonical, to_finger_frame
 from uniforce_vtla.markers.taxel_render import TaxelScales
 
-# version of what raw signals become; a policy is held to the one it was trained on. 2: cameras' mounting taken out
+# version of the marker images; a policy is held to the one it was trained on
 MARKER_IMAGES = 2
 
 __all__ = ["MARKER_IMAGES", "Canonicalizer", "TaxelScales", "to_canonical", "to_finger_frame"]

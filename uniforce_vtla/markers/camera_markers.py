@@ -1,11 +1,11 @@
-"""Camera frame → markers and their canonical image, by classical filters only (one thread, real time).
+"""Camera frame → markers and their canonical image, by classical filters (one thread, real time).
 
-A frame of any size is scaled to fit 640×480 with its aspect kept, segmented there, and put in the middle of a black
-480×640 image: a 1280×720 frame fills rows 60…419. Markers are white whatever their colour was.
+A frame of any size is scaled to fit 640×480 with its aspect kept, segmented there, and centred on a
+black 480×640 image: a 1280×720 frame fills rows 60…419. Markers are white, whatever their colour.
 
-How markers differ from the gel (which channel, which polarity, which scale) is found, not set. Every candidate is tried
-at half resolution and scored by how much its blobs look like markers: contrast against what is left between them,
-agreement in size, and the even spacing of a pattern. Nothing assumes a grid or a count.
+How markers differ from the gel (channel, polarity, scale) is found, not set. Every candidate is
+tried at half resolution and scored: contrast of its blobs, agreement in size, and the even spacing
+of a pattern. Nothing assumes a grid or a count.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
-from uniforce_vtla.errors import ContractError, SensorError, expected
+from uniforce_vtla.errors import ContractError, SensorError, described, expected
 from uniforce_vtla.markers.marker_blobs import (
     MIN_MARKERS,
     Blobs,
@@ -41,7 +41,7 @@ type Rim = tuple[np.ndarray, float]
 
 @dataclass(frozen=True)
 class Segmentation:
-    """Markers of one camera frame, in px of the frame as ``fit_canonical`` gives it, and how they were found."""
+    """Markers of one camera frame, in px of ``fit_canonical``'s frame, and how they were found."""
 
     blobs: Blobs
     plan: MarkerPlan
@@ -53,7 +53,7 @@ class Segmentation:
         return (self.blobs.markers + _margins(self.blobs.labels)[::-1]).astype(np.float32)
 
     def image(self) -> np.ndarray:
-        """Return the (480, 640) uint8 image in {0, 255}: the markers in the middle of a black canvas."""
+        """Return the (480, 640) uint8 image in {0, 255}: markers centred on a black canvas."""
         mask = marker_mask(self.blobs)
         top, left = _margins(mask)
         image = np.zeros(MARKER_IMAGE_SHAPE, np.uint8)
@@ -88,18 +88,18 @@ def segment(
     # specks of no marker's size don't count against it
     judge = score_blobs if marker_area is None else has_pattern
     if blobs is None or not judge(blobs):
-        came = f"{0 if blobs is None else blobs.keep.sum()} blobs without the spacing of a pattern"
+        count = blobs.keep.sum() if blobs else 0
+        came = f"{count} blobs without the spacing of a pattern"
         do = "Is the gel torn, unlit, or without markers?"
         raise SensorError(expected("camera frame", "markers on the gel", came, do))
     return Segmentation(blobs, plan, rim)
 
 
 def fit_canonical(frame: np.ndarray) -> np.ndarray:
-    """Return an (H, W, 3) uint8 frame scaled to the largest size inside 640×480 with its aspect kept.
+    """Return an (H, W, 3) uint8 frame scaled to the largest size inside 640×480, aspect kept.
 
-    Raises ContractError: wrong type, rank, dtype or size; SensorError: an all-black or completely even frame.
+    Raises ContractError: wrong type, rank, dtype or size; SensorError: a black or even frame.
     """
-    shape, dtype = getattr(frame, "shape", None), getattr(frame, "dtype", type(frame).__name__)
     if (
         not isinstance(frame, np.ndarray)
         or frame.ndim != 3
@@ -107,15 +107,16 @@ def fit_canonical(frame: np.ndarray) -> np.ndarray:
         or frame.dtype != np.uint8
     ):
         do = "Pass the camera's RGB frame, not scaled to floats."
-        raise ContractError(expected("camera frame", "(H, W, 3) uint8", f"{dtype} {shape}", do))
+        raise ContractError(expected("camera frame", "(H, W, 3) uint8", described(frame), do))
     rows, columns = frame.shape[:2]
     if min(rows, columns) < MIN_SIDE_PX:
         wanted = f"at least {MIN_SIDE_PX} px a side"
         raise ContractError(
-            expected("camera frame", wanted, shape, "Check the camera's resolution.")
+            expected("camera frame", wanted, frame.shape, "Check the camera's resolution.")
         )
-    if frame.max() <= BLACK_LEVEL or frame.min() == frame.max():
-        came = "an all-black frame" if frame.max() <= BLACK_LEVEL else "one even colour"
+    is_black = frame.max() <= BLACK_LEVEL
+    if is_black or frame.min() == frame.max():
+        came = "an all-black frame" if is_black else "one even colour"
         raise SensorError(
             expected("camera frame", "a lit gel", came, "Check the sensor's lights and cable.")
         )
@@ -123,17 +124,21 @@ def fit_canonical(frame: np.ndarray) -> np.ndarray:
     if scale == 1:
         return frame
     size = (round(columns * scale), round(rows * scale))
-    return cv2.resize(frame, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+    method = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+    return cv2.resize(frame, size, interpolation=method)
 
 
 def find_rim(blobs: Blobs) -> Rim | None:
     """Return the rim that refused blobs show around the kept ones; None where they show none."""
-    ring = _ring_pixels(blobs) if blobs.keep.sum() >= 4 else np.zeros((0, 2))
+    if blobs.keep.sum() < 4:
+        return None
+    ring = _ring_pixels(blobs)
     if len(ring) < MIN_RING_PX:
         return None
     centre, radius = fit_circle(ring)
     offset = ring - centre
-    distance, angle = np.hypot(*offset.T), np.arctan2(offset[:, 1], offset[:, 0])
+    distance = np.hypot(*offset.T)
+    angle = np.arctan2(offset[:, 1], offset[:, 0])
     bins = np.unique(np.floor((angle / np.pi + 1) / 2 * ARC_BINS).astype(int))
     if len(bins) < MIN_ARC_BINS or distance.std() > 0.06 * radius:
         return None  # scattered reflections don't lie on one circle
@@ -150,7 +155,7 @@ def fit_circle(points: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _ring_pixels(blobs: Blobs) -> np.ndarray:
-    """Return (N, 2) x, y of sampled pixels in refused blobs, no smaller than a marker, outside nearly all markers.
+    """Return (N, 2) x, y of sampled pixels in refused blobs outside nearly all markers.
 
     Smaller ones are crumbs of light: counted as rim, they would draw it over the outer pins.
     """
@@ -172,8 +177,8 @@ CLOSE_SCORE = 0.8  # of the best: among plans this good the narrowest background
 TRIES = 5  # plans tried at full resolution before giving up
 BACKGROUND_PER_SIDE = 1.5  # background width per marker side: narrower hollows markers out
 MIN_INLIERS = 0.5  # share of blobs that agree: pure noise reaches 0.46, patterns 0.75 and more
-# median ratio of second to first neighbour distance: near 1 for rows, grids and hexagons under any smooth distortion
-# (1.13 on a strongly pressed fisheye), 1.41 for points at random and ≥ 1.3 where random blobs keep apart
+# median ratio of second to first neighbour distance: near 1 for rows, grids and hexagons (1.13 on
+# a strongly pressed fisheye), 1.41 for random points, ≥ 1.3 where random blobs keep apart
 MAX_SPACING_RATIO = 1.25
 AMPLE_CONTRAST = 45.0  # typical peak over leftover; more comes from reflections, not from markers
 MIN_SCORE = 40.0  # gels without markers score 0, faint patterns 100 and more
@@ -186,7 +191,7 @@ def has_pattern(blobs: Blobs) -> bool:
 
 
 def _unevenness(blobs: Blobs) -> float:
-    """Return by what factor a kept blob's second neighbour is farther away than its first, the median."""
+    """Return the median ratio of a kept blob's second to its first neighbour's distance."""
     # (M, 3), the first is the point itself
     distance = cKDTree(blobs.markers).query(blobs.markers, k=3)[0]
     return float(np.median(distance[:, 2] / distance[:, 1]))
@@ -216,7 +221,8 @@ def choose_plan(frame: np.ndarray) -> MarkerPlan:
     )
     views = {channel: channel_image(half, channel) for channel in CHANNELS}
     plans = [MarkerPlan(*parts) for parts in product(CHANNELS, (1, -1), BACKGROUNDS_PX)]
-    scores, sides = np.array([_judge_plan(views[plan.channel], plan, 2) for plan in plans]).T
+    judged = [_judge_plan(views[plan.channel], plan, 2) for plan in plans]
+    scores, sides = np.array(judged).T
     best = 0.0
     for index in _by_promise(plans, scores, sides)[:TRIES]:
         score, _ = _judge_plan(channel_image(frame, plans[index].channel), plans[index], 1)
@@ -229,23 +235,22 @@ def choose_plan(frame: np.ndarray) -> MarkerPlan:
 
 
 def _by_promise(plans: list[MarkerPlan], scores: np.ndarray, sides: np.ndarray) -> list[int]:
-    """Return plan indices, first the close ones wide enough for the best plan's markers, narrowest first."""
-    best = plans[int(np.argmax(scores))]
+    """Return plan indices: first the close ones wide enough for the best one's markers.
+
+    Of these the narrowest comes first; the others follow by score.
+    """
+    best = int(np.argmax(scores))
     widths = np.array([plan.background_px for plan in plans])
-    same = np.array([plan.polarity == best.polarity for plan in plans])
-    wide = widths >= BACKGROUND_PER_SIDE * sides[np.argmax(scores)]
+    polarities = np.array([plan.polarity for plan in plans])
+    same = polarities == polarities[best]
+    wide = widths >= BACKGROUND_PER_SIDE * sides[best]
     favoured = same & wide & (scores >= CLOSE_SCORE * scores.max())
-    return sorted(
-        range(len(plans)),
-        key=lambda i: (not favoured[i], widths[i] if favoured[i] else 0, -scores[i]),
-    )
+    return np.lexsort((-scores, widths * favoured, ~favoured)).tolist()
 
 
 def _judge_plan(view: np.ndarray, plan: MarkerPlan, halve: int) -> tuple[float, float]:
-    """Return a plan's score and the side of its markers in canonical px; zeros where it shows none."""
+    """Return a plan's score and its markers' side in canonical px; zeros where it shows none."""
     blobs = find_blobs(view, plan, halve)
-    return (
-        (0.0, 0.0)
-        if blobs is None
-        else (score_blobs(blobs), halve * float(np.sqrt(blobs.marker_area)))
-    )
+    if blobs is None:
+        return 0.0, 0.0
+    return score_blobs(blobs), halve * float(np.sqrt(blobs.marker_area))

@@ -1,4 +1,4 @@
-"""Markers of a recorded film, frame by frame, to look for its free frame among them (``free_frame.pads``)."""
+"""Markers of a recorded film, frame by frame, to find its free frame (``free_frame.pads``)."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -24,7 +24,9 @@ class FilmMarkers:
 
 
 def read_markers(frames: Iterable[np.ndarray], sensor: str) -> FilmMarkers:
-    """Return the markers of a film's (H, W, 3) uint8 RGB frames; the first that can be read says how markers appear.
+    """Return the markers of a film's (H, W, 3) uint8 RGB frames.
+
+    The first readable frame decides how markers appear.
 
     Raises ContractError: frames of a wrong form, or an unknown sensor.
     """

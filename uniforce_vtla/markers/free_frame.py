@@ -1,14 +1,15 @@
 """Find the free-air frame of each film in a session, by the marker pattern of its pad.
 
-One film alone doesn't show it: a steady grasp holds as still as free air, and the most even pattern may be an even
-press. But a pad in free air shows the same pattern in every film, while each object deforms it differently. So the
-pattern that most objects share is the pad's own, and a film's free frame is the one nearest to it.
+One film alone doesn't show it: a steady grasp holds as still as free air, and the most even pattern
+may be an even press. But a pad in free air shows the same pattern in every film, while each object
+deforms it differently. So the pattern that most objects share is the pad's own, and a film's free
+frame is the one nearest to it.
 
-Pads are mounted anew between objects. Patterns are therefore compared up to shift, rotation and scale. Points are
-complex numbers x + iy: a similarity is one factor and one offset, fitted to all pairs of frames in closed form.
+Pads are mounted anew between objects, so patterns are compared up to shift, rotation and scale.
+Points are complex numbers x + iy: a similarity is one factor and one offset, fitted in closed form.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -61,15 +62,14 @@ class _Tracked:
         counts = [len(centres_px) for centres_px in film.centres_px]
         self.base = film.centres_px[int(np.argmax(counts))]  # (M, 2): the frame that shows most
         self.spacing_px = spacing(self.base)
-        self.places = np.array(
-            [_places(self.base, other, self.spacing_px) for other in film.centres_px]
-        )
+        places = [_places(self.base, other, self.spacing_px) for other in film.centres_px]
+        self.places = np.array(places)
 
 
 def pads(films: Sequence[Film]) -> tuple[list[Pad], list[FreeFrame | None]]:
     """Return the pads of a session, and each film's free frame, or None.
 
-    A film has no free frame if it shows contact only, or if fewer than two other objects were filmed with its pad.
+    A film has none if it shows contact only, or if its pad was filmed with too few other objects.
 
     Raises ContractError: no film, or a film without frames.
     """
@@ -78,25 +78,24 @@ def pads(films: Sequence[Film]) -> tuple[list[Pad], list[FreeFrame | None]]:
             expected("films", "one or more, of one frame or more", len(films), "Record a session.")
         )
     tracked = [_Tracked(film) for film in films]
-    shared = _shared_markers(tracked)
-    apart_px = _compare(tracked, shared)
+    shared, apart_px = _compare(tracked)
     found: list[Pad] = []
     free: list[FreeFrame | None] = [None] * len(films)
     left = set(range(len(films)))
     while (common := _commonest(films, apart_px, left)) is not None:
         film, frame = common
-        alike = (other for other in sorted(left) if (film, other) in apart_px)
-        members = tuple(
-            other
-            for other in alike
-            if _shows_print(tracked[film].places[frame], tracked[other], shared[film, other])
-        )
-        for other in members:
-            off_px = apart_px[film, other][frame]
+        pattern = tracked[film].places[frame]
+        members = []
+        for other in sorted(left):
+            pair = film, other
+            if pair not in shared or not _shows_print(pattern, tracked[other], shared[pair]):
+                continue
+            members.append(other)
+            off_px = apart_px[pair][frame]
             best = int(np.argmin(off_px))
             if off_px[best] < SAME_px:
                 free[other] = FreeFrame(other, best, float(off_px[best]), len(found))
-        found.append(Pad(films[film].centres_px[frame], members))
+        found.append(Pad(films[film].centres_px[frame], tuple(members)))
         left -= set(members)
     return found, free
 
@@ -106,23 +105,22 @@ def borrowed(
 ) -> list[FreeFrame | None]:
     """Return ``free`` with gaps filled by a free frame of the same pad; None if that pad has none.
 
-    A film of the same object comes first: pads sit elsewhere once they were mounted anew. On real films such a frame
-    lies .7 to .9 px (median) from the film's own, any other of the pad 1 px, and one in ten 2 and 4 px.
+    A film of the same object comes first, for pads are mounted anew between objects. On real films
+    its frame lies .7 to .9 px (median) from the film's own, any other of the pad 1 px.
     """
     whole = list(free)
     for pad in pads:
         own = [frame for film in pad.films if (frame := free[film]) is not None]
+        own.sort(key=lambda frame: frame.off_px)
         for film in pad.films:
             if free[film] is None and own:
                 held = films[film].held
-                whole[film] = min(
-                    own, key=lambda frame: (films[frame.film].held != held, frame.off_px)
-                )
+                whole[film] = min(own, key=lambda frame: films[frame.film].held != held)
     return whole
 
 
 def _places(base: np.ndarray, centres_px: np.ndarray, spacing_px: float) -> np.ndarray:
-    """Return the (M,) complex places of ``base``'s (M, 2) markers in another frame, NaN where one isn't found."""
+    """Return (M,) complex places of ``base``'s (M, 2) markers in another frame, NaN if missing."""
     distance, nearest = cKDTree(centres_px).query(base)
     back = cKDTree(base).query(centres_px)[1]
     is_found = (distance < REACH * spacing_px) & (back[nearest] == np.arange(len(base)))
@@ -130,40 +128,36 @@ def _places(base: np.ndarray, centres_px: np.ndarray, spacing_px: float) -> np.n
     return np.where(is_found, places, np.nan)
 
 
-def _shared_markers(
+def _compare(
     tracked: Sequence[_Tracked],
-) -> dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]:
-    """Return (film, film) → matching marker indices, for films of one marker layout, in both orders."""
-    found = {}
+) -> tuple[dict[tuple[int, int], tuple[np.ndarray, np.ndarray]], dict[tuple[int, int], np.ndarray]]:
+    """Return matching marker indices and (frames, frames) rms distances in px by (film, film).
+
+    Both orders of two films of one layout are there.
+    """
+    shared = {}
+    apart_px = {}
     for one, first in enumerate(tracked):
         for other, second in enumerate(tracked[: one + 1]):
             pairs = _same_markers(first, second)
             if pairs is not None:
-                found[one, other] = pairs
-                found[other, one] = pairs[::-1]
-    return found
-
-
-def _compare(
-    tracked: Sequence[_Tracked], shared: Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]
-) -> dict[tuple[int, int], np.ndarray]:
-    """Return (film, film) → (frames, frames) rms distances in px, in both orders."""
-    found = {}
-    for (one, other), (markers, others) in shared.items():
-        if other <= one:
-            apart_px = _apart_px(tracked[one].places[:, markers], tracked[other].places[:, others])
-            found[one, other] = apart_px
-            found[other, one] = apart_px.T
-    return found
+                px = _apart_px(first.places[:, pairs[0]], second.places[:, pairs[1]])
+                shared[one, other] = pairs
+                shared[other, one] = pairs[::-1]
+                apart_px[one, other] = px
+                apart_px[other, one] = px.T
+    return shared, apart_px
 
 
 def _same_markers(first: _Tracked, second: _Tracked) -> tuple[np.ndarray, np.ndarray] | None:
     """Return matching marker indices of two films, up to a similarity; None if too few match."""
-    points, others = first.base.astype(np.float64), second.base.astype(np.float64)
+    points = first.base.astype(np.float64)
+    others = second.base.astype(np.float64)
     most = max(len(points), len(others))
     if min(len(points), len(others)) < SHARED * most:
         return None
-    moved, reach_px = points, REACH * second.spacing_px
+    moved = points
+    reach_px = REACH * second.spacing_px
     for _ in range(ROUNDS):
         distance, nearest = cKDTree(others).query(moved)
         near = distance < reach_px
@@ -175,11 +169,13 @@ def _same_markers(first: _Tracked, second: _Tracked) -> tuple[np.ndarray, np.nda
         moved = points @ matrix[:, :2].T + matrix[:, 2]
     is_alone = np.bincount(nearest, minlength=len(others))[nearest] == 1
     numbers = np.flatnonzero(near & is_alone)
-    return (numbers, nearest[numbers]) if len(numbers) >= SHARED * most else None
+    if len(numbers) < SHARED * most:
+        return None
+    return numbers, nearest[numbers]
 
 
 def _shows_print(frame: np.ndarray, film: _Tracked, pairs: tuple[np.ndarray, np.ndarray]) -> bool:
-    """Return whether a film shows the printed pad of another film's frame, (M,) complex px, outside its contact area.
+    """Return whether a film shows the printed pad of a frame (M,), complex px, outside contact.
 
     Pads of one layout differ by a few pixels in print.
     """
@@ -188,9 +184,8 @@ def _shows_print(frame: np.ndarray, film: _Tracked, pairs: tuple[np.ndarray, np.
         both = np.isfinite(pattern) & np.isfinite(places)
         if both.sum() < PRINT_SHARE * len(pattern):
             continue
-        here, there = (
-            np.column_stack([one[both].real, one[both].imag]) for one in (pattern, places)
-        )
+        here = pattern[both].view(np.float64).reshape(-1, 2)
+        there = places[both].view(np.float64).reshape(-1, 2)
         _, inliers = cv2.estimateAffinePartial2D(here, there, ransacReprojThreshold=SAME_px)
         if inliers is not None and inliers.sum() >= PRINT_SHARE * len(pattern):
             return True
@@ -198,12 +193,14 @@ def _shows_print(frame: np.ndarray, film: _Tracked, pairs: tuple[np.ndarray, np.
 
 
 def _apart_px(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the rms distance of frames (F, M) from frames (G, M), complex px, after the best similarity: (F, G)."""
-    seen, also = (np.isfinite(places) for places in (first, second))
-    a, b = np.where(seen, first, 0), np.where(also, second, 0)
-    w, v = seen.astype(np.float64), also.astype(np.float64)
+    """Return (F, G) rms distances of frames (F, M) and (G, M), complex px, after a similarity."""
+    a = np.nan_to_num(first)
+    b = np.nan_to_num(second)
+    w = np.isfinite(first).astype(np.float64)
+    v = np.isfinite(second).astype(np.float64)
     count = np.maximum(w @ v.T, 1)
-    a_sum, b_sum = a @ v.T, w @ b.T
+    a_sum = a @ v.T
+    b_sum = w @ b.T
     aa = (np.abs(a) ** 2) @ v.T - np.abs(a_sum) ** 2 / count
     bb = w @ (np.abs(b) ** 2).T - np.abs(b_sum) ** 2 / count
     ab = a.conj() @ b.T - a_sum.conj() * b_sum / count

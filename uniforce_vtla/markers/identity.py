@@ -1,8 +1,8 @@
-"""Is this the sensor it is said to be? Asked when a finger connects, before a policy acts on what it measures.
+"""Check that a sensor is the one named, when a finger connects.
 
-Marker counts differ by a third between units of one kind (real GelSights here show 64 to 108), so the count is only
-held to half and double. The outline tells a dome from a flat gel: the outermost marker lies 1.34 median radii from the
-middle of a disc, and 1.56 to 1.70 of a rectangle (simulated and real sensors).
+Marker counts differ by a third between units of one type (real GelSights show 64 to 108), so the
+count is only held to half and double. The outline tells a dome from a flat gel. The outermost
+marker lies 1.34 median radii from the middle of a disc, and 1.56 to 1.70 of a rectangle.
 """
 
 import numpy as np
@@ -30,13 +30,18 @@ def why_not(spec: SensorSpec, centres_px: np.ndarray, name: str) -> str | None:
         name: how the message calls it.
     """
     layout_px = spec.layout_mm * np.asarray(spec.px_per_mm)
-    wanted, came = outline(layout_px), outline(centres_px)
-    count, found = len(layout_px), len(centres_px)
+    wanted = outline(layout_px)
+    came = outline(centres_px)
+    count = len(layout_px)
+    found = len(centres_px)
     if (
         abs(wanted - came) <= OUTLINE_TOLERANCE
         and count / COUNT_RATIO <= found <= count * COUNT_RATIO
     ):
         return None
     looks = f"about {count} markers of outline {wanted:.2f} (1.34 a disc, 1.6 a rectangle)"
-    do = "Another sensor answers: check cable and config. A unit that does look so: check_identity=false."
+    do = (
+        "Another sensor answers: check cable and config. "
+        "A unit that does look so: check_identity=false."
+    )
     return expected(name, looks, f"{found} of {came:.2f}", do)

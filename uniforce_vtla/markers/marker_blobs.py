@@ -1,4 +1,4 @@
-"""Blobs that stand out in a camera frame, and which of them are markers: filters and shape checks."""
+"""Blobs that stand out in a camera frame, and which of them are markers."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ISOLATION_MAX = 2.6  # of the median neighbour distance: lone blobs go
 
 @dataclass(frozen=True)
 class MarkerPlan:
-    """One way to see the markers: a channel, a polarity (+1 bright, −1 dark) and a background width in px."""
+    """One way to see markers: channel, polarity (+1 bright, −1 dark), background width in px."""
 
     channel: str
     polarity: int
@@ -88,9 +88,9 @@ def find_blobs(
 ) -> Blobs | None:
     """Return the blobs of ``view`` under ``plan``; None where nothing stands out or no two agree.
 
-    ``halve`` is 2 when the view is at half the canonical resolution. ``marker_area`` is a marker's px² where a
-    reference says it; else most blobs decide, and specks of a fuzzy object may outvote the markers. The threshold is
-    local: half of the strongest response nearby, so that vignetting and blur don't change a marker's size.
+    ``halve`` is 2 when the view is at half the canonical resolution. ``marker_area`` is a marker's
+    px² in a reference; without it most blobs decide, and specks of a fuzzy object may outvote
+    markers. The threshold is half of the strongest response nearby, whatever light and focus.
     """
     width = plan.background_px // halve | 1
     side = max(3, int(SMOOTH_FRACTION * width) | 1)
@@ -104,7 +104,8 @@ def find_blobs(
         smooth = _tame_outliers(smooth, width, plan.polarity * typical)
         response = _response(smooth, cv2.blur(smooth, (width, width)), plan.polarity)
         nearby = cv2.dilate(response, np.ones((width // 3 | 1, width // 3 | 1), np.uint8))
-    floor, ceiling = FLOOR_FRACTION * typical, CEILING_FRACTION * typical
+    floor = FLOOR_FRACTION * typical
+    ceiling = CEILING_FRACTION * typical
     threshold = np.clip(np.arange(256) * PEAK_FRACTION, floor, ceiling).astype(np.uint8)
     mask = cv2.compare(response, cv2.LUT(nearby, threshold), cv2.CMP_GT)
     edge = np.clip(np.arange(256) * EDGE_FRACTION, EDGE_FRACTION * floor, ceiling).astype(np.uint8)
@@ -115,20 +116,21 @@ def find_blobs(
     leftover = cv2.mean(response, cv2.bitwise_not(mask))[0]
     keep = _alike(boxes[1:], mask.shape, marker_area)
     keep = _has_neighbours(centres[1:], keep)
-    return (
-        Blobs(labels, boxes[1:], centres[1:], typical, leftover, foot, keep) if keep.any() else None
-    )
+    if not keep.any():
+        return None
+    return Blobs(labels, boxes[1:], centres[1:], typical, leftover, foot, keep)
 
 
 def _alike(
     boxes: np.ndarray, shape: tuple[int, ...], marker_area: float | None = None
 ) -> np.ndarray:
-    """Return (N,) bool: blobs in an image of (h, w) that agree in size and shape with the rest, or with a marker."""
+    """Return (N,) bool: blobs in an (h, w) image that agree in size and shape with most others."""
     left, top, width, height, area = boxes.T
     solid = area >= 4
     if solid.sum() < MIN_MARKERS:
         return np.zeros(len(area), bool)
-    median, sides = marker_area or np.median(area[solid]), boxes[:, 2:4].astype(float)
+    median = marker_area or np.median(area[solid])
+    sides = boxes[:, 2:4].astype(float)
     # a blob at one border may be a cut marker, one at two is a dark corner
     touched = [left == 0, top == 0, left + width == shape[1], top + height == shape[0]]
     borders = np.sum(touched, axis=0)
@@ -142,20 +144,18 @@ def _alike(
     shapely = elongation <= ELONGATION_MAX * np.median(elongation[voters])
     cut = (borders == 1) & (sides.max(axis=1) <= CUT_SIDE_MAX * np.sqrt(median))
     extent = area / sides.prod(axis=1)
-    return (
-        sized & (shapely | cut) & (borders < 2) & (extent >= MIN_EXTENT * np.median(extent[voters]))
-    )
+    full = extent >= MIN_EXTENT * np.median(extent[voters])
+    return sized & (shapely | cut) & (borders < 2) & full
 
 
 def marker_mask(blobs: Blobs) -> np.ndarray:
     """Return the (h, w) mask in {0, 255} of the kept blobs, grown out to the markers' edges.
 
-    Growth stays inside the foot and within ``GROW_PX``, less where markers stand close. So blurred markers gain their
-    skirts and sharp ones keep their size.
+    Growth stays inside the foot and within ``GROW_PX``, less where markers stand close. Blurred
+    markers gain their skirts, sharp ones keep their size.
     """
-    mask = np.take(
-        np.concatenate([[0], np.where(blobs.keep, 255, 0)]).astype(np.uint8), blobs.labels
-    )
+    white = np.concatenate([[False], blobs.keep]) * np.uint8(255)  # by label
+    mask = np.take(white, blobs.labels)
     grow = min(GROW_PX, int(spacing(blobs.markers) / GROW_SPACING_PX))
     if grow == 0:
         return mask
@@ -169,15 +169,19 @@ def spacing(points: np.ndarray) -> float:
 
 
 def _response(smooth: np.ndarray, background: np.ndarray, polarity: int) -> np.ndarray:
-    """Return the one-sided difference of box filters, uint8: how far a pixel stands out in its surroundings."""
-    return cv2.subtract(smooth, background) if polarity > 0 else cv2.subtract(background, smooth)
+    """Return how far pixels stand out in their surroundings, uint8: a one-sided difference."""
+    if polarity > 0:
+        return cv2.subtract(smooth, background)
+    return cv2.subtract(background, smooth)
 
 
 def _tame_outliers(smooth: np.ndarray, width: int, amplitude: float) -> np.ndarray:
-    """Return ``smooth`` held within the range that markers of signed ``amplitude`` and gel explain."""
+    """Return ``smooth`` held within the range that gel and markers of ``amplitude`` explain."""
     background = cv2.blur(smooth, (width, width))
-    beyond, against = OUTLIER_FRACTION * abs(amplitude), AGAINST_FRACTION * abs(amplitude)
-    above, below = (beyond, against) if amplitude > 0 else (against, beyond)
+    above = OUTLIER_FRACTION * abs(amplitude)
+    below = AGAINST_FRACTION * abs(amplitude)
+    if amplitude <= 0:
+        above, below = below, above
     levels = np.arange(256)  # tables: OpenCV adds scalars to images the slow way
     highest = cv2.LUT(background, np.clip(levels + above, 0, 255).astype(np.uint8))
     lowest = cv2.LUT(background, np.clip(levels - below, 0, 255).astype(np.uint8))
@@ -185,18 +189,19 @@ def _tame_outliers(smooth: np.ndarray, width: int, amplitude: float) -> np.ndarr
 
 
 def _typical_peak(peaks: np.ndarray) -> float:
-    """Return the median of the stronger of two groups of peaks (Otsu's split in log amplitude); 0 if too few."""
+    """Return the median of the stronger of two groups of peaks (Otsu, log amplitude); 0 if few."""
     histogram = np.bincount(peaks, minlength=256).astype(float)
     if histogram.sum() < 4:
         return 0.0
     level = np.log(np.maximum(np.arange(256), 1))
-    count, mass = np.cumsum(histogram), np.cumsum(histogram * level)
-    below, above = np.maximum(count, 1), np.maximum(count[-1] - count, 1)
+    count = np.cumsum(histogram)
+    mass = np.cumsum(histogram * level)
+    below = np.maximum(count, 1)
+    above = np.maximum(count[-1] - count, 1)
     between = count * (count[-1] - count) * ((mass[-1] - mass) / above - mass / below) ** 2
-    strong = (
-        histogram * (np.arange(256) > int(np.argmax(between))) if between.max() > 0 else histogram
-    )
-    return float(np.searchsorted(np.cumsum(strong), strong.sum() / 2))
+    if between.max() > 0:
+        histogram[: np.argmax(between) + 1] = 0
+    return float(np.searchsorted(np.cumsum(histogram), histogram.sum() / 2))
 
 
 def _has_neighbours(centres: np.ndarray, keep: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ MISSED = 0.5
 
 
 class MarkerHold:
-    """Fills missed markers of a stream in, each from the last image that showed it, for a few frames.
+    """Fills missed markers of a stream in from the last image that showed them, for a few frames.
 
     Args:
         spacing_px: between neighbouring markers.
@@ -19,22 +19,25 @@ class MarkerHold:
     """
 
     def __init__(self, spacing_px: float, frames: int = HOLD_FRAMES) -> None:
-        self._reach_px, self._frames = MISSED * spacing_px, frames
+        self._reach_px = MISSED * spacing_px
+        self._frames = frames
         self._image = np.zeros((0, 0), np.uint8)
-        self._centres_px, self._missed_for = np.zeros((0, 2)), np.zeros(0, int)
+        self._centres_px = np.zeros((0, 2))
+        self._missed_for = np.zeros(0, int)
 
     def missed(self, centres_px: np.ndarray) -> np.ndarray:
         """Return which remembered markers none of (M, 2) is near, as far as they are still held."""
         away = cKDTree(centres_px).query(self._centres_px)[0] > self._reach_px
         held = np.flatnonzero(away & (self._missed_for < self._frames))
-        return held if away.sum() <= MOST * len(away) else held[:0]
+        if away.sum() > MOST * len(away):
+            return held[:0]
+        return held
 
     def fill(self, image: np.ndarray, centres_px: np.ndarray) -> int:
         """Draw the missed markers into an (H, W) uint8 image of (M, 2) markers; return how many."""
         held = [k for k in self.missed(centres_px) if self._draw(image, self._centres_px[k])]
-        self._missed_for = np.concatenate(
-            [np.zeros(len(centres_px), int), self._missed_for[held] + 1]
-        )
+        seen = np.zeros(len(centres_px), int)
+        self._missed_for = np.concatenate([seen, self._missed_for[held] + 1])
         self._centres_px = np.concatenate([centres_px, self._centres_px[held]])
         self._image = image.copy()
         return len(held)
@@ -44,7 +47,8 @@ class MarkerHold:
         low = np.maximum(np.floor(centre_px - self._reach_px), 0).astype(int)
         high = np.ceil(centre_px + self._reach_px).astype(int) + 1
         window = slice(low[1], high[1]), slice(low[0], high[0])
-        last, now = self._image[window], image[window]
+        last = self._image[window]
+        now = image[window]
         if (last & now).any():
             return False
         now |= last

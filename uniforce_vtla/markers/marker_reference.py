@@ -1,9 +1,9 @@
 """The markers of a free-air frame, remembered: later frames of that camera are held against them.
 
-Lost markers need no correspondence: they are counted. A marker of the current frame is an extra where no reference
-marker lies within reach, where it stands between markers that hardly moved, or on a reflection that the reference
-showed. So a marker which the reference missed stays, as does a new reflection on a pattern in motion: a sheared dome's
-pin passes the place of its neighbour. A reflection may pass for a marker lost beside it.
+Lost markers are counted, without correspondence. A marker of the current frame is an extra where no
+reference marker lies within reach, where it stands between markers that hardly moved, or on a
+reflection of the reference. A marker which the reference missed stays; so does a new reflection on
+a moving pattern, because a sheared dome's pin passes its neighbour's place.
 """
 
 import warnings
@@ -39,7 +39,7 @@ class MarkerMatch:
 
 
 class MarkerReference:
-    """Reads frames as the free-air frame was read: same polarity, scale and rim, and the same markers.
+    """Reads frames as the free-air frame was read: same polarity, scale, rim and markers.
 
     Args:
         frame: (H, W, 3) uint8 RGB, in free air.
@@ -47,8 +47,8 @@ class MarkerReference:
         counts: fewest and most markers the sensor may have.
         warn_share: of the markers lost, which is warned of once.
 
-    Raises ContractError: wrong shape or dtype; SensorError: a dark frame, no markers, or a number of them that isn't
-    this sensor's.
+    Raises ContractError: wrong shape or dtype; SensorError: a dark frame, no markers, or another
+    number of them than this sensor has.
     """
 
     def __init__(
@@ -63,9 +63,12 @@ class MarkerReference:
             wanted = f"{counts[0]} to {counts[1]} markers"
             do = "Is it this sensor's own picture, and in focus?"
             raise SensorError(expected("reference frame", wanted, len(points), do))
-        self._dome, self._warn_share, self._warned = dome, warn_share, False
+        self._dome = dome
+        self._warn_share = warn_share
+        self._warned = False
         self._shape = frame.shape
-        self._tree, self.spacing_px = cKDTree(points), spacing(points)
+        self._tree = cKDTree(points)
+        self.spacing_px = spacing(points)
         self.plan = self._found.plan
         self.centres_px = self._found.centres_px  # (M, 2), of ``image``
         self.image = self._found.image()  # (480, 640) uint8 in {0, 255}
@@ -75,11 +78,11 @@ class MarkerReference:
     ) -> tuple[np.ndarray, MarkerMatch]:
         """Return the (480, 640) uint8 image in {0, 255} of a frame's markers, and how they match.
 
-        Other channels are tried where 20 % of the markers are lost. Markers that ``hold`` then fills in are not lost.
-        Warns once at ``warn_share``.
+        Other channels are tried where 20 % of the markers are lost. Markers that ``hold`` fills in
+        are not lost. Warns once at ``warn_share``.
 
-        Raises ContractError: wrong dtype, or another shape than the reference's: its lens or crop may differ;
-        SensorError: a dark frame, no markers, 25 % of the reference's lost, or more extras than those.
+        Raises ContractError: wrong dtype, or another shape than the reference's; SensorError: a
+        dark frame, no markers, 25 % of the reference's lost, or more extras than markers.
         """
         working = fit_canonical(frame)
         if frame.shape != self._shape:
@@ -105,16 +108,13 @@ class MarkerReference:
     def _best(
         self, working: np.ndarray, hold: MarkerHold | None
     ) -> tuple[Segmentation, MarkerMatch]:
-        """Return the markers of the first way to look that suffice with those held, else of the one that shows most."""
-        seen, failures = [], []
+        """Return the first reading with enough markers, held ones included, else the fullest."""
+        seen = []
+        failures = []
         own = self.plan.channel
-        size = self._found.blobs.marker_area
-        # specks may outvote the markers, so the reference says next how large one is; then come other channels
-        ways = [
-            (own, None),
-            (own, size),
-            *((channel, None) for channel in RETRIES if channel != own),
-        ]
+        # specks may outvote markers, so next the reference gives the size; then other channels
+        ways = [(own, None), (own, self._found.blobs.marker_area)]
+        ways += [(channel, None) for channel in RETRIES if channel != own]
         for channel, marker_area in ways:
             try:
                 plan = replace(self.plan, channel=channel)
@@ -138,9 +138,8 @@ class MarkerReference:
         extra = self._extras(found.blobs.markers)
         dropped = int(extra.sum())
         matched = min(self._tree.n, len(extra) - dropped)
-        return replace(found, blobs=found.blobs.without(extra)), MarkerMatch(
-            matched, self._tree.n - matched, dropped
-        )
+        match = MarkerMatch(matched, self._tree.n - matched, dropped)
+        return replace(found, blobs=found.blobs.without(extra)), match
 
     def _extras(self, points: np.ndarray) -> np.ndarray:
         """Return (M,) bool: which of (M, 2) points match no marker of the reference."""
@@ -159,12 +158,13 @@ class MarkerReference:
         surplus = len(points) - int(extra.sum()) - self._tree.n
         if surplus > 0 and len(self._reflections):
             offset = cKDTree(self._reflections).query(points)[0] / self.spacing_px
-            extra[[i for i in np.argsort(offset)[:surplus] if offset[i] < SAME_PLACE]] = True
+            nearest = np.argsort(offset)[:surplus]
+            extra[nearest[offset[nearest] < SAME_PLACE]] = True
         return extra
 
 
 def between_markers(points: np.ndarray, asked: np.ndarray) -> np.ndarray:
-    """Return which of the (M,) bool ``asked`` of (M, 2) points stand between others of a pattern, as reflections do.
+    """Return which of the (M,) bool ``asked`` of (M, 2) points stand between others of a pattern.
 
     Such a point is nearer to two others than each of these is to its own second neighbour.
     """

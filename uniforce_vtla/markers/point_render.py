@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 from scipy.spatial import cKDTree
 
-from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.errors import ContractError, described, expected
 from uniforce_vtla.markers.raster import CENTRE_PX
 from uniforce_vtla.markers.taxel_render import TaxelDiscs
 from uniforce_vtla.sensors import SensorSpec, get_sensor
@@ -22,15 +22,12 @@ PRESSED_MM = -0.05
 def check_points(points_mm: np.ndarray, name: str, wanted: tuple[int, ...]) -> np.ndarray:
     """Return (N, 3) displacements in mm as float64.
 
-    Raises ContractError: not a float array of the ``wanted`` shape, not finite, or further than any pad yields.
+    Raises ContractError: no float array of the ``wanted`` shape, not finite, or too far.
     """
-    shape, dtype = (
-        getattr(points_mm, "shape", None),
-        getattr(points_mm, "dtype", type(points_mm).__name__),
-    )
-    if not isinstance(points_mm, np.ndarray) or shape != wanted or points_mm.dtype.kind != "f":
+    is_array = isinstance(points_mm, np.ndarray)
+    if not is_array or points_mm.shape != wanted or points_mm.dtype.kind != "f":
         do = "Pass displacements in mm, one row (x, y, z) per point."
-        raise ContractError(expected(name, f"floats {wanted}", f"{dtype} {shape}", do))
+        raise ContractError(expected(name, f"floats {wanted}", described(points_mm), do))
     if not (np.abs(points_mm) <= MOST_MM).all():  # NaN is not
         came = f"{np.abs(points_mm).max():g} mm"
         raise ContractError(
@@ -46,7 +43,7 @@ def is_pressed(moved_mm: np.ndarray) -> bool:
 
 
 def place_points(moved_mm: np.ndarray, spec: SensorSpec) -> TaxelDiscs:
-    """Return the discs that (N, 3) displacements from the reference are drawn as; x right, y down, z into the pad."""
+    """Return the discs of (N, 3) displacements from the reference; x right, y down, z in."""
     mean, stretch = _of_markers(spec.name)
     moved = mean @ moved_mm
     nearer = moved[:, 2] / CAMERA_MM  # what is pressed towards the camera looks larger
@@ -61,7 +58,7 @@ def place_points(moved_mm: np.ndarray, spec: SensorSpec) -> TaxelDiscs:
 
 @cache
 def _of_markers(sensor: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return (M, N) weights for the mean of a marker's points, and (2, M, N) for their stretch along x and y."""
+    """Return (M, N) weights of a marker's mean motion, (2, M, N) of its stretch in x and y."""
     spec = get_sensor(sensor)
     assert spec.points is not None
     owner = cKDTree(spec.layout_mm).query(spec.points.place_mm)[1]

@@ -1,4 +1,4 @@
-"""Fill many squares and discs into a batch of binary images, exactly mirror-symmetric and without loops; overlay two.
+"""Fill squares and discs into binary images, exactly mirror-symmetric and without loops.
 
 Each shape is cut into row spans; the pixels of all spans are listed and set in one go.
 """
@@ -14,7 +14,7 @@ _STEP = 16.0
 
 
 def fill_discs(centre_px: np.ndarray, diameter_px: np.ndarray) -> np.ndarray:
-    """Return (B, 480, 640) uint8 with discs at (B, M, 2) centres of (B, M) diameters; NaN centres are skipped."""
+    """Return (B, 480, 640) uint8 with discs at (B, M, 2) centres, (B, M) diameters; NaN: none."""
     offset, half = _quantise(centre_px, diameter_px)
     y, rows = _rows(offset[..., 1], half)
     dy = y - offset[..., 1, None]
@@ -26,16 +26,19 @@ def fill_discs(centre_px: np.ndarray, diameter_px: np.ndarray) -> np.ndarray:
 def fill_squares(
     centre_px: np.ndarray, side_px: np.ndarray, rotation_rad: float = 0.0
 ) -> np.ndarray:
-    """Return (B, 480, 640) uint8 with squares of (B, M) sides, all turned by ``rotation_rad`` (x towards y)."""
+    """Return (B, 480, 640) uint8 with squares of (B, M) sides, all turned alike (x towards y)."""
     offset, half = _quantise(centre_px, side_px)
-    cos, sin = np.cos(rotation_rad), np.sin(rotation_rad)
+    cos = np.cos(rotation_rad)
+    sin = np.sin(rotation_rad)
     y, rows = _rows(offset[..., 1], half * (abs(cos) + abs(sin)))
     dy = y - offset[..., 1, None]
     wide = half[..., None]
-    low, high = (-wide - dy * sin) / cos, (wide - dy * sin) / cos
+    low = (-wide - dy * sin) / cos
+    high = (wide - dy * sin) / cos
     if abs(sin) > 1e-6:
         ends = np.sort(np.stack([(dy * cos - wide) / sin, (dy * cos + wide) / sin]), axis=0)
-        low, high = np.maximum(low, ends[0]), np.minimum(high, ends[1])
+        low = np.maximum(low, ends[0])
+        high = np.minimum(high, ends[1])
         inside = rows & (low <= high)
     else:
         inside = rows & (np.abs(dy) <= wide)
@@ -44,7 +47,7 @@ def fill_squares(
 
 
 def _quantise(centre_px: np.ndarray, size_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return offsets from the image centre (B, M, 2) and half sizes (B, M), both on exact binary fractions."""
+    """Return offsets from the image centre (B, M, 2) and half sizes (B, M), exact in binary."""
     offset = np.round((centre_px - CENTRE_PX) * _STEP) / _STEP
     # + ½ step: never ties with a pixel centre
     half = (np.floor(size_px * 0.5 * _STEP) + 0.5) / _STEP
@@ -53,7 +56,7 @@ def _quantise(centre_px: np.ndarray, size_px: np.ndarray) -> tuple[np.ndarray, n
 
 
 def _rows(y_offset: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return candidate rows (B, M, K) as offsets from the centre, and whether each is inside the image."""
+    """Return candidate rows (B, M, K) as offsets from the centre, and which lie in the image."""
     top = np.ceil(y_offset - half - 0.5) + 0.5  # pixel rows lie at half-integers from the centre
     K = max(int(np.ceil(2 * half.max(initial=0))) + 1, 1)
     y = top[..., None] + np.arange(K)
@@ -77,5 +80,5 @@ def _fill(y: np.ndarray, low: np.ndarray, high: np.ndarray, inside: np.ndarray) 
 
 
 def overlay(reference: np.ndarray, current: np.ndarray) -> np.ndarray:
-    """Return (H, W, 3) uint8: markers where they were cyan, where they are red, where both white; on black."""
+    """Return (H, W, 3) uint8: markers of the reference cyan, of the current red, of both white."""
     return np.stack([current, reference, reference], axis=-1)

@@ -1,14 +1,14 @@
-"""One scale and one place for every camera: its lens is taken out of its marker images, then how it is mounted.
+"""One scale and one place for every camera: remove its lens, then its mounting.
 
-*Scale.* A wider lens shrinks every motion, and a picture alone doesn't tell a near small gel from a far large one: a
-tokenizer misreads the newtons behind a lens it never saw (docs/experiments/tokenizer.md). The px/mm of a camera on its
-pad is known from the data sheet, so marker images of flat gels and of domes come at the scale of the GelSight and
-the TacTip that pretraining is centred on. Taxels are rendered, not seen, and keep their own.
+*Scale.* A wider lens shrinks every motion, and a picture alone doesn't tell a near small gel from a
+far large one: a tokenizer misreads newtons behind an unseen lens (docs/experiments/tokenizer.md).
+A camera's px/mm is on its data sheet, so flat gels and domes come at the scale of the GelSight and
+the TacTip. Taxels are rendered and keep their own.
 
-*Place.* Units of one kind differ by how the pattern was moulded and how the camera was mounted: shifted by 1 mm, turned
-by 5°, 6 % nearer, 3° off square. Over ten simulated TacTips the shipped tokenizer and head read the same press with
-14 % of scatter, and with the pattern in its place with 7 % (docs/experiments/tokenizer.md). The place is found in the
-reference, by matching its markers to the drawing's. A pattern that isn't the drawing's is left where it is.
+*Place.* Units of one type differ by moulding and mounting: shifted by 1 mm, turned by 5°, 6 %
+nearer, 3° off square. Ten simulated TacTips read the same press with 14 % of scatter, and with the
+pattern in its place with 7 %. The place is found by matching the reference's markers to the
+drawing's. Another pattern than the drawing's is left where it is.
 """
 
 import logging
@@ -21,13 +21,14 @@ from uniforce_vtla.markers.marker_blobs import spacing
 from uniforce_vtla.markers.raster import CENTRE_PX
 from uniforce_vtla.sensors import SensorSpec, get_sensor
 
-# the others are brought to
-FLAT, DOME = get_sensor("gelsight").px_per_mm, get_sensor("tactip").px_per_mm
+# flat gels and domes are brought to these scales
+FLAT = get_sensor("gelsight").px_per_mm
+DOME = get_sensor("tactip").px_per_mm
 SAME = 1e-3  # zooms closer to 1 than this leave the image untouched
 
 
 def nominal_zoom(spec: SensorSpec) -> tuple[float, float]:
-    """Return the (x, y) factors that bring a sensor's marker images to nominal scale; (1, 1) for taxels and points."""
+    """Return the (x, y) factors that bring marker images to nominal scale; 1 without camera."""
     if spec.signal != "camera":
         return 1.0, 1.0
     nominal = FLAT if spec.dome_radius_mm is None else DOME
@@ -40,19 +41,19 @@ def is_nominal(spec: SensorSpec) -> bool:
 
 
 def to_nominal_scale(images: np.ndarray, spec: SensorSpec) -> np.ndarray:
-    """Return (..., H, W) uint8 marker images in {0, 255} at nominal scale, zoomed about their centre.
+    """Return (..., H, W) uint8 marker images in {0, 255} at nominal scale.
 
-    What leaves the frame is cut, what enters is black; the images come back as they are where nothing changes.
+    They are zoomed about the centre: overflow is cut, gaps are black.
     """
     if is_nominal(spec):
         return images
-    zoom, size = np.array(nominal_zoom(spec)), images.shape[:-3:-1]
+    zoom = np.array(nominal_zoom(spec))
+    size = images.shape[:-3:-1]  # (W, H)
     matrix = np.column_stack([np.diag(zoom), (1 - zoom) * (np.array(size) - 1) / 2])
-    flat = images.reshape(-1, *images.shape[-2:])
-    smooth = np.stack(
-        [cv2.warpAffine(image, matrix, size, flags=cv2.INTER_LINEAR) for image in flat]
-    )
-    return sharp(smooth).reshape(images.shape)
+    smooth = np.empty_like(images)
+    for place in np.ndindex(images.shape[:-2]):
+        smooth[place] = cv2.warpAffine(images[place], matrix, size, flags=cv2.INTER_LINEAR)
+    return sharp(smooth)
 
 
 def sharp(smooth: np.ndarray) -> np.ndarray:
@@ -63,7 +64,7 @@ def sharp(smooth: np.ndarray) -> np.ndarray:
 def points_to_nominal_scale(
     points_px: np.ndarray, spec: SensorSpec, size_px: tuple[int, int]
 ) -> np.ndarray:
-    """Return (M, 2) image points, x right and y down, where ``to_nominal_scale`` puts them; size is (H, W)."""
+    """Return (M, 2) image points, x right, y down, at nominal scale; size is (H, W)."""
     centre = (np.array(size_px[::-1]) - 1) / 2
     return ((points_px - centre) * np.array(nominal_zoom(spec)) + centre).astype(points_px.dtype)
 
@@ -80,32 +81,36 @@ REACH = 0.25  # spacings: a marker's distance from its place in the drawing
 
 
 def drawn_px(spec: SensorSpec) -> np.ndarray:
-    """Return (M, 2) px, x right and y down: where the drawing shows the markers at nominal scale, in free air."""
+    """Return (M, 2) px, x right, y down: the drawing's markers at nominal scale, in free air."""
     rim_mm = max(spec.pad_size_mm) / 2
     squeeze = 1 - spec.fisheye * (spec.layout_mm**2).sum(axis=1, keepdims=True) / rim_mm**2
-    return CENTRE_PX + spec.layout_mm * squeeze * np.array(spec.px_per_mm) * np.array(
-        nominal_zoom(spec)
-    )
+    seen_px = spec.layout_mm * squeeze * np.array(spec.px_per_mm)
+    return CENTRE_PX + seen_px * np.array(nominal_zoom(spec))
 
 
 def find_view(centres_px: np.ndarray, spec: SensorSpec) -> np.ndarray | None:
     """Return the (3, 3) homography that brings free-air markers (K, 2) px to the drawing's places.
 
-    None where they show another pattern: a different number, too few near a place of the drawing, or turned too far.
+    None for another pattern: a different number, too few near a drawn place, or turned too far.
     """
     drawn = drawn_px(spec)
     if not 1 / COUNT_RATIO <= len(centres_px) / len(drawn) <= COUNT_RATIO:
         return None
-    tree, reach = cKDTree(drawn), REACH * spacing(drawn)
-    starts = (_start(centres_px, drawn, turn, zoom) for turn in TURNS_rad for zoom in ZOOMS)
-    tried = [_refine(centres_px, drawn, tree, start) for start in starts]
+    tree = cKDTree(drawn)
+    reach = REACH * spacing(drawn)
+    tried = []
+    for turn_rad in TURNS_rad:
+        for zoom in ZOOMS:
+            start = _start(centres_px, drawn, turn_rad, zoom)
+            tried.append(_refine(centres_px, drawn, tree, start))
     found = max(tried, key=lambda matrix: _close(matrix, centres_px, tree, reach))
     near, distance = _match(centres_px, tree, found)
     kept = distance < reach
     turned = abs(np.arctan2(found[1, 0], found[0, 0])) > MOST_TURN_rad
     if turned or kept.sum() < MATCHED_SHARE * len(centres_px):
         logger.info(
-            "%s: the reference doesn't show the drawing's pattern; the camera's view stays as it is",
+            "%s: the reference doesn't show the drawing's pattern; "
+            "the camera's view stays as it is",
             spec.name,
         )
         return None
@@ -116,13 +121,14 @@ def find_view(centres_px: np.ndarray, spec: SensorSpec) -> np.ndarray | None:
 
 
 def seen_from(image: np.ndarray, view: np.ndarray) -> np.ndarray:
-    """Return (H, W) uint8 marker image in {0, 255} moved by the homography; what enters the frame is black."""
+    """Return (H, W) uint8 marker image in {0, 255} moved by the homography; gaps are black."""
     return sharp(cv2.warpPerspective(image, view, image.shape[::-1], flags=cv2.INTER_LINEAR))
 
 
 def _start(points: np.ndarray, drawn: np.ndarray, turn_rad: float, zoom: float) -> np.ndarray:
     """Return the (2, 3) similarity that lays the points' middle on the drawing's."""
-    cos, sin = zoom * np.cos(turn_rad), zoom * np.sin(turn_rad)
+    cos = zoom * np.cos(turn_rad)
+    sin = zoom * np.sin(turn_rad)
     linear = np.array([[cos, -sin], [sin, cos]])
     return np.column_stack([linear, drawn.mean(axis=0) - linear @ points.mean(axis=0)])
 

@@ -1,9 +1,9 @@
-"""Taxel counts → canonical marker image: one white disc per taxel, moved by shear, swollen by pressure.
+"""Taxel counts → canonical marker image: a white disc per taxel, moved by shear, grown by pressure.
 
-A uSkin's picture is the one the GenForce collection rig draws (facts: canvas axes −1…4 both ways, y up): taxel i rests
-at column i mod 4, row i div 4 *from the bottom*. Shear counts move the disc, normal counts grow its area. Another
-layout is drawn at its own places: as many pixels per shear count, and areas in proportion to a taxel's cell, so that
-the same pressure on the same part of the pad paints as much white however many taxels feel it.
+A uSkin's picture is the one the GenForce collection rig draws: taxel i rests at column i mod 4, row
+i div 4 *from the bottom*. Shear counts move the disc, normal counts grow its area. Another layout
+is drawn at its own places: as many pixels per shear count, and areas in proportion to a taxel's
+cell, so that equal pressure paints as much white however many taxels feel it.
 """
 
 import math
@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE, TAXEL_SHAPE
-from uniforce_vtla.errors import ContractError, SensorError, expected
+from uniforce_vtla.errors import ContractError, SensorError, described, expected
 from uniforce_vtla.markers.raster import CENTRE_PX
 from uniforce_vtla.sensors import SensorSpec
 
@@ -28,7 +28,7 @@ EDGE_PX = 0.45
 
 @dataclass(frozen=True)
 class TaxelScales:
-    """How counts become geometry. A checkpoint stores and hashes these: change one, change ``version``."""
+    """How counts become geometry, stored and hashed by checkpoints: change ``version`` with it."""
 
     version: str = "uskin-collection-1"
     counts_per_pitch: float = 2000.0  # S: shear counts that move a disc by one pitch of a uSkin
@@ -66,14 +66,14 @@ def check_counts(
 ) -> np.ndarray:
     """Return (M, 3) integer counts as int64.
 
-    Raises ContractError: not an integer array of the ``wanted`` shape, or more than any sensor counts.
+    Raises ContractError: not an integer array of the ``wanted`` shape, or too large.
     """
-    shape, dtype = getattr(counts, "shape", None), getattr(counts, "dtype", type(counts).__name__)
-    if not isinstance(counts, np.ndarray) or shape != wanted or counts.dtype.kind not in "iu":
+    is_array = isinstance(counts, np.ndarray)
+    if not is_array or counts.shape != wanted or counts.dtype.kind not in "iu":
         do = (
             "Pass raw integer counts, one row (x, y, z) per taxel; NaN and fractions aren't counts."
         )
-        raise ContractError(expected(name, f"integers {wanted}", f"{dtype} {shape}", do))
+        raise ContractError(expected(name, f"integers {wanted}", described(counts), do))
     if max(int(counts.max()), -int(counts.min())) > MOST_COUNTS:
         came = f"{counts.min()} to {counts.max()}"
         raise ContractError(
@@ -83,7 +83,7 @@ def check_counts(
 
 
 def check_alive(counts: np.ndarray, name: str = "uSkin counts") -> np.ndarray:
-    """Return ``counts``; raise SensorError if all are zero: live taxels never read exactly zero on all axes."""
+    """Return ``counts``; raise SensorError if all are zero, which live taxels never are."""
     if not counts.any():
         raise SensorError(
             expected(
@@ -102,7 +102,8 @@ def place_discs(delta_counts: np.ndarray, spec: SensorSpec, scales: TaxelScales)
     rest_px = CENTRE_PX + spec.layout_mm * np.array(spec.px_per_mm)
     cell_px = np.array(spec.taxels.pitch_mm) * spec.px_per_mm
     shift = delta[:, :2] * (1, -1) * (CELL_PX / scales.counts_per_pitch)  # y down
-    limit, edge = scales.shift_max_pitch * cell_px, scales.edge_pitch * cell_px
+    limit = scales.shift_max_pitch * cell_px
+    edge = scales.edge_pitch * cell_px
     centres_px = np.clip(
         rest_px + np.clip(shift, -limit, limit),
         rest_px.min(axis=0) - edge,
@@ -117,7 +118,7 @@ def place_discs(delta_counts: np.ndarray, spec: SensorSpec, scales: TaxelScales)
 
 
 def _spread(delta: np.ndarray, layout_mm: np.ndarray, spread_mm: float) -> np.ndarray:
-    """Return (M, 3) means of the counts around each taxel, weighted by a Gaussian; the counts without a spread."""
+    """Return (M, 3) means of the counts around each taxel, weighted by a Gaussian if spread."""
     if not spread_mm:
         return delta
     apart_mm = np.linalg.norm(layout_mm[:, None] - layout_mm, axis=-1)

@@ -21,6 +21,13 @@ def hexagonal(rings: int, pitch_mm: float) -> np.ndarray:
     return np.asarray(points, dtype=np.float32)
 
 
+def turned(points_mm: np.ndarray, angle_rad: float) -> np.ndarray:
+    """Return (M, 2) points turned about the pad's centre, x towards y."""
+    cos = np.cos(angle_rad)
+    sin = np.sin(angle_rad)
+    return points_mm @ np.array([[cos, sin], [-sin, cos]])
+
+
 def staggered(rows: int, columns: int, pitch_mm: tuple[float, float]) -> np.ndarray:
     """Return a centred grid whose odd rows are shifted by half a pitch and one marker shorter."""
     y = (np.arange(rows) - (rows - 1) / 2) * pitch_mm[1]

@@ -1,7 +1,8 @@
 """Materials of a pad, as far as simulating it needs; all of it physical.
 
-Anchors: the paper's gels are 25×25×4 mm and reach 12 N at 1.0 to 1.1 mm (GelSight, uSkin) and 4.6 mm (TacTip); a
-sphere on a bonded layer then needs E of .3 to 1 MPa. Real TacTips give 3.3 to 4.7 N/mm.
+Anchors: the paper's gels are 25×25×4 mm and reach 12 N at 1.0 to 1.1 mm (GelSight, uSkin) and
+4.6 mm (TacTip). A sphere on a bonded layer then needs E of .3 to 1 MPa. Real TacTips give 3.3 to
+4.7 N/mm.
 """
 
 from dataclasses import dataclass

@@ -16,16 +16,16 @@ class TaxelSignal:
     pitch_mm: tuple[float, float]
     # uSkin counts that one count of x, y, z is drawn as
     worth: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    # of taxels that say forces: skin takes its surroundings along, so a disc shows the mean of what is this near
+    # of force taxels: a disc shows the mean of its surroundings, which the skin takes along
     spread_mm: float = 0.0
     tared: bool = False  # the sensor subtracts its own free air, so that all zeros are a live scan
 
 
 @dataclass(frozen=True, kw_only=True)
 class PointSignal:
-    """Points tracked by the sensor's own program: displacements in mm; x right, y down, z into the pad.
+    """Points tracked by the sensor's own program: displacements in mm, x right, y down, z in.
 
-    They lie denser than other sensors' markers: each marker is drawn as the mean of the points nearest to its place.
+    They are dense: each marker is drawn as the mean of the points nearest to its place.
     """
 
     place_mm: np.ndarray  # (N, 2) where the points rest, as ``layout_mm``
@@ -41,7 +41,8 @@ class SensorSpec:
     points: PointSignal | None = None  # markers are rendered from displacements
     # of the usual camera frame, or (taxels or points, 3)
     raw_shape: tuple[int, ...] = (480, 640, 3)
-    # (M, 2) rest position of each marker on the pad, x right, y down, 0 at the pad's centre; taxels in order of counts
+    # (M, 2) rest position of each marker on the pad, x right, y down, 0 at the pad's centre;
+    # taxels in order of counts
     layout_mm: np.ndarray
     px_per_mm: tuple[float, float]  # (x, y) scale from the pad to the 640×480 canonical image
     # what a marker looks like at rest; a diamond is a square on its corner
@@ -57,7 +58,7 @@ class SensorSpec:
 
     @property
     def signal(self) -> Literal["camera", "taxel", "points"]:
-        """Form of the raw signal: "camera" (frames), "taxel" (counts) or "points" (displacements)."""
+        """Form of the raw signal: frames of a camera, taxel counts, or displacements of points."""
         if self.points is not None:
             return "points"
         return "camera" if self.taxels is None else "taxel"

@@ -1,4 +1,4 @@
-"""Tac3D: a flat gel whose maker's program tracks 20×20 points and gives each one's displacement in 3D."""
+"""Tac3D: a flat gel; its own program tracks 20×20 points and gives their displacements in 3D."""
 
 from uniforce_vtla.sensors.layouts import rectangular
 from uniforce_vtla.sensors.material import Layer, PadMaterial
@@ -15,5 +15,6 @@ TAC3D = SensorSpec(
     pad_size_mm=(25.0, 25.0),
     rated_depth_mm=1.5,
     material=PadMaterial(layers=(Layer(4.0, 0.5),), readout_mm=0.5),
-    source="20×20 points at about 30 Hz: PyTac3D 3.3 (PyPI); pitch, noise, depth and material are assumed",
+    source="20×20 points at about 30 Hz: PyTac3D 3.3 (PyPI); "
+    "pitch, noise, depth and material are assumed",
 )

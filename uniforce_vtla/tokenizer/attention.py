@@ -27,10 +27,11 @@ class SpatialAttention(nn.Module):
 
 
 class CausalPairAttention(nn.Module):
-    """Attention of each patch over time, T = 2: the reference sees itself, the current frame sees both.
+    """Attention of each patch over two frames: the reference sees itself, the current one both.
 
-    A softmax over the two rows of a lower-triangular 2×2 mask needs no kernel: the first row is 1, the second
-    a sigmoid of the difference of its two scores. Generic kernels crawl on thousands of length-2 sequences.
+    A softmax over the two rows of a lower-triangular 2×2 mask needs no kernel: the first row is 1,
+    the second a sigmoid of the difference of its scores. Generic kernels are slow on thousands of
+    sequences of length 2.
     """
 
     def __init__(self, width: int, heads: int) -> None:
@@ -43,7 +44,7 @@ class CausalPairAttention(nn.Module):
     def reference(
         self, tokens: torch.Tensor
     ) -> tuple[torch.Tensor, tuple[torch.Tensor, torch.Tensor]]:
-        """Return reference tokens (B, P, D) and their (key, value), which the current frame will want."""
+        """Return reference tokens (B, P, D) and their (key, value) for the current frame."""
         _, key, value = self._split(tokens)
         return tokens + self.out(value.flatten(2)), (key, value)
 

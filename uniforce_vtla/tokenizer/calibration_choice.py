@@ -1,6 +1,7 @@
-"""Choose among no calibration, one gain of the newtons and a map of the latent, by grasps that were left out.
+"""Choose no calibration, one gain of the newtons or a map of the latent, by left-out grasps.
 
-A map helps between units of a kind. It can do harm where grasps were few, or were of other objects than those to come.
+A map helps between units of one sensor type. It can do harm where grasps were few, or of other
+objects than those to come.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,11 +21,10 @@ from uniforce_vtla.tokenizer.latent_map import LatentMap, fit_map, folds, grasp_
 
 FORMS = ("none", "gain", "map")  # the simpler first
 GAINS = (0.2, 5.0)  # beyond, something else is wrong than the pad's stiffness
-# Standard errors by which a form must be better than none. Three were tried: they leave GelSights 2 and 3 as they are,
-# which read .82 and .78 of a held tool's shear and .90 and .94 after their maps. The error hardly shows such a slope,
-# and a policy presses by it.
+# Standard errors by which a form must be better than none. With three, GelSights 2 and 3 would stay
+# at .82 and .78 of a held tool's shear; their maps give .90 and .94, and a policy presses by it.
 SURE = 1.0
-# Fewer grasps don't choose: of six or seven real objects the folds took forms that read other objects worse.
+# With six or seven real objects the folds chose forms that read other objects worse.
 FEWEST_GRASPS = 20
 AXES = (0, 1, 2)
 
@@ -32,8 +33,8 @@ AXES = (0, 1, 2)
 class Choice:
     """The form that reads left-out grasps best, and the error of each form.
 
-    The error of a grasp is the mean squared difference of the newtons read from both fingers, each axis in units of
-    the anchor's variance: shear counts as much as the larger grip, and 1 is as bad as reading the mean.
+    The error of a grasp is the mean squared difference of both fingers' newtons. Each axis is
+    divided by the anchor's variance: shear counts as much as grip, and 1 is as bad as the mean.
     """
 
     form: str  # one of FORMS
@@ -80,7 +81,7 @@ def left_out_error(
     grasps: np.ndarray,
     axes: Sequence[int] = AXES,
 ) -> np.ndarray:
-    """Return (grasps,) the error of each grasp, as ``Choice`` has it, after ``fit`` to the rows of other folds."""
+    """Return (grasps,) the error of each grasp (see ``Choice``) after ``fit`` to other folds."""
     known = newtons(head, z_anchor)
     read = np.zeros_like(known)
     fold = folds(grasps)
@@ -93,7 +94,7 @@ def left_out_error(
 def error_of_grasps(
     read_N: np.ndarray, known_N: np.ndarray, grasps: np.ndarray, axes: Sequence[int]
 ) -> np.ndarray:
-    """Return (grasps,) the error of each numbered grasp, as ``Choice`` has it, of readings (n, 3) in N."""
+    """Return (grasps,) the error of each grasp (see ``Choice``) of readings (n, 3) in N."""
     spread = np.maximum(known_N.var(axis=0), 1e-12)
     of_row = ((read_N - known_N) ** 2 / spread)[:, list(axes)].mean(axis=1)  # (n,)
     return np.bincount(grasps, of_row) / np.bincount(grasps)
@@ -107,16 +108,16 @@ def choose(
     axes: Sequence[int] = AXES,
     with_gain: bool = True,
 ) -> Choice:
-    """Return which of ``FORMS`` reads left-out grasps best; all rows of a grasp are left out together.
+    """Return which of ``FORMS`` reads left-out grasps best; rows of a grasp are left out together.
 
-    Gain and map must be better than none by ``SURE`` standard errors of the difference, over grasps; of those that are
-    the one with the smaller error is taken. Fewer than ``FEWEST_GRASPS`` grasps choose none.
+    Gain and map must be better than none by ``SURE`` standard errors of the difference over grasps.
+    Of these the one with the smaller error is chosen. Fewer than ``FEWEST_GRASPS`` choose none.
 
     Args:
         z_new: (n, P, latent) of the sensor to calibrate, from the head's tokenizer.
         z_anchor: (n, P, latent) of the known sensor on the same grasps.
         head: reads both in newtons.
-        grasps: (n,) number of the grasp that a row is of; None where each row is a grasp of its own.
+        grasps: (n,) number of the grasp of each row; None where each row is a grasp of its own.
         axes: which of x, y, z are equal on both fingers.
         with_gain: whether one gain of the newtons may be chosen.
 
@@ -147,15 +148,19 @@ def choose(
     return Choice(chosen, mean, noise, count)
 
 
-def read_choice(stored: dict[str, object]) -> Choice:
-    """Return a choice that was stored with ``dataclasses.asdict``; KeyError, TypeError or ValueError if it is none."""
+def read_choice(stored: dict[str, Any]) -> Choice:
+    """Return a choice stored with ``dataclasses.asdict``.
+
+    Raises KeyError, TypeError or ValueError: it is none.
+    """
     if stored["form"] not in FORMS:
         raise ValueError(f"form {stored['form']}")
-    error, noise = (
-        {form: float(stored[field][form]) for form in FORMS}  # type: ignore[index]
-        for field in ("error", "standard_error")
-    )
-    return Choice(str(stored["form"]), error, noise, int(stored["grasps"]))  # type: ignore[call-overload]
+    error = {}
+    noise = {}
+    for form in FORMS:
+        error[form] = float(stored["error"][form])
+        noise[form] = float(stored["standard_error"][form])
+    return Choice(stored["form"], error, noise, int(stored["grasps"]))
 
 
 def _standard_error(values: np.ndarray) -> float:
@@ -163,9 +168,9 @@ def _standard_error(values: np.ndarray) -> float:
 
 
 def _gain_of_sizes(known_N: np.ndarray, read_N: np.ndarray) -> float:
-    """Return the ratio of root mean squares, (n, 3) known forces over (n, 3) readings, axes in units of their variance.
+    """Return the ratio of root mean squares, known over read forces (n, 3), each axis normalised.
 
-    Both are noisy readings: a regression would shrink the gain by the noise of the new finger (regression dilution).
+    Both are noisy: a regression would shrink the gain (regression dilution).
     """
     weight = 1 / np.maximum(known_N.var(axis=0), 1e-12)  # (3,)
     known = float((weight * known_N**2).sum())

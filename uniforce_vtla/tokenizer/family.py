@@ -1,7 +1,7 @@
-"""A family of procedural sensors for pretraining: any layout, dots and view, on bodies drawn in physical numbers.
+"""Procedural sensors for pretraining: random layouts, markers, views and pad materials.
 
-The encoder reads layout and view off the reference image. Thickness, Poisson's ratio and marker depth leave no trace
-in free air, and Young's modulus only scales: what an unseen sensor's force scale lacks is calibration's.
+The encoder reads layout and view off the reference image. The material leaves no trace in free
+air. An unseen sensor's force scale must be calibrated.
 """
 
 from dataclasses import dataclass, field, replace
@@ -11,7 +11,7 @@ import numpy as np
 
 from uniforce_vtla.contact.virtual import VirtualSensor, get_material
 from uniforce_vtla.sensors import SensorSpec
-from uniforce_vtla.sensors.layouts import hexagonal, rectangular
+from uniforce_vtla.sensors.layouts import hexagonal, rectangular, turned
 from uniforce_vtla.sensors.material import Layer, PadMaterial
 
 Span = tuple[float, float]
@@ -64,7 +64,8 @@ def draw_flat(rng: np.random.Generator, bounds: FamilyBounds | None = None) -> V
     """Return a random flat gel."""
     b = bounds or FamilyBounds()
     flat = b.flat
-    pitch, stretch = rng.uniform(*flat.pitch_mm), rng.uniform(*flat.stretch)
+    pitch = rng.uniform(*flat.pitch_mm)
+    stretch = rng.uniform(*flat.stretch)
     pad, material = flat_bodies(b)[rng.integers(b.bodies)]
     scale = rng.uniform(*flat.px_per_mm)
     layout = str(rng.choice(flat.layouts))
@@ -96,7 +97,7 @@ def draw_dome(rng: np.random.Generator, bounds: FamilyBounds | None = None) -> V
     scale = rng.uniform(*dome.px_per_mm)
     spec = SensorSpec(
         name="dome_hexagonal",
-        layout_mm=_turned(hexagonal(count, pitch), rng.uniform(-np.pi, np.pi)),
+        layout_mm=turned(hexagonal(count, pitch), rng.uniform(-np.pi, np.pi)).astype(np.float32),
         px_per_mm=(scale, scale),
         marker_shape="disc",
         marker_size_mm=min(rng.uniform(*dome.size_mm), 0.6 * pitch),  # pins never touch at rest
@@ -109,12 +110,6 @@ def draw_dome(rng: np.random.Generator, bounds: FamilyBounds | None = None) -> V
     return VirtualSensor(spec, material, like="tactip")
 
 
-def _turned(points_mm: np.ndarray, angle_rad: float) -> np.ndarray:
-    """Return (M, 2) points turned about the pad's centre: a gel is printed, and a dome screwed on, at any angle."""
-    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
-    return (points_mm @ np.array([[cos, sin], [-sin, cos]])).astype(np.float32)
-
-
 def _flat_layout(
     layout: str, pitch: float, stretch: float, angle_rad: float, pad: float, px_per_mm: float
 ) -> np.ndarray:
@@ -123,15 +118,16 @@ def _flat_layout(
         points = hexagonal(14, pitch) * np.array([1.0, stretch], np.float32)
     else:
         points = rectangular(31, 31, (pitch, pitch * stretch))
-    points = _turned(points, angle_rad)
+    points = turned(points, angle_rad).astype(np.float32)
     reach = np.minimum(pad / 2 - 0.3 * pitch, np.array(WIDEST_PX) / px_per_mm - 0.5 * pitch)
     return points[np.all(np.abs(points) <= reach, axis=1)]
 
 
 @cache
 def flat_bodies(bounds: FamilyBounds) -> tuple[tuple[float, PadMaterial], ...]:
-    """Return sides in mm and materials of ``bounds.bodies`` gels of 1 MPa, the same ones in every run."""
-    rng, flat = np.random.default_rng(_SEED), bounds.flat
+    """Return sides in mm and materials of gels of 1 MPa, the same ones in every run."""
+    rng = np.random.default_rng(_SEED)
+    flat = bounds.flat
     found = []
     for _ in range(bounds.bodies):
         side = round(rng.uniform(*flat.pad_mm))  # whole cells
@@ -145,7 +141,9 @@ def flat_bodies(bounds: FamilyBounds) -> tuple[tuple[float, PadMaterial], ...]:
 @cache
 def dome_bodies(bounds: FamilyBounds) -> tuple[PadMaterial, ...]:
     """Return materials of ``bounds.bodies`` domes whose skin has 1 MPa."""
-    rng, dome, usual = np.random.default_rng(_SEED), bounds.dome, get_material("tactip")
+    rng = np.random.default_rng(_SEED)
+    dome = bounds.dome
+    usual = get_material("tactip")
     assert isinstance(usual, PadMaterial)
     skin, filling = usual.layers
     soft = filling.young_MPa / skin.young_MPa

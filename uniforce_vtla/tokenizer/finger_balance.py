@@ -1,31 +1,30 @@
-"""Whether two fingers agree on the grip: what they hold presses both alike, so where they differ one is wrong in scale.
+"""Compare the grip that two fingers read: both carry the same force, so a difference is an error.
 
-A pad that has become softer or duller looks like another touch, and its own latents can't show it. The other finger
-can. It takes seconds: a flat gel shows the grip of a tool that covers it only once the tool is pressed on something.
+A softer or duller pad looks like another touch, which its own latents can't show. The other finger
+can. It takes seconds: a flat gel covered by a tool shows the grip only once the tool presses.
 """
 
 import math
 
 GRIPPED_N = 2.0  # less is no grip
-# control steps between two looks at both fingers: the other one's picture has to be encoded for it
-EVERY = 6
-# that are compared: ten seconds at 30 Hz. After five, a flat gel still reads a third of the grip
+EVERY = 6  # control steps between two comparisons: the other finger's image must be encoded
+# comparisons, ten seconds at 30 Hz; after five seconds a flat gel still reads a third of the grip
 LOOKS = 50
-# of clean wipes with 50 demonstrations' sensors: the watched finger reads this many times the other's grip
-USUAL = 1.05
-# logarithm, around USUAL; clean wipes spread by .09 with a GelSight on the other finger, by .06 with a uSkin
+USUAL = 1.05  # watched finger's grip over the other's, in clean wipes of 50 demonstrations
+# of the ratio's logarithm around USUAL; clean wipes spread by .09 (GelSight), .06 (uSkin)
 LIMIT = 0.25
 
 
 class FingerBalance:
-    """Compares the grip that two fingers read over the first seconds in which something is held."""
+    """Compare the grip that two fingers read over the first seconds of a grasp."""
 
     def __init__(self) -> None:
         self.reset()
 
     def reset(self) -> None:
         """Start an episode."""
-        self._own_N = self._other_N = 0.0
+        self._own_N = 0.0
+        self._other_N = 0.0
         self._seen = 0
 
     @property
@@ -34,18 +33,20 @@ class FingerBalance:
         return self._seen >= LOOKS
 
     def see(self, own_N: float, other_N: float) -> float | None:
-        """Take in both fingers' grip; return how many times the other's this finger reads, once, after the last look.
+        """Add both fingers' grip; return own over other grip once, after the last comparison.
 
-        The other's grip counts as at least a hundredth of a newton, so that a dead finger gives a number too.
+        The other's grip counts as at least 0.01 N, so that a dead finger gives a number too.
         """
         if self.done or own_N < GRIPPED_N:
             return None
         self._own_N += own_N
         self._other_N += other_N
         self._seen += 1
-        return self._own_N / max(self._other_N, 0.01) if self.done else None
+        if not self.done:
+            return None
+        return self._own_N / max(self._other_N, 0.01)
 
 
 def imbalance(times: float) -> float:
-    """Return the distance of a ratio from the usual one, over its limit: above 1 one finger is wrong in scale."""
+    """Return a ratio's distance from the usual one over its limit; above 1 a finger is wrong."""
     return abs(math.log(times / USUAL)) / LIMIT

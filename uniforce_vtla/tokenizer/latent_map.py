@@ -1,12 +1,16 @@
-"""The linear map of a pooled latent: ridge regression towards the identity, in closed form."""
+"""The linear map of a pooled latent: ridge regression towards the identity."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import nn
+
+if TYPE_CHECKING:
+    from sklearn.linear_model import Ridge
 
 # tried by cross-validation, in units of the latent's mean variance
 RIDGES = tuple(10.0**k for k in range(-4, 3))
@@ -14,7 +18,10 @@ FOLDS = 5
 
 
 class LatentMap(nn.Module):
-    """z' = z + weight · (z − centre) + shift over all P·L numbers of a pooled latent; starts as the identity."""
+    """z' = z + weight · (z − centre) + shift over all P·L numbers of a pooled latent.
+
+    A new one is the identity.
+    """
 
     weight: torch.Tensor
     centre: torch.Tensor
@@ -22,13 +29,12 @@ class LatentMap(nn.Module):
 
     def __init__(self, patches: int, latent: int) -> None:
         super().__init__()
-        self.patches, self.latent, numbers = patches, latent, patches * latent
-        for name, shape in {
-            "weight": (numbers, numbers),
-            "centre": (numbers,),
-            "shift": (numbers,),
-        }.items():
-            self.register_buffer(name, torch.zeros(shape))
+        self.patches = patches
+        self.latent = latent
+        numbers = patches * latent
+        self.register_buffer("weight", torch.zeros(numbers, numbers))
+        self.register_buffer("centre", torch.zeros(numbers))
+        self.register_buffer("shift", torch.zeros(numbers))
 
     def forward(self, z: torch.Tensor) -> torch.Tensor:
         """Return mapped latents (B, P, latent)."""
@@ -39,25 +45,25 @@ class LatentMap(nn.Module):
 def fit_map(
     z_new: torch.Tensor, z_anchor: torch.Tensor, grasps: np.ndarray | None = None
 ) -> tuple[LatentMap, float]:
-    """Return the map from (n, P, latent) to (n, P, latent) of the same grasps, and its ridge.
+    """Return the map from z_new to z_anchor, (n, P, latent) each, and its ridge.
 
-    ``grasps`` (n,) numbers the grasp that a row is of; None where each row is one of its own, in random order.
+    ``grasps`` (n,) numbers the grasp of each row; without it each row is a grasp of its own.
     """
-    x, y = (z.flatten(1).double() for z in (z_new, z_anchor))
-    ridge = _best_ridge(x, y, torch.from_numpy(folds(grasp_numbers(grasps, len(x)))))
+    x = z_new.flatten(1).double().numpy()  # (n, P·L)
+    y = z_anchor.flatten(1).double().numpy()
+    ridge = _best_ridge(x, y, folds(grasp_numbers(grasps, len(x))))
     found = LatentMap(*z_new.shape[1:])
-    for name, value in zip(("weight", "centre", "shift"), _ridge_map(x, y, ridge), strict=True):
-        getattr(found, name).copy_(value)
+    found.weight.copy_(torch.from_numpy(_fitted(x, y, ridge).coef_.T))
+    found.centre.copy_(torch.from_numpy(x.mean(axis=0)))
+    found.shift.copy_(torch.from_numpy((y - x).mean(axis=0)))
     return found.eval(), ridge
 
 
 def grasp_numbers(grasps: Sequence[int] | np.ndarray | None, count: int) -> np.ndarray:
-    """Return (n,) numbers of grasps from 0 on; without any, each of ``count`` rows is a grasp of its own."""
-    return (
-        np.arange(count)
-        if grasps is None
-        else np.unique(np.asarray(grasps), return_inverse=True)[1]
-    )
+    """Return (n,) numbers of grasps from 0 on; without any, each of ``count`` rows is its own."""
+    if grasps is None:
+        return np.arange(count)
+    return np.unique(np.asarray(grasps), return_inverse=True)[1]
 
 
 def folds(grasps: np.ndarray) -> np.ndarray:
@@ -65,29 +71,24 @@ def folds(grasps: np.ndarray) -> np.ndarray:
     return grasp_numbers(grasps, len(grasps)) % FOLDS
 
 
-def _ridge_map(
-    x: torch.Tensor, y: torch.Tensor, ridge: float
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Return weight (N, N), centre (N,) and shift (N,) that bring x (n, N) to y; ``ridge`` holds weight at 0."""
-    centre, shift = x.mean(dim=0), (y - x).mean(dim=0)
-    around = x - centre
-    covariance = around.T @ around / len(x)
-    held = ridge * covariance.diagonal().mean() * torch.eye(len(covariance), dtype=x.dtype)
-    target = around.T @ (y - x - shift) / len(x)
-    return torch.linalg.solve(covariance + held, target), centre, shift
+def _fitted(x: np.ndarray, y: np.ndarray, ridge: float) -> Ridge:
+    """Return the regression of y − x on x (n, N), so that a large ridge leaves the identity."""
+    from sklearn.linear_model import Ridge  # a second to import, and only fitting needs it
+
+    return Ridge(ridge * len(x) * x.var(axis=0).mean()).fit(x, y - x)
 
 
-def _best_ridge(x: torch.Tensor, y: torch.Tensor, fold: torch.Tensor) -> float:
+def _best_ridge(x: np.ndarray, y: np.ndarray, fold: np.ndarray) -> float:
     """Return which of ``RIDGES`` leaves the smallest error on folds left out in turn."""
+    if not fold.any():
+        return RIDGES[0]  # a single fold: nothing can be left out
 
     def error(ridge: float) -> float:
         total = 0.0
-        for k in range(FOLDS):
-            weight, centre, shift = _ridge_map(x[fold != k], y[fold != k], ridge)
-            left_out = x[fold == k]
-            total += float(
-                (left_out + (left_out - centre) @ weight + shift - y[fold == k]).square().sum()
-            )
+        for k in np.unique(fold):
+            out = fold == k
+            fitted = _fitted(x[~out], y[~out], ridge)
+            total += np.square(x[out] + fitted.predict(x[out]) - y[out]).sum()
         return total
 
     return min(RIDGES, key=error)

@@ -28,10 +28,10 @@ class Side:
 def objective(
     decoder: Decoder, left: Side, right: Side, config: LossConfig, step: int, per_unit: int = 1
 ) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
-    """Return the loss and its parts for one batch of equilibrium pairs, ``per_unit`` contacts of each unit in turn.
+    """Return the loss and its parts for one batch of pairs, ``per_unit`` contacts of each unit.
 
-    ``copied`` among the parts is what the reference itself would score in all four branches: a model whose
-    reconstructions sum to no less has learnt nothing.
+    ``copied`` among the parts is the score of the reference itself in all four branches. A model
+    that scores no better has learnt nothing.
     """
     z_left = left.posterior.sample()
     z_right = right.posterior.sample()
@@ -49,20 +49,18 @@ def objective(
     parts["kl"] = kl(left.posterior) + kl(right.posterior)
     parts["equilibrium"] = equilibrium(z_left, z_right, config, per_unit)
     with torch.no_grad():
-        copied = reconstruction(left.reference, left, config) + reconstruction(
-            right.reference, right, config
-        )
-        parts["copied"] = 2 * copied
-    pull = config.equilibrium_weight * min(
-        1.0, (step + 1) / max(1, config.equilibrium_warmup_steps)
-    )
+        copied_left = reconstruction(left.reference, left, config)
+        copied_right = reconstruction(right.reference, right, config)
+        parts["copied"] = 2 * (copied_left + copied_right)
+    warmup = min(1.0, (step + 1) / max(1, config.equilibrium_warmup_steps))
+    pull = config.equilibrium_weight * warmup
     return recon + config.kl_weight * parts["kl"] + pull * parts["equilibrium"], parts
 
 
 def reconstruction(drawn: torch.Tensor, truth: Side, config: LossConfig) -> torch.Tensor:
     """Return weighted L1 + λ·perceptual of one branch.
 
-    Markers are sparse: plain L1 is content to copy the reference. Pixels that changed may count more.
+    Markers are sparse: plain L1 is content to copy the reference. Changed pixels may count more.
     """
     change = (truth.current - truth.reference).abs()
     weight = 1 + config.changed_pixel_weight * change  # (B, 1, S, S)
@@ -85,18 +83,23 @@ def equilibrium(
     ``per_unit``: rows (B, P, L) come unit by unit, so many contacts of each.
     """
     if config.equilibrium_scale == "per_unit":
-        z_left, z_right = (_in_own_units(z, per_unit) for z in (z_left, z_right))
+        z_left = _in_own_units(z_left, per_unit)
+        z_right = _in_own_units(z_right, per_unit)
     errors = []
     for grid in LEVELS[config.equilibrium]:
-        left, right = (z if grid is None else pool_latent(z, grid) for z in (z_left, z_right))
+        left = z_left
+        right = z_right
+        if grid is not None:
+            left = pool_latent(z_left, grid)
+            right = pool_latent(z_right, grid)
         errors.append((left - right).square().sum(-1).mean(1))  # (B,)
     return torch.stack(errors).sum(dim=0).mean()
 
 
 def _in_own_units(z: torch.Tensor, per_unit: int) -> torch.Tensor:
-    """Return (B, P, L) over each unit's root mean square.
+    """Return (B, P, L) divided by each unit's root mean square.
 
-    The size takes part in the gradient, so that a smaller latent is no better balanced one.
+    The RMS isn't detached; otherwise shrinking latents would lower the loss.
     """
     by_unit = z.unflatten(0, (-1, per_unit))
     size = by_unit.square().mean(dim=(1, 2, 3), keepdim=True).sqrt()
@@ -104,7 +107,7 @@ def _in_own_units(z: torch.Tensor, per_unit: int) -> torch.Tensor:
 
 
 def gradient_pyramid(drawn: torch.Tensor, truth: torch.Tensor, levels: int) -> torch.Tensor:
-    """Return the mean L1 between image gradients over ``levels`` halvings: edges at several scales."""
+    """Return the mean L1 between image gradients at ``levels`` scales, each half the last."""
     total = drawn.new_zeros(())
     # finite differences and averaging are linear: one pass over the error is enough
     error = drawn - truth

@@ -1,7 +1,7 @@
-"""Motion channels: a least-squares guess of how far markers moved, cell by cell, at several scales.
+"""Motion channels: a least-squares estimate of marker motion, cell by cell, at several scales.
 
-A product of "what changed" and "which way the edge faces" is what optical flow is made of; a linear patch
-embedding has no products, and learning them from equilibrium alone takes long.
+Optical flow is a product of brightness change and image gradient. A linear patch embedding has no
+products, and learning them from equilibrium alone takes long.
 """
 
 from collections.abc import Sequence
@@ -23,16 +23,14 @@ def pyramid(images: torch.Tensor, scales: int) -> list[torch.Tensor]:
 
 
 def motion_channels(reference: Sequence[torch.Tensor], current: torch.Tensor) -> torch.Tensor:
-    """Return (B, 3·scales, S / 4, S / 4) from a reference's ``pyramid`` and (B, 1, S, S) current images.
+    """Return (B, 3·scales, S / 4, S / 4) from a reference's ``pyramid`` and current images.
 
-    Solves gain = −(shift · gradient) for the shift, one cell and its neighbours at a time. Channels of one
-    scale lie together: gain, shift in x, shift in y.
+    Solves gain = −(shift · gradient) for the shift, one cell and its neighbours at a time. Channels
+    of one scale lie together: gain, shift in x, shift in y. Current images are (B, 1, S, S).
     """
-    currents = pyramid(current, len(reference))
-    sums = [
-        _cell_means(b, a, CELL_PX >> k)
-        for k, (b, a) in enumerate(zip(reference, currents, strict=True))
-    ]
+    sums = []
+    for k, after in enumerate(pyramid(current, len(reference))):
+        sums.append(_cell_means(reference[k], after, CELL_PX >> k))
     # (B, scales, 1 and 3, S / 4, S / 4)
     gain, equations = torch.stack(sums, dim=1).split([1, 3], dim=2)
     products, energy = _neighbourhood_sums(equations).split([2, 1], dim=2)
@@ -42,10 +40,10 @@ def motion_channels(reference: Sequence[torch.Tensor], current: torch.Tensor) ->
 
 
 def _cell_means(reference: torch.Tensor, current: torch.Tensor, cell: int) -> torch.Tensor:
-    """Return (B, 4, S / cell, S / cell): gain, gain × gradient in x and in y, and the gradient's energy.
+    """Return (B, 4, S / cell, S / cell): gain, gain × gradient in x and y, gradient's energy.
 
-    The gradient is that of the mean of both images. Taken here is four times that (two images, two pixels
-    apart), so products are 4 × and the energy 16 × what they are called: powers of two, undone at the end.
+    The gradient is that of the mean of both images. Here it is four times that (two images, two
+    pixels apart), so products are 4 × and the energy 16 × too large. The caller undoes both.
     """
     gain = current - reference
     # a gradient is the difference of a pixel's two neighbours, zero at the rim
@@ -63,7 +61,7 @@ def _cell_means(reference: torch.Tensor, current: torch.Tensor, cell: int) -> to
 
 
 def _neighbourhood_sums(maps: torch.Tensor) -> torch.Tensor:
-    """Return (..., H, W) sums over 3 × 3 cells, nothing beyond the rim; a pooling kernel takes three times as long."""
+    """Return (..., H, W) sums over 3 × 3 cells; a pooling kernel takes three times as long."""
     wide = F.pad(maps, (1, 1, 1, 1))
     rows = wide[..., :-2, :] + wide[..., 1:-1, :] + wide[..., 2:, :]
     return rows[..., :-2] + rows[..., 1:-1] + rows[..., 2:]

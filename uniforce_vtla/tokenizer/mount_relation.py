@@ -1,13 +1,13 @@
-"""How one of two fingers' sensors is mounted, seen from the other: from loads that both fingers carry.
+"""Find how two fingers' sensors are mounted to each other, from loads that both carry.
 
-A load that a held object passes on, such as a push on it, pulls both pads the same way. In the canonical frame both
-sensors then read the same shear. A sensor turned by 180° on its mount reads both axes with the other sign, a mirrored
-one reads one axis so.
+A push on a held object pulls both pads the same way. In the canonical frame both sensors then read
+the same shear. A sensor turned by 180° reads both axes with the other sign, a mirrored one reads
+one axis so.
 
-Readings of both don't show which of the two sensors is mounted otherwise. Neither do grasps in
-which little is carried: an object that is only pinched pulls the pads *opposite* ways, as if one
-were turned. Of 87 real grasps that were only lifted and shaken, 7 said "turned" and 10 "mirrored",
-which no camera is (docs/evidence.md).
+The readings don't show which of the two sensors is turned. A grasp that carries little shows
+nothing either: an object that is only pinched pulls the pads *opposite* ways, as if one were
+turned. Of 87 real grasps that were only lifted and shaken, 7 said "turned" and 10 "mirrored",
+wrongly (docs/evidence.md).
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ import numpy as np
 from uniforce_vtla.errors import ContractError, expected
 
 Mount = Literal["upright", "turned", "mirrored_x", "mirrored_y", "undecided"]
-# mount → settings that bring it upright: degrees counter-clockwise, and whether columns are mirrored before
+# mount → settings that bring it upright: degrees counter-clockwise, columns mirrored before
 SETTINGS: dict[Mount, tuple[int, bool]] = {
     "upright": (0, False),
     "turned": (180, False),
@@ -31,31 +31,30 @@ MOUNTS: dict[tuple[bool, bool], Mount] = {  # whether x and y are read with the 
     (False, True): "mirrored_x",
     (True, False): "mirrored_y",
 }
-# Of each axis, either sign, or it doesn't tell. Simulated grasps of all kinds: .94 to 1.
-LEAST_R = 0.5
+LEAST_R = 0.5  # of each axis, either sign; simulated grasps reach .94 to 1
 FEWEST = 10  # readings; of fewer, chance alone reaches such an r
 
 
 @dataclass(frozen=True)
 class MountRelation:
-    """How the first sensor is mounted if the second is upright, and the correlation of their shear along x and y."""
+    """How the first sensor is mounted if the second is upright."""
 
     mount: Mount
-    r: tuple[float, float]
+    r: tuple[float, float]  # correlation of their shear along x and y
 
 
 def mount_relation(first: np.ndarray, second: np.ndarray) -> MountRelation:
     """Return how two sensors are mounted to each other.
 
     Args:
-        first: (n, 2) shear of one finger, or its markers' mean motion, canonical frame, in any unit.
+        first: (n, 2) shear or mean marker motion of one finger, canonical frame, in any unit.
         second: (n, 2) of the other finger at the same moments.
 
     Raises ContractError: readings that aren't paired or aren't finite.
     """
-    shapes = np.shape(first), np.shape(second)
-    if shapes[0] != shapes[1] or len(shapes[0]) != 2 or shapes[0][1] != 2:
-        came = f"{shapes[0]} and {shapes[1]}"
+    shape = np.shape(first)
+    if shape != np.shape(second) or len(shape) != 2 or shape[1] != 2:
+        came = f"{shape} and {np.shape(second)}"
         raise ContractError(
             expected("paired shear", "(n, 2) twice", came, "Pair the readings by frame.")
         )
@@ -69,5 +68,6 @@ def mount_relation(first: np.ndarray, second: np.ndarray) -> MountRelation:
     b = second - second.mean(axis=0)
     size = np.sqrt((a**2).sum(axis=0) * (b**2).sum(axis=0))
     x, y = ((a * b).sum(axis=0) / np.maximum(size, 1e-12)).tolist()
-    tells = min(abs(x), abs(y)) >= LEAST_R
-    return MountRelation(MOUNTS[x > 0, y > 0] if tells else "undecided", (x, y))
+    if min(abs(x), abs(y)) < LEAST_R:
+        return MountRelation("undecided", (x, y))
+    return MountRelation(MOUNTS[x > 0, y > 0], (x, y))

@@ -1,11 +1,14 @@
 """Pretraining data: equilibrium pairs drawn once, area-resized, as uint8 shards.
 
-⟨GelSight, TacTip⟩ and ⟨uSkin, TacTip⟩, TacTip on the right finger (UniForce paper, "Data Collection Protocol"); a share
-of the cameras may be procedural instead (tokenizer/family.py), always paired by equal traction.
+⟨GelSight, TacTip⟩ and ⟨uSkin, TacTip⟩, TacTip on the right finger (UniForce paper, "Data Collection
+Protocol"). A share of the cameras may be procedural (tokenizer/family.py).
 """
 
+from __future__ import annotations
+
 import json
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -20,6 +23,7 @@ from uniforce_vtla.contact.responses import ContactOptions
 from uniforce_vtla.contact.sampling import ForceRange
 from uniforce_vtla.contact.units import Look
 from uniforce_vtla.contact.virtual import VirtualSensor
+from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.markers.mirror import to_canonical
@@ -29,7 +33,9 @@ from uniforce_vtla.tokenizer.settings import PairCacheConfig
 
 RIGS = (("gelsight", "tactip"), ("uskin", "tactip"))
 FAMILIES = {"gelsight": draw_flat, "tactip": draw_dome}
-NAMES = ("left_reference", "right_reference", "left_current", "right_current")
+REFERENCES = ("left_reference", "right_reference")
+CURRENTS = ("left_current", "right_current")
+NAMES = (*REFERENCES, *CURRENTS)
 
 
 @dataclass(frozen=True)
@@ -40,6 +46,10 @@ class Pairs:
     right_reference: torch.Tensor
     left_current: torch.Tensor  # (U·n, 1, S, S), unit by unit
     right_current: torch.Tensor
+
+    def to(self, device: torch.device) -> Pairs:
+        """Return the batch on another device."""
+        return Pairs(**{name: images.to(device) for name, images in vars(self).items()})
 
 
 class PairCache:
@@ -54,17 +64,18 @@ class PairCache:
         """Return ``units`` random units with ``pairs`` random contacts each."""
         unit = rng.integers(len(self.arrays["left_reference"]), size=units)
         contact = np.stack([rng.permutation(self.pairs_per_unit)[:pairs] for _ in unit])  # (U, n)
-        references = [self.arrays[name][unit] for name in NAMES[:2]]
-        return _canonical(
-            *references, *(self.arrays[name][unit[:, None], contact] for name in NAMES[2:])
-        )
+        drawn = {name: self.arrays[name][unit] for name in REFERENCES}
+        for name in CURRENTS:
+            drawn[name] = self.arrays[name][unit[:, None], contact]
+        return _canonical(drawn)
 
 
 class RecordedPairs:
-    """Recorded grasps in memory, each with its own references; draws training batches of some of them.
+    """Recorded grasps in memory, each with its own references; draws training batches of them.
 
     Args:
-        recordings: images of each by ``NAMES``, as the sensors saw them: references (S, S), currents (n, S, S) uint8.
+        recordings: uint8 images of each by ``NAMES``, in the sensors' own frames: references
+            (S, S), currents (n, S, S).
 
     Raises DatasetError: no recording.
     """
@@ -77,65 +88,74 @@ class RecordedPairs:
         self._recordings = recordings
 
     def draw(self, rng: np.random.Generator, units: int, pairs: int) -> Pairs:
-        """Return ``units`` random grasps with ``pairs`` random moments each; some may come twice."""
-        chosen = [self._recordings[k] for k in rng.integers(len(self._recordings), size=units)]
-        moment = [rng.integers(len(recording["left_current"]), size=pairs) for recording in chosen]
-        references = [np.stack([recording[name] for recording in chosen]) for name in NAMES[:2]]
-        rows = list(zip(chosen, moment, strict=True))
-        return _canonical(
-            *references, *(np.stack([r[name][row] for r, row in rows]) for name in NAMES[2:])
-        )
+        """Return ``units`` random grasps, repeats allowed, with ``pairs`` random moments each."""
+        drawn = defaultdict(list)
+        for k in rng.integers(len(self._recordings), size=units):
+            recording = self._recordings[k]
+            moment = rng.integers(len(recording["left_current"]), size=pairs)
+            for name in REFERENCES:
+                drawn[name].append(recording[name])
+            for name in CURRENTS:
+                drawn[name].append(recording[name][moment])
+        return _canonical(drawn)
 
 
 def build_cache(folder: Path, config: PairCacheConfig) -> None:
-    """Draw the shards that are not there yet; raises DatasetError: the folder holds a cache of another config."""
+    """Draw the shards that are not there yet.
+
+    Raises DatasetError: the folder holds a cache of another config.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     _check_or_write_config(folder / "config.json", config)
     chosen = rigs(config)
     for number, path in enumerate(tqdm(_shard_paths(folder, config), desc="drawing pairs")):
-        if not path.exists():
-            rng, rig = np.random.default_rng([config.seed, number]), chosen[number % len(chosen)]
-            batches = [_draw_unit(rng, config, rig) for _ in range(config.units_per_shard)]
-            scratch = path.with_suffix(".tmp.npz")
-            np.savez(scratch, **_stacked(batches))  # type: ignore[arg-type]
-            scratch.replace(path)
+        if path.exists():
+            continue
+        rng = np.random.default_rng([config.seed, number])
+        drawn = defaultdict(list)
+        for _ in range(config.units_per_shard):
+            pairs = _draw_unit(rng, config, chosen[number % len(chosen)])
+            for name in REFERENCES:
+                drawn[name].append(getattr(pairs, name)[0])  # (S, S), the same in all pairs
+            for name in CURRENTS:
+                drawn[name].append(getattr(pairs, name))  # (n, S, S)
+        scratch = path.with_suffix(".tmp.npz")
+        np.savez(scratch, **drawn)  # type: ignore[arg-type]
+        scratch.replace(path)
 
 
 def rigs(config: PairCacheConfig) -> tuple[tuple[str, str], ...]:
-    """Return the rigs that pairs are drawn of, left and right finger: those without the kind that is left out."""
+    """Return the rigs that pairs are drawn of, (left, right), without the type left out."""
     return tuple(rig for rig in RIGS if config.left_out not in rig)
 
 
 def shrink(images: np.ndarray, side: int) -> np.ndarray:
-    """Return (B, side, side) uint8 of (B, H, W) images: the tokenizer's own resize, without its mirror."""
+    """Return (B, side, side) uint8 of (B, H, W) images: the tokenizer's resize, without mirror."""
     small = letterbox(torch.from_numpy(images)[:, None].float(), side)[:, 0]
     return small.round().to(torch.uint8).numpy()
 
 
-def _stacked(batches: list[PairBatch]) -> dict[str, np.ndarray]:
-    """Return units' images by name: one reference (U, S, S) and all currents (U, n, S, S) of each unit."""
-    references = {name: np.stack([getattr(b, name)[0] for b in batches]) for name in NAMES[:2]}
-    return references | {name: np.stack([getattr(b, name) for b in batches]) for name in NAMES[2:]}
-
-
-def _canonical(*images: np.ndarray) -> Pairs:
-    """Return a batch for the model from images (…, S, S) uint8 by ``NAMES``, as the sensors saw them."""
-    flat = [
-        torch.from_numpy(np.ascontiguousarray(i.reshape(-1, 1, *i.shape[-2:]))).float() / 255
-        for i in images
-    ]
+def _canonical(drawn: Mapping[str, np.ndarray | list[np.ndarray]]) -> Pairs:
+    """Return a batch for the model from images (…, S, S) uint8 in the sensors' own frames."""
     return Pairs(
-        *(
-            to_canonical(i, "left" if "left" in name else "right")
-            for name, i in zip(NAMES, flat, strict=True)
-        )
+        _to_model(drawn["left_reference"], "left"),
+        _to_model(drawn["right_reference"], "right"),
+        _to_model(drawn["left_current"], "left"),
+        _to_model(drawn["right_current"], "right"),
     )
+
+
+def _to_model(images: np.ndarray | list[np.ndarray], finger: Finger) -> torch.Tensor:
+    """Return (N, 1, S, S) float32 in [0, 1], canonical frame."""
+    rows = torch.from_numpy(np.ascontiguousarray(images)).flatten(0, -3)
+    return to_canonical(rows[:, None].float() / 255, finger)
 
 
 def _draw_unit(
     rng: np.random.Generator, config: PairCacheConfig, rig: tuple[str, str]
 ) -> PairBatch:
-    left, right = (draw_finger(rng, sensor, config) for sensor in rig)
+    left = draw_finger(rng, rig[0], config)
+    right = draw_finger(rng, rig[1], config)
     lossy = config.marker_loss > 0 and rng.random() < 0.5
     settings = PairSettings(
         options=ContactOptions(marker_loss=lossy, loss_probability=config.marker_loss),
@@ -154,7 +174,7 @@ def _draw_unit(
 def draw_finger(
     rng: np.random.Generator, sensor: str, config: PairCacheConfig
 ) -> str | VirtualSensor:
-    """Return ``sensor``, or with probability ``family_share`` a procedural one of its kind (cameras only)."""
+    """Return ``sensor``, or with probability ``family_share`` a procedural camera of its family."""
     share = config.family_share
     if sensor not in FAMILIES or share <= 0 or rng.random() >= share:
         return sensor
@@ -171,9 +191,10 @@ def _shard_paths(folder: Path, config: PairCacheConfig) -> list[Path]:
 
 def _gathered(paths: list[Path]) -> dict[str, np.ndarray]:
     """Return all shards one after another, without ever holding them twice."""
-    first = read_arrays(paths[0], NAMES)
-    units = len(first["left_reference"])
-    arrays = {n: np.empty((units * len(paths), *a.shape[1:]), a.dtype) for n, a in first.items()}
+    arrays = {}
+    for name, part in read_arrays(paths[0], NAMES).items():
+        units = len(part)
+        arrays[name] = np.empty((units * len(paths), *part.shape[1:]), part.dtype)
     for number, path in enumerate(paths):
         for name, part in read_arrays(path, NAMES).items():
             arrays[name][number * units : (number + 1) * units] = part

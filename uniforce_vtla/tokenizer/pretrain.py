@@ -1,7 +1,7 @@
-"""Pretraining: equilibrium pairs in, tokenizer checkpoint out. Resumable, seeded, without force labels.
+"""Pretrain the tokenizer: equilibrium pairs in, checkpoint out. Resumable, seeded, no force labels.
 
-The same command runs on one CPU or, through ``accelerate launch``, on many GPUs and nodes (never run on more than
-one process so far).
+The same command runs on one CPU or, through ``accelerate launch``, on many GPUs. More than one
+process was never tried.
 """
 
 import csv
@@ -32,7 +32,7 @@ MAY_CHANGE = ("steps", "save_every", "strips_every")  # between a run and its co
 
 
 def with_defaults(defaults: dict[str, Any], stored: dict[str, Any]) -> dict[str, Any]:
-    """Return stored settings; an option that came after they were stored, nested ones too, stands at its default."""
+    """Return stored settings, nested ones too, with defaults for options that were added later."""
     filled = defaults | stored
     for name, inner in defaults.items():
         if isinstance(inner, dict) and isinstance(filled[name], dict):
@@ -66,19 +66,24 @@ def starting_model(settings: PretrainSettings) -> ForceAutoencoder:
 
 
 class Pretraining:
-    """A run in ``folder``: continues where its last checkpoint stands.
+    """A run in ``folder``: continues from its last checkpoint.
 
-    Every step draws its batch and noise from (seed, step), so that a resumed run equals an uninterrupted one.
+    Every step draws its batch and noise from (seed, step), so that a resumed run equals an
+    uninterrupted one.
     """
 
     def __init__(
         self, settings: PretrainSettings, folder: Path, data: PairCache | RecordedPairs
     ) -> None:
-        self.settings, self.folder, self.data = settings, folder, data
+        self.settings = settings
+        self.folder = folder
+        self.data = data
         self._check_recipe()
         self.accelerator = Accelerator(mixed_precision=settings.mixed_precision)
-        resumes = (folder / STATE).exists()  # then ``init`` is history, and may be gone
-        model = starting_model(replace(settings, init="") if resumes else settings)
+        resumes = (folder / STATE).exists()
+        if resumes:
+            settings = replace(settings, init="")  # no longer needed, and may be gone
+        model = starting_model(settings)
         optimizer = torch.optim.AdamW(
             model.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay
         )
@@ -91,22 +96,26 @@ class Pretraining:
 
     def run(self, until: int | None = None) -> Tokenizer:
         """Train up to ``until`` (or to the end) and return the tokenizer so far."""
-        last = self.settings.steps if until is None else min(until, self.settings.steps)
+        last = self.settings.steps
+        if until is not None:
+            last = min(until, last)
         start = time.monotonic()
-        quiet = not self.accelerator.is_main_process
-        bar = tqdm(total=last, initial=self.step, desc="pretraining", disable=quiet)
+        is_main = self.accelerator.is_main_process
+        bar = tqdm(total=last, initial=self.step, desc="pretraining", disable=not is_main)
+        strips_every = self.settings.strips_every
         while self.step < last:
             report = self.train_step()
             bar.update()
             bar.set_postfix(
-                {name: f"{report[name]:.3g}" for name in ("loss", "equilibrium", "latent_std")}
+                loss=report["loss"],
+                equilibrium=report["equilibrium"],
+                latent_std=report["latent_std"],
             )
             self._log(report | {"seconds": time.monotonic() - start})
             if self.step % self.settings.save_every == 0 or self.step == last:
                 self.save()
-            strips = 0 if quiet else self.settings.strips_every
-            if strips and self.step % strips == 0:
-                # the same few pairs each time: what the decoder makes of them shows whether it learns
+            if is_main and strips_every and self.step % strips_every == 0:
+                # the same pairs each time, to see whether the decoder learns
                 pairs = self.data.draw(np.random.default_rng([self.settings.seed, 2**31]), 4, 2)
                 picture = self.folder / "strips" / f"step_{self.step:06d}.png"
                 draw_strips(self.tokenizer().model, pairs, picture)
@@ -118,10 +127,8 @@ class Pretraining:
         rng = np.random.default_rng([self.settings.seed, self.step, process])
         torch.manual_seed(int(rng.integers(2**62)))  # the latent's noise
         start = time.monotonic()
-        drawn = self.data.draw(rng, self.settings.units_per_batch, self.settings.pairs_per_unit)
-        pairs = Pairs(
-            **{name: value.to(self.accelerator.device) for name, value in vars(drawn).items()}
-        )
+        pairs = self.data.draw(rng, self.settings.units_per_batch, self.settings.pairs_per_unit)
+        pairs = pairs.to(self.accelerator.device)
         loaded = time.monotonic()
         for group in self.optimizer.param_groups:
             group["lr"] = learning_rate(self.step, self.settings)
@@ -131,22 +138,23 @@ class Pretraining:
         self.accelerator.backward(loss)
         # the encoder is called in parts, which a wrapped forward() doesn't see
         if self.accelerator.num_processes > 1:
-            for parameter in (p for p in self.model.parameters() if p.grad is not None):
-                parameter.grad.copy_(self.accelerator.reduce(parameter.grad, "mean"))
+            for parameter in self.model.parameters():
+                if parameter.grad is not None:
+                    parameter.grad.copy_(self.accelerator.reduce(parameter.grad, "mean"))
         self.accelerator.clip_grad_norm_(self.model.parameters(), self.settings.clip_norm)
         self.optimizer.step()
         self.step += 1
         report = {"step": self.step, "loss": loss.item(), "latent_std": spread.item()}
-        # of this step, spent waiting for data
-        share = (loaded - start) / max(time.monotonic() - start, 1e-9)
-        return report | {name: part.item() for name, part in parts.items()} | {"data_share": share}
+        for name, part in parts.items():
+            report[name] = part.item()
+        # share of the step spent waiting for data
+        report["data_share"] = (loaded - start) / max(time.monotonic() - start, 1e-9)
+        return report
 
     def tokenizer(self) -> Tokenizer:
-        """Return a frozen copy of the model as it stands."""
+        """Return a frozen copy of the model, on the CPU."""
         copy = ForceAutoencoder(self.settings.model)
-        copy.load_state_dict(
-            {k: v.detach().cpu().clone() for k, v in self._bare().state_dict().items()}
-        )
+        copy.load_state_dict(self._bare().state_dict())
         return Tokenizer(copy)
 
     def save(self) -> None:
@@ -159,7 +167,7 @@ class Pretraining:
         self.tokenizer().save(self.folder / "tokenizer")
 
     def _check_recipe(self) -> None:
-        """Raise DatasetError where the folder holds a run of another recipe; continuing it would be neither."""
+        """Raise DatasetError where the folder holds a run with other settings."""
         path = self.folder / RECIPE
         if not path.exists():
             return
@@ -180,10 +188,10 @@ class Pretraining:
             return
         self.folder.mkdir(parents=True, exist_ok=True)
         path = self.folder / "log.csv"
-        fresh = not path.exists()
+        is_new = not path.exists()
         with path.open("a", newline="") as handle:
             writer = csv.DictWriter(handle, fieldnames=list(report))
-            if fresh:
+            if is_new:
                 writer.writeheader()
             writer.writerow({name: f"{value:.6g}" for name, value in report.items()})
 
@@ -191,7 +199,7 @@ class Pretraining:
 def pair_loss(
     model: ForceAutoencoder, pairs: Pairs, config: LossConfig, step: int
 ) -> tuple[torch.Tensor, dict[str, torch.Tensor], torch.Tensor]:
-    """Return loss, parts and the spread of the latent's mean over a batch of U units with n contacts each."""
+    """Return the loss, its parts and the latent's spread, for U units of n contacts each."""
     units = len(pairs.left_reference)
     per_unit = len(pairs.left_current) // units
     reference = torch.cat([pairs.left_reference, pairs.right_reference])  # (2U, 1, S, S)
@@ -210,7 +218,10 @@ def pair_loss(
 
 @torch.no_grad()
 def draw_strips(model: ForceAutoencoder, pairs: Pairs, path: Path) -> None:
-    """Write a PNG of reconstructions, a row per pair: left reference, current, from z_L, from z_R; then the right's."""
+    """Write a PNG of reconstructions, a row per pair.
+
+    Left reference, left current, redrawn from z_L and from z_R; then the same of the right finger.
+    """
     per_unit = len(pairs.left_current) // len(pairs.left_reference)
     left = pairs.left_reference.repeat_interleave(per_unit, dim=0)
     right = pairs.right_reference.repeat_interleave(per_unit, dim=0)
@@ -229,4 +240,4 @@ def draw_strips(model: ForceAutoencoder, pairs: Pairs, path: Path) -> None:
     rows = torch.cat(columns, dim=3)[:, 0]  # (B, S, 8·S)
     picture = (rows.clamp(0, 1) * 255).round().numpy().astype(np.uint8)
     path.parent.mkdir(parents=True, exist_ok=True)
-    cv2.imwrite(str(path), np.concatenate(list(picture)))
+    cv2.imwrite(str(path), picture.reshape(-1, picture.shape[-1]))

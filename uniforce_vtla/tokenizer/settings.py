@@ -67,7 +67,7 @@ class TokenizerConfig:
             raise ContractError(expected("tokenizer sizes", wanted, came, "Change one."))
 
     def facts(self) -> dict[str, Any]:
-        """Return all sizes by name; options added later only where they are on, so that older hashes stay."""
+        """Return all sizes by name; later options only where they are on, to keep older hashes."""
         return {name: value for name, value in asdict(self).items() if name not in LATER or value}
 
     @property
@@ -90,17 +90,17 @@ class LossConfig:
     equilibrium_weight: NotNegative = 4.0  # λ of the equilibrium term
     # it rises linearly: at full weight from the start, z learns to be 0
     equilibrium_warmup_steps: CountOrZero = 300
-    # patch is the paper's; real totals balance better; levels = patches, 4×4 regions and total added
+    # patch is the paper's; levels adds 4×4 regions and the total, where real forces balance better
     equilibrium: Literal["patch", "levels"] = "patch"
-    # absolute is the paper's; per_unit divides each unit's latents by their own size over its contacts: how strongly a
-    # unit answers is no imbalance then
+    # absolute is the paper's; per_unit divides each sensor's latents by their RMS,
+    # so that a less sensitive sensor isn't counted as imbalance
     equilibrium_scale: Literal["absolute", "per_unit"] = "absolute"
     # extra weight where current differs from reference; 0 = plain L1
     changed_pixel_weight: NotNegative = 10.0
     pyramid_levels: Count = 3  # scales of the gradient pyramid
-    # errors are summed over a patch, as the equilibrium term is; a mean over
+    # errors are summed over a patch, as in the equilibrium term; with a mean over pixels
+    # the latent collapses (docs/experiments/tokenizer.md)
     pixels_per_patch: Count = 256
-    # pixels is so small beside it that the latent collapses (docs/experiments/tokenizer.md)
 
 
 @dataclass(frozen=True)
@@ -122,9 +122,9 @@ class PairCacheConfig:
     # the right finger's force is off by up to this share; 0 = perfect equilibrium
     imbalance: Share = 0.0
     flat_share: Share = 0.15  # flat faces, the side of a held tool, among the indenters
-    # a kind that nothing is drawn of, nor of the family around it: what a tokenizer does with a kind it never saw
+    # sensor type held out of pretraining with its family, to test transfer to an unseen type
     left_out: Literal["", "gelsight", "uskin"] = ""
-    # [mm] torsion over friction × normal force of flat faces; a held tool that wipes turns flat pads by up to 9
+    # [mm] torsion over friction × normal force of flat faces; wiping with a held tool reaches 9
     flat_torsion_arm_mm: NotNegative = 2.5
 
 

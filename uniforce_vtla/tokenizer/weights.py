@@ -1,6 +1,6 @@
-"""Checkpoints: a folder with ``model.safetensors`` and ``config.json``, loaded strictly, named by content.
+"""Checkpoints: a folder with ``model.safetensors`` and ``config.json``, loaded strictly.
 
-A training run's state (weights, optimiser, step) is safetensors too, so that resuming unpickles nothing.
+A training run's state (weights, optimiser, step) is safetensors too: resuming unpickles nothing.
 """
 
 import hashlib
@@ -20,27 +20,27 @@ from uniforce_vtla.file_hashes import check_hashes, drop_hashes, write_hashes
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.results_file import PROVENANCE, provenance, write_json
 
-WEIGHTS, CONFIG = "model.safetensors", "config.json"
+WEIGHTS = "model.safetensors"
+CONFIG = "config.json"
 ASSETS = Path(__file__).parent / "assets"  # checkpoints that come with the package
 DEFAULT_SIZE = "small"
 SIZES = (DEFAULT_SIZE, "nano")  # one folder each: tokenizer/ and force_head_SENSOR/
 
 
 def checkpoint_folder(path: str | Path | None, part: str) -> Path:
-    """Return ``path``, or the shipped ``part`` of a size named by it ("small", "nano"; None is the default)."""
-    size = DEFAULT_SIZE if path is None else str(path)
-    return ASSETS / size / part if size in SIZES else Path(size)
+    """Return ``path``, or the shipped ``part`` of the size it names (None: the default size)."""
+    size = str(path or DEFAULT_SIZE)
+    if size in SIZES:
+        return ASSETS / size / part
+    return Path(size)
 
 
 def save_checkpoint(folder: Path, model: nn.Module, config: dict[str, Any]) -> Path:
-    """Write weights, ``config`` and where they come from atomically, file by file, and last their hashes."""
+    """Write weights, ``config`` and provenance atomically, file by file, and last their hashes."""
     folder.mkdir(parents=True, exist_ok=True)
     drop_hashes(folder)
-    tensors = {
-        name: value.detach().cpu().contiguous() for name, value in model.state_dict().items()
-    }
     with tempfile.TemporaryDirectory(dir=folder) as scratch:
-        save_file(tensors, Path(scratch) / WEIGHTS)
+        save_file(_stored(model.state_dict()), Path(scratch) / WEIGHTS)
         (Path(scratch) / CONFIG).write_text(json.dumps(config, indent=1, sort_keys=True) + "\n")
         for name in (WEIGHTS, CONFIG):
             # safetensors makes them private; a package is for everyone
@@ -51,10 +51,15 @@ def save_checkpoint(folder: Path, model: nn.Module, config: dict[str, Any]) -> P
     return folder
 
 
+def _stored(tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """Return tensors as safetensors takes them."""
+    return {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+
+
 def read_config(folder: Path) -> dict[str, Any]:
     """Return the checkpoint's config, its files compared with their hashes.
 
-    Raises CheckpointError: no such checkpoint, a file that was changed, or a config that isn't JSON.
+    Raises CheckpointError: no such checkpoint, a changed file, or a config that isn't JSON.
     """
     path = folder / CONFIG
     if not path.is_file() or not (folder / WEIGHTS).is_file():
@@ -70,8 +75,8 @@ def load_model[Model: nn.Module](folder: Path, build: Callable[[], Model]) -> Mo
 
     It is built without memory first: sizes that don't fit the file cost nothing.
 
-    Raises CheckpointError: truncated, or any tensor missing, unexpected, of another shape or type, or not finite; all
-    are listed.
+    Raises CheckpointError: truncated, or any tensor missing, unexpected, of another shape or type,
+    or not finite; all are listed.
     """
     try:
         tensors = load_file(folder / WEIGHTS)
@@ -83,14 +88,9 @@ def load_model[Model: nn.Module](folder: Path, build: Callable[[], Model]) -> Mo
     with torch.device("meta"):
         wanted = build().state_dict()
     wrong = mismatches(wanted, tensors)
-    wrong += [
-        f"{name} is {tensors[name].dtype}, not {wanted[name].dtype}"
-        for name in sorted(wanted.keys() & tensors.keys())
-        if tensors[name].dtype != wanted[name].dtype
-    ]
-    wrong += [
-        f"NaN or inf in {name}" for name, tensor in sorted(tensors.items()) if not is_finite(tensor)
-    ]
+    for name in sorted(tensors):
+        if not is_finite(tensors[name]):
+            wrong.append(f"NaN or inf in {name}")
     if wrong:
         do = "Load the config it was made with."
         raise CheckpointError(expected(str(folder), "the model's tensors", "; ".join(wrong), do))
@@ -107,19 +107,19 @@ def is_finite(tensor: torch.Tensor) -> bool:
 
 
 def mismatches(wanted: dict[str, torch.Tensor], came: dict[str, torch.Tensor]) -> list[str]:
-    """Return a line for every tensor that is missing, unexpected or misshapen."""
-    missing = [f"missing {name}" for name in sorted(wanted.keys() - came.keys())]
-    unexpected = [f"unexpected {name}" for name in sorted(came.keys() - wanted.keys())]
-    misshapen = [
-        f"{name} is {tuple(came[name].shape)}, not {tuple(wanted[name].shape)}"
-        for name in sorted(wanted.keys() & came.keys())
-        if wanted[name].shape != came[name].shape
-    ]
-    return missing + unexpected + misshapen
+    """Return a line for every tensor that is missing, unexpected, or of another shape or type."""
+    lines = [f"missing {name}" for name in sorted(wanted.keys() - came.keys())]
+    lines += [f"unexpected {name}" for name in sorted(came.keys() - wanted.keys())]
+    for name in sorted(wanted.keys() & came.keys()):
+        if wanted[name].shape != came[name].shape:
+            lines.append(f"{name} is {tuple(came[name].shape)}, not {tuple(wanted[name].shape)}")
+        if wanted[name].dtype != came[name].dtype:
+            lines.append(f"{name} is {came[name].dtype}, not {wanted[name].dtype}")
+    return lines
 
 
 def content_hash(model: nn.Module, facts: dict[str, Any]) -> str:
-    """Return the sha256 over every tensor's name, type, shape and bytes, and over ``facts`` as JSON."""
+    """Return the sha256 of all tensors (name, type, shape, bytes) and of ``facts`` as JSON."""
     digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
     for name, value in sorted(model.state_dict().items()):
         array = value.detach().cpu().contiguous().numpy()
@@ -129,20 +129,19 @@ def content_hash(model: nn.Module, facts: dict[str, Any]) -> str:
 
 
 STATE = "state.safetensors"
-MODEL, MOMENTS = "model.", "optimizer."
+MODEL = "model."
+MOMENTS = "optimizer."
 
 
 def save_state(folder: Path, step: int, model: dict[str, Any], optimizer: dict[str, Any]) -> Path:
     """Write both state dicts atomically."""
     tensors = {MODEL + name: value for name, value in model.items()}
     for number, moments in optimizer["state"].items():
-        tensors |= {
-            f"{MOMENTS}{number}.{name}": torch.as_tensor(value) for name, value in moments.items()
-        }
-    tensors = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
+        for name, value in moments.items():
+            tensors[f"{MOMENTS}{number}.{name}"] = torch.as_tensor(value)
     facts = {"step": str(step), "groups": json.dumps(optimizer["param_groups"])}
     scratch = folder / "state.tmp"
-    save_file(tensors, scratch, metadata=facts)
+    save_file(_stored(tensors), scratch, metadata=facts)
     scratch.replace(folder / STATE)
     return folder / STATE
 
@@ -156,11 +155,12 @@ def load_state(folder: Path) -> tuple[int, dict[str, Any], dict[str, Any]]:
     try:
         with safetensors.safe_open(path, framework="pt") as stored:
             facts = stored.metadata() or {}
-            tensors = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118 (not a dict)
-        if bad := [name for name, tensor in sorted(tensors.items()) if not is_finite(tensor)]:
+        tensors = load_file(path)
+        if bad := [name for name in sorted(tensors) if not is_finite(tensors[name])]:
             raise ValueError(f"NaN or inf in {', '.join(bad)}")
-        step, groups = int(facts["step"]), json.loads(facts["groups"])
-        return step, _part(tensors, MODEL), {"state": _moments(tensors), "param_groups": groups}
+        step = int(facts["step"])
+        moments = {"state": _moments(tensors), "param_groups": json.loads(facts["groups"])}
+        return step, _part(tensors, MODEL), moments
     except (safetensors.SafetensorError, OSError, ValueError, KeyError) as error:
         do = "Delete it to start the run again, or restore it from a copy."
         raise CheckpointError(
