@@ -8,13 +8,14 @@ from typing import Any
 
 import av
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from uniforce_datasets.dataset_info import parquet_files, read_info, videos
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import DatasetError, expected
-from uniforce_vtla.keys import tactile_key
+from uniforce_vtla.keys import TACTILE_KEYS, camera_key, tactile_key
 from uniforce_vtla.options import absolute
 
 # the last: metadata that is no text, no codec
@@ -38,8 +39,13 @@ class Episode:
     index: int  # its number in the dataset
     start: int  # index of its first frame in the dataset
     length: int  # frames
-    task: str  # the instruction in words
+    task: str  # the instruction in words; one of them where it changes within the episode
     videos: dict[str, VideoSpan]  # span by video key
+
+    @property
+    def rows(self) -> slice:
+        """Frames of the episode within a column of the dataset."""
+        return slice(self.start, self.start + self.length)
 
 
 @dataclass(frozen=True)
@@ -69,6 +75,34 @@ class Source:
     def fingers(self) -> tuple[Finger, ...]:
         """Fingers with a marker stream."""
         return tuple(f for f in FINGERS if tactile_key(f) in self.features)
+
+    @property
+    def cameras(self) -> list[str]:
+        """Names of the scene cameras."""
+        found = []
+        for key in videos(self.info):
+            if key.startswith(camera_key("")) and key not in TACTILE_KEYS:
+                found.append(key.removeprefix(camera_key("")))
+        return found
+
+    def instructions(self) -> np.ndarray:
+        """Return (N,) the instruction of every frame, in words.
+
+        Raises DatasetError: ``meta/tasks.parquet`` is missing or damaged, or lacks an instruction.
+        """
+        file = self.root / "meta" / "tasks.parquet"
+        numbers = self.columns(("task_index",))["task_index"].ravel()
+        try:
+            tasks = pd.read_parquet(file)["task_index"]
+            words = pd.Series(tasks.index, index=tasks).reindex(numbers).to_numpy(object)
+        except (pa.ArrowException, OSError, KeyError, ValueError) as error:
+            raise DatasetError(
+                expected(str(file), "instructions by number", error, "Restore it from a copy.")
+            ) from error
+        if not all(isinstance(word, str) for word in words):
+            do = "Restore it from a copy."
+            raise DatasetError(expected(str(file), "an instruction for every frame", "none", do))
+        return words
 
     def columns(self, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
         """Return (N, D) or (N,) columns of all frames; raise DatasetError where frames are missing."""

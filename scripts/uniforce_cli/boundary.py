@@ -23,7 +23,7 @@ from uniforce_vtla.errors import (
     no_room,
     without_credentials,
 )
-from uniforce_vtla.options import Names, Pattern
+from uniforce_vtla.options import Names, Pattern, split
 from uniforce_vtla.sensors import list_sensors
 from uniforce_vtla.terminal import LastingText, stops_like_ctrl_c
 
@@ -106,6 +106,11 @@ def command(
 ) -> Callable[[Callable[..., int | None]], Command]:
     """Make ``main(config)`` a ``Command``, which says what the arguments are."""
     return lambda main: Command(main, config_class, presets, others)
+
+
+def by_name(text: str) -> dict[str, str]:
+    """Return the pairs of an option like ``touch0:right,touch1:left``."""
+    return dict(pair.split(":", 1) for pair in split(text))
 
 
 def one_thread() -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from uniforce_cli.boundary import command, one_thread
+from uniforce_cli.boundary import by_name, command, one_thread
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.file_hashes import write_hashes
 from uniforce_vtla.json_file import read_object
@@ -95,7 +95,7 @@ def convert(config: ConvertConfig) -> Path:
         policy, do = f"policy type of {config.source}", "Name a π0.5 checkpoint."
         raise CheckpointError(expected(policy, " | ".join(KNOWN_TYPES), source.get("type"), do))
     weights.check_files(config.source, "full", revision, local_files_only=False)
-    slots = dict(pair.strip().split(":") for pair in config.touch_slots.split(",") if pair)
+    slots = by_name(config.touch_slots)
     view = TrainingView(config.view, slots=slots, touch=config.touch_input)
     settings = _settings(source, config, slots)
     features = dataset_to_policy_features(view.meta.features)
