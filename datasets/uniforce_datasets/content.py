@@ -65,7 +65,7 @@ def check_stored(
         fps: frames per second.
         ends: first and last recorded (H, W, 3) image by marker key.
 
-    Raises DatasetError: a frame is missing, or a decoded marker image differs from the recorded one.
+    Raises DatasetError: a frame is missing, or a decoded marker image isn't the recorded one.
     """
     do = "Episode discarded; record it again."
     videos = {}
@@ -192,12 +192,14 @@ def _check_markers(episode: Episode, key: str, frames: Iterable[np.ndarray]) -> 
         if last is not None and np.array_equal(frame, last):
             continue
         if last is not None and key in REFERENCE_KEYS:
-            do = "A reference is taken once, before an episode: record it again, or leave the episode out."
+            do = "A reference is taken once, before an episode: "
+            do += "record it again, or leave the episode out."
             raise DatasetError(expected(where, "one image all the time", "another one", do))
         between = bool((frame + np.uint8(1) > 1).any())  # 255 + 1 is 0
         if between or not (frame[..., 1:] == frame[..., :1]).all():
             came = "values between" if between else "colours"
-            do = "The video was encoded with loss: record or convert it again with h264 crf 0 (uniforce record does)."
+            do = "The video was encoded with loss: "
+            do += "record or convert it again with h264 crf 0 (uniforce record does)."
             raise DatasetError(expected(where, "only 0 and 255 after decoding", came, do))
         last = frame
 

@@ -35,7 +35,8 @@ def inside(root: Path, path: Path) -> Path:
     Raises DatasetError: it leads outside.
     """
     if not path.resolve().is_relative_to(root.resolve()):
-        do = "Copy the files into the folder (huggingface-cli: --local-dir), or give the folder that holds both."
+        do = "Copy the files into the folder (huggingface-cli: --local-dir), "
+        do += "or give the folder that holds both."
         raise DatasetError(expected(str(path), f"a path inside {root}", f"{path.resolve()}", do))
     return path
 

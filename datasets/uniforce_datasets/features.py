@@ -33,7 +33,7 @@ def vector_column(names: Sequence[str], dtype: str = "float32") -> dict[str, Any
 
 
 def flat_column(size: int, dtype: str) -> dict[str, Any]:
-    """Return the feature of a per-frame vector without names; LeRobot's tools break on more axes."""
+    """Return the feature of a per-frame vector without names; LeRobot takes no more axes."""
     return {"dtype": dtype, "shape": (size,), "names": None}
 
 
@@ -84,8 +84,8 @@ def refuse_other_features(meta: Any, fps: int, features: Mapping[str, dict[str, 
 
     Raises DatasetError: a column is missing, too many, or of another form; another rate.
     """
-    stored = {key: meta.features[key] for key in meta.features.keys() - DEFAULT_FEATURES.keys()}
-    odd = set(features.keys() ^ stored.keys())
+    stored = meta.features
+    odd = set(features.keys() ^ stored.keys()) - DEFAULT_FEATURES.keys()
     for key in features.keys() & stored.keys():
         if features[key]["dtype"] != stored[key]["dtype"]:
             odd.add(key)

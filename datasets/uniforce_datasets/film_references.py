@@ -1,4 +1,4 @@
-"""Free-air references of recorded films: a frame of its own, a borrowed one, or why there is none."""
+"""Free-air references of recorded films: an own frame, a borrowed one, or the reason for none."""
 
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -40,7 +40,8 @@ def film_references(folder: str | Path, sensor: str, borrow: bool = False) -> li
     """Return the reference of every film of one session, sorted by film.
 
     Args:
-        folder: films below a folder for each object; see ``find_films``. The films may show several pads.
+        folder: films below a folder for each object; see ``find_films``. The films may show several
+            pads.
         sensor: the camera sensor that was filmed.
         borrow: give a film without a free frame the one of another film of its pad. Pads are
             mounted anew between films, so it may lie a few pixels off.
@@ -83,7 +84,7 @@ def _unread(name: str, seen: FilmMarkers) -> str:
 
 
 def _of_one_size(found: dict[Path, FilmReference], markers: dict[Path, FilmMarkers]) -> list[Path]:
-    """Return the films whose frames have the commonest size; say of the others that theirs differ."""
+    """Return the films of the commonest frame size; set ``why`` of the others."""
     if not markers:
         return []
     [(usual, _)] = Counter(seen.shape for seen in markers.values()).most_common(1)

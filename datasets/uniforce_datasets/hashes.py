@@ -44,9 +44,10 @@ def files_of(root: Path) -> list[str]:
         for folder, _, names in os.walk(root / part):  # rglob fails where a recorder drops a folder
             for name in names:
                 path = Path(folder, name).relative_to(root)
-                if (root / path).is_file() and not any(map(is_foreign, path.parts)):
+                is_ours = str(path) != HASHES and not any(map(is_foreign, path.parts))
+                if is_ours and (root / path).is_file():
                     found.append(str(path))
-    return [name for name in found if name != HASHES]
+    return found
 
 
 def write_hashes(root: Path, episodes: Mapping[str, int]) -> None:
@@ -82,7 +83,7 @@ def check_hashes(root: Path, verify: Verify = "full") -> None:
 
     Args:
         root: its folder.
-        verify: "full" reads every file; "quick" compares the sizes of videos only; "off" does nothing.
+        verify: "full" reads every file; "quick" compares videos by size; "off" does nothing.
 
     Raises DatasetError: a file is missing, changed, or none of the dataset's; names its episode.
     """
@@ -134,8 +135,10 @@ def _wrong(
     wanted: Mapping[str, list[Entry]], files: Mapping[str, Path], verify: Verify, doubted: set[str]
 ) -> dict[str, str]:
     """Return how files differ from their entries, by name; of those saved, check ``doubted``."""
-    strange = [name for name in files if name not in wanted]
-    wrong = dict.fromkeys(strange, "one that was never saved here")
+    wrong = {}
+    for name in files:
+        if name not in wanted:
+            wrong[name] = "one that was never saved here"
     asked = {name: entries for name, entries in wanted.items() if name in doubted}
     by_size = _is_video if verify == "quick" else None
     return wrong | dict(differences(asked, files, by_size))

@@ -1,6 +1,6 @@
-"""Raw tactile frames beside a dataset: ``raw/tactile_left/episode_000017.mp4``, one file per episode and finger.
+"""Raw tactile frames beside a dataset, e.g. ``raw/tactile_left/episode_000017.mp4``.
 
-Not a LeRobot feature, on purpose: LeRobot hands every video key to a policy as a camera, and decodes
+Not a LeRobot feature, on purpose: LeRobot hands every video key to a policy as a camera and decodes
 it for every training sample. These are kept so that demonstrations survive a better canonicaliser,
 and nothing else reads them.
 """

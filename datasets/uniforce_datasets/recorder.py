@@ -186,7 +186,7 @@ class EpisodeRecorder:
         card: Mapping[str, Any] | None = None,
         settings: Settings | None = None,
     ) -> None:
-        """Make the episode durable; on any error it is discarded and the saved ones stay as they are.
+        """Make the episode durable; on any error discard it and leave the saved ones as they are.
 
         Args:
             success: clean success.

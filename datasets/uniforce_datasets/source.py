@@ -1,5 +1,6 @@
-"""Read a recorded dataset file by file, without LeRobot and without the hub: whole or not at all."""
+"""Read a recorded dataset file by file, without LeRobot and the hub: whole or not at all."""
 
+from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -107,7 +108,7 @@ class Source:
         return words
 
     def columns(self, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
-        """Return (N, D) or (N,) columns of all frames; raise DatasetError where frames are missing."""
+        """Return (N, D) or (N,) columns of all frames; DatasetError: frames are missing."""
         columns = read_columns(self.root, ("index", *keys))
         order = np.argsort(columns["index"], kind="stable")
         order = order[columns["index"][order] < self.num_frames]
@@ -119,9 +120,10 @@ class Source:
 
 
 def read_source(root: str | Path, within: Path | None = None) -> Source:
-    """Open the dataset at ``root``; its links may lead into ``within``, by default the dataset itself.
+    """Open a dataset; its links may lead into ``within``, by default the dataset itself.
 
-    Raises DatasetError: no dataset there, no episode, broken metadata, or a path or link that leads out of it.
+    Raises DatasetError: no dataset there, no episode, broken metadata, or a path or link that leads
+    out of it.
     """
     root = absolute(root)
     info = read_info(root, within)
@@ -163,10 +165,11 @@ def _check_row(where: str, row: dict[str, Any], keys: list[str]) -> None:
         task = task[0]
     whole = isinstance(task, str)
     for key in keys:
-        chunk, file, seconds = (f"videos/{key}/{part}" for part in SPAN)
-        counts += [chunk, file]
-        whole = whole and type(row[seconds]) is float and 0 <= row[seconds] < LONGEST_VIDEO_S
-    whole = whole and all(type(row[name]) is int and row[name] >= 0 for name in counts)
+        counts += [f"videos/{key}/chunk_index", f"videos/{key}/file_index"]
+        from_s = row[f"videos/{key}/from_timestamp"]
+        whole &= type(from_s) is float and 0 <= from_s < LONGEST_VIDEO_S
+    for name in counts:
+        whole &= type(row[name]) is int and row[name] >= 0
     if not whole or row["length"] == 0:
         came = {name: row[name] for name in (*counts[:3], "tasks")}
         do = "Restore it from a copy."
@@ -176,9 +179,12 @@ def _check_row(where: str, row: dict[str, Any], keys: list[str]) -> None:
 def _episode(root: Path, info: dict[str, Any], row: dict[str, Any], keys: list[str]) -> Episode:
     spans = {}
     for key in keys:
-        chunk, file, from_s = (row[f"videos/{key}/{part}"] for part in SPAN)
-        path = info["video_path"].format(video_key=key, chunk_index=chunk, file_index=file)
-        spans[key] = VideoSpan(root / path, from_s)
+        path = info["video_path"].format(
+            video_key=key,
+            chunk_index=row[f"videos/{key}/chunk_index"],
+            file_index=row[f"videos/{key}/file_index"],
+        )
+        spans[key] = VideoSpan(root / path, row[f"videos/{key}/from_timestamp"])
     task = row["tasks"]
     if not isinstance(task, str):
         task = task[0]
@@ -197,7 +203,7 @@ def read_columns(root: Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
         raise DatasetError(
             expected(str(root), "data/**/*.parquet", "none", "Record episodes first.")
         )
-    parts: dict[str, list[np.ndarray]] = {key: [] for key in keys}
+    parts: dict[str, list[np.ndarray]] = defaultdict(list)
     for file in files:
         table = read_table(file, list(keys))
         for key in keys:
@@ -228,7 +234,7 @@ def _as_array(where: str, key: str, column: pa.Array) -> np.ndarray:
 
 
 def read_table(file: Path, keys: list[str]) -> pa.Table:
-    """Read some columns of a parquet file; raise DatasetError if it is missing, damaged or lacks one."""
+    """Read columns of a parquet file; DatasetError: it is missing, damaged, or lacks one."""
     try:
         return pq.ParquetFile(file).read(columns=keys).select(keys).replace_schema_metadata(None)
     except KeyError as error:

@@ -1,4 +1,4 @@
-"""A training view in the place of a LeRobotDataset: what LeRobot's trainer asks for, from arrays."""
+"""A training view in the place of a LeRobotDataset, read from arrays by LeRobot's trainer."""
 
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -75,7 +75,8 @@ class TrainingView(Dataset):
         root: folder written by ``build_view``.
         action_deltas: frames of the action relative to the sample; −1 is the command before it.
         slots: which finger fills which slot; None takes the view's own.
-        touch: "latent" | "none", or a control: "wrench" (the true one) | "descriptor" | "marker_pair".
+        touch: "latent" | "none", or a control: "wrench" (the true one) | "descriptor" |
+            "marker_pair".
         episodes: numbers of the episodes to sample from; None is all.
         image_transforms: applied to each camera image.
         verify: "full" and "quick" compare the SHA-256 of every array; "off" doesn't.
@@ -220,17 +221,19 @@ class TrainingView(Dataset):
         return columns
 
     def _metadata(self) -> ViewMetadata:
-        sampled = np.zeros(len(self._starts) - 1, dtype=bool)
-        sampled[self._sampled] = True
-        rows = np.repeat(sampled, np.diff(self._starts))  # (N,) bool
+        rows = np.zeros(len(self), dtype=bool)
+        sampled = []
+        for number in self._sampled:
+            rows[self._starts[number] : self._starts[number + 1]] = True
+            sampled.append(self.marker["episodes"][number])
         stats = {}
         for key, name in {keys.STATE: keys.STATE, keys.ACTION: keys.ACTION, **self._touch}.items():
             if self._arrays[name].ndim == 2:  # no pictures
                 stats[key] = pooled_stats(self._arrays[name][rows])
         tasks = []
+        names = np.array(self._tasks, dtype=object)
         for start, end in pairwise(self._starts):
-            numbers = np.unique(self._task_index[start:end])
-            tasks.append([self._tasks[number] for number in numbers])
+            tasks.append(names[np.unique(self._task_index[start:end])].tolist())
         return ViewMetadata(
             root=self.root,
             fps=self.marker["fps"],
@@ -241,7 +244,7 @@ class TrainingView(Dataset):
                 "dataset_to_index": self._starts[1:].tolist(),
                 "tasks": tasks,
             },
-            sensors=mounted_sensors(self.marker["episodes"][number] for number in self._sampled),
+            sensors=mounted_sensors(sampled),
             camera_keys=list(map(keys.camera_key, keys.CAMERAS)),
             total_episodes=len(tasks),
             total_frames=len(self),

@@ -44,7 +44,7 @@ class EncoderThread(_CameraEncoderThread):
     _last: tuple[np.ndarray, av.VideoFrame] | None = None
 
     def run(self) -> None:
-        """Encode until ``None`` comes or the episode is cancelled; answer statistics or an error."""
+        """Encode until ``None`` or a cancelled episode; answer statistics or an error."""
         try:
             self.result_queue.put(("ok", self._encode()))
         except (av.error.FFmpegError, OSError, ValueError, RuntimeError) as error:
@@ -113,9 +113,9 @@ def _pixels(frame: np.ndarray) -> np.ndarray:
 
 PATIENCE_s = 60.0  # how long a simulation waits for a stuck encoder before it gives the episode up
 POLL_s = 0.002  # between looks at a full queue
-REFERENCE_KEYS = tuple(tactile_key(finger, reference=True) for finger in FINGERS)
+REFERENCE_KEYS = (tactile_key("left", reference=True), tactile_key("right", reference=True))
 # of raw streams: names, never LeRobot keys
-RAW_NAMES = tuple(tactile_name(finger) for finger in FINGERS)
+RAW_NAMES = tuple(map(tactile_name, FINGERS))
 
 
 def camera_codec() -> RGBEncoderConfig:

@@ -1,4 +1,4 @@
-"""Build a training view: videos decoded once, cameras resized, touch encoded by the frozen tokenizer.
+"""Build a training view: decode videos once, resize cameras, encode touch by the tokenizer.
 
 Stock LeRobot decodes six videos for every training sample.  A view reads arrays instead.
 """

@@ -5,8 +5,10 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -124,13 +126,12 @@ class ViewPlan:
         return digest.hexdigest()
 
 
-def mounted_sensors(episodes: Iterable[Mapping[str, Any]]) -> dict[str, list[str]]:
+def mounted_sensors(episodes: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
     """Return the names of all sensors that a finger had in some episodes, by finger."""
-    mounted: dict[str, set[str]] = {finger: set() for finger in FINGERS}
-    for facts in episodes:
-        for finger in FINGERS:
-            mounted[finger].add(facts[f"{finger}_sensor"])
-    return {finger: sorted(names) for finger, names in mounted.items()}
+    mounted: dict[str, list[str]] = {}
+    for finger in FINGERS:
+        mounted[finger] = sorted({facts[f"{finger}_sensor"] for facts in episodes})
+    return mounted
 
 
 def plan_view(
@@ -176,14 +177,14 @@ def _check_streams(source: Source, fps: int, settings: ViewSettings) -> None:
     if missing:
         came += f", without {missing}"
     if set(missing) & set(cameras):
-        options = ",".join(f"{camera}:NAME" for camera in keys.CAMERAS)
         recorded = ", ".join(source.cameras) or "none"
-        do = f"Rename its cameras ({recorded}) with cameras={options}, or leave it out."
+        option = "cameras=front:NAME,wrist:NAME"
+        do = f"Rename its cameras ({recorded}) with {option}, or leave it out."
     raise DatasetError(expected(str(source.root), f"{fps} Hz and {needed}", came, do))
 
 
 def episode_facts(source: Source) -> list[tuple[Episode, EpisodeFacts]]:
-    """Return the episodes of a dataset with their facts; raise DatasetError: columns are missing."""
+    """Return the episodes of a dataset with their facts; DatasetError: columns are missing."""
     left_key = keys.sensor_key("left")
     right_key = keys.sensor_key("right")
     columns = source.columns((keys.SUCCESS, keys.OUTCOME, keys.SEED, left_key, right_key))
@@ -210,23 +211,25 @@ def episode_facts(source: Source) -> list[tuple[Episode, EpisodeFacts]]:
 def _columns(
     episodes: Sequence[tuple[Source, Episode]], sources: Sequence[Source]
 ) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
-    """Return the columns of all chosen frames, and the instructions if they change in an episode."""
+    """Return columns of all chosen frames, and instructions where they change in an episode."""
     wrenches = tuple(map(keys.truth_wrench_key, FINGERS))
     wanted: tuple[str, ...] = (keys.STATE, keys.ACTION)
     if all(source.features.keys() >= set(wrenches) for source in sources):
         wanted += wrenches
     stored: dict[Path, dict[str, np.ndarray]] = {}
     words: list[np.ndarray] = []
-    parts: dict[str, list[np.ndarray]] = {key: [] for key in wanted}
+    one_each = True
+    parts: dict[str, list[np.ndarray]] = defaultdict(list)
     for source, episode in episodes:
         if source.root not in stored:
             stored[source.root] = source.columns(wanted) | {keys.TASK: source.instructions()}
         columns = stored[source.root]
         words.append(columns[keys.TASK][episode.rows])
+        one_each &= len(set(words[-1])) == 1
         for key in wanted:
             parts[key].append(columns[key][episode.rows])
     joined = {key: np.concatenate(blocks).astype(np.float32) for key, blocks in parts.items()}
-    if all(len(set(said)) == 1 for said in words):
+    if one_each:
         return joined, ()
     tasks, joined[TASK_INDEX] = np.unique(np.concatenate(words), return_inverse=True)
     return joined, tuple(tasks)
@@ -251,8 +254,8 @@ def read_marker(root: Path) -> dict[str, Any]:
     check_links(root, root)
     marker = read_object(file, DatasetError)
     arrays = [*keys.CAMERAS, keys.STATE, keys.ACTION]
-    for name in TOUCH_STREAMS:
-        arrays += [touch_stream(name, finger) for finger in FINGERS]
+    for name, finger in product(TOUCH_STREAMS, FINGERS):
+        arrays.append(touch_stream(name, finger))
     if "tasks" in marker:
         arrays.append(TASK_INDEX)
     missing = [name for name in arrays if not (root / f"{name}.npy").is_file()]

@@ -42,7 +42,8 @@ class ViewConfig:
     latent_grid: LatentGrid = 4  # latents pooled to 4×4; the policy's latent_grid must match
     # default slot → finger; both fingers are stored anyway
     slots: Slots = "touch0:right,touch1:left"
-    # cameras that were recorded under other names than front and wrist: front:cam_high,wrist:cam_arm
+    # cameras that were recorded under other names than front and wrist, e.g.
+    # front:cam_high,wrist:cam_arm
     cameras: CameraNames = ""
     tokenizer: TokenizerFolder = ""  # folder of a tokenizer; empty = the shipped one
     # take demos that wiped the board with an event, or outside the band, too

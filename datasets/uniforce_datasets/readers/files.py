@@ -1,4 +1,4 @@
-"""Opening what users bring: only inside the folder they named, never unpickled, whole or not at all."""
+"""Open files of users: inside the folder they named, never unpickled, whole or not at all."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,11 +26,12 @@ def existing_folder(folder: str | Path) -> Path:
 
 
 def find(root: Path, pattern: str) -> list[Path]:
-    """Return what fits ``pattern`` in ``root`` or up to three levels below, none of it leading outside."""
+    """Return the paths that fit ``pattern`` up to three levels below ``root``, none outside it."""
     found: list[Path] = []
     for level in ("", "*/", "*/*/", "*/*/*/"):
-        found += root.glob(level + pattern)
-    return [inside(root, path) for path in sorted(found)]
+        for path in root.glob(level + pattern):
+            found.append(inside(root, path))
+    return sorted(found)
 
 
 def subfolders(folder: Path, root: Path) -> list[Path]:
@@ -42,8 +43,8 @@ def subfolders(folder: Path, root: Path) -> list[Path]:
     return found
 
 
-def numbered_images(folder: Path, root: Path, endings: Sequence[str]) -> list[Path]:
-    """Return images called by a number, in its order.
+def numbered_images(folder: Path, root: Path, endings: Sequence[str]) -> dict[int, Path]:
+    """Return images called by a number, by this number in its order.
 
     Raises DatasetError: none, several kinds of file, the same number twice, or one leading outside
     ``root``.
@@ -64,7 +65,7 @@ def numbered_images(folder: Path, root: Path, endings: Sequence[str]) -> list[Pa
         raise DatasetError(
             expected(str(folder), f"one kind of {wanted}", came, "Which belong together?")
         )
-    return [images[number] for number in sorted(images)]
+    return dict(sorted(images.items()))
 
 
 def read_marker_picture(path: Path, threshold: int) -> np.ndarray:
@@ -111,7 +112,7 @@ def decode_picture(data: bytes, where: str) -> np.ndarray:
 
 
 def read_table(path: Path) -> pd.DataFrame:
-    """Return a csv table, its numbers exactly as written; raise DatasetError where there is none."""
+    """Return a csv table, its numbers exactly as written; DatasetError: there is none."""
     if not path.is_file():
         raise DatasetError(expected(str(path), "a csv file", "none", "Is the data set complete?"))
     try:

@@ -18,7 +18,7 @@ ENDINGS = (".avi", ".mp4", ".npy")
 def find_films(folder: str | Path) -> dict[Path, str]:
     """Return path → object of every film at or up to three levels below ``folder``, sorted.
 
-    The first folder below ``folder`` names the object; a film that lies in none is an object of its own.
+    The first folder below ``folder`` names the object; a film outside any is an object of its own.
 
     Raises DatasetError: no folder, no film in it, or a path that leads outside.
     """

@@ -1,4 +1,4 @@
-"""Grasps of two GelSight Minis on a Franka hand, as amitparag/Incipient-Slip-Detection stores them (BSD-2).
+"""Grasps of two GelSight Minis, as amitparag/Incipient-Slip-Detection stores them (BSD-2).
 
 ``docs/franka-servo/datasets`` holds ``[SET/]OBJECT/exp_num_N/{camera_0,camera_2}.avi``: one film a
 finger, 320×240 at 25 Hz. The robot grasps, lifts and shakes an object. The hand closes by width;

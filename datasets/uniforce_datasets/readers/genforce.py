@@ -1,4 +1,4 @@
-"""GenForce-Hetero: ``{img,force,depth}/<sensor>/<indenter>/<trial>/`` with packed marker images and ft.csv.
+"""GenForce-Hetero: ``{img,force,depth}/<sensor>/<indenter>/<trial>/``, marker images and ft.csv.
 
 Images: ``0000.npy`` of packed bits (480·640/8 = 38,400 bytes) or plain (480, 640) arrays, or
 ``0000.jpg`` (uSkin), white above 50. Forces: first three columns of ft.csv, N; Fz is negative in
@@ -55,8 +55,9 @@ class ForceAxes:
     def __post_init__(self) -> None:
         """Raise ContractError unless the three are signed and different."""
         names = (self.x, self.y, self.z)
-        signed = all(re.fullmatch("[+-][xyz]", name) for name in names)
-        if not signed or len({name[1] for name in names}) < len(names):
+        text = " ".join(names)
+        signed = re.fullmatch("[+-][xyz] [+-][xyz] [+-][xyz]", text)
+        if not signed or not {*"xyz"} <= {*text}:
             do = 'Give each recorded axis once, with its sign, e.g. ForceAxes("+x", "-y", "-z").'
             raise ContractError(expected("force axes", "±x, ±y, ±z in some order", names, do))
 
@@ -153,7 +154,7 @@ def _recordings(root: Path, folder: Path, config: GenForceConfig) -> Iterator[La
     sensor, indenter, name = folder.relative_to(root / "img").parts
     where = f"{sensor}/{indenter}/{name}"
     most = config.options.max_frames
-    images = numbered_images(folder, root, (".npy", ".jpg", ".jpeg"))
+    images = list(numbered_images(folder, root, (".npy", ".jpg", ".jpeg")).values())
     forces = inside(root, root / "force" / sensor / indenter / name / "ft.csv")
     force_N = config.axes.to_image(read_forces(forces))
     if len(force_N) != len(images):

@@ -37,7 +37,7 @@ class LabelledRecording:
 
 @dataclass(frozen=True, eq=False)
 class PairRecording:
-    """Contacts that two fingers measure at once: frame k of the left and of the right are a pair."""
+    """Contacts that two fingers measure at once: left frame k and right frame k are a pair."""
 
     sensors: tuple[str, str]  # names of the left and the right sensor
     indenter: str  # what was held

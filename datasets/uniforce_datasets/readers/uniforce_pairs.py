@@ -44,11 +44,6 @@ class PairConfig:
     max_frames: int = 256  # pairs per recording: two stacks of 79 MB; more come in parts
 
 
-def pair_folders(folder: str | Path) -> list[Path]:
-    """Return the ``<left>_<right>`` folders up to three levels below ``folder``, by their log."""
-    return [path.parent for path in find(Path(folder), LOG_FILE)]
-
-
 def read_uniforce_pairs(
     folder: str | Path, config: PairConfig | None = None
 ) -> Iterator[PairRecording]:
@@ -59,17 +54,18 @@ def read_uniforce_pairs(
     """
     config = config or PairConfig()
     root = existing_folder(folder)
-    found = pair_folders(root)
-    if not found:
+    logs = find(root, LOG_FILE)
+    if not logs:
         wanted = f"<pattern>/<date>/<left>_<right>/{LOG_FILE}"
         raise DatasetError(expected(str(root), wanted, "none", "Is this a folder of pairs?"))
-    for pairs in found:
-        sensors = pair_sensors(pairs, root)
+    for log in logs:
+        pairs = log.parent
+        sensors = _sensors(pairs, root)
         for indenter in _indenters(pairs, sensors, root, config):
             yield from _recordings(root, pairs, sensors, indenter, config)
 
 
-def pair_sensors(folder: Path, root: Path) -> tuple[str, str]:
+def _sensors(folder: Path, root: Path) -> tuple[str, str]:
     """Return (left, right) of a ``<left>_<right>`` folder.
 
     Names may hold "_", so the folders in marker/ decide.
@@ -107,54 +103,61 @@ def _indenters(pairs: Path, sensors: tuple[str, str], root: Path, config: PairCo
 def _recordings(
     root: Path, pairs: Path, sensors: tuple[str, str], indenter: str, config: PairConfig
 ) -> Iterator[PairRecording]:
-    folders = [inside(root, pairs / "marker" / sensor / indenter) for sensor in sensors]
-    left = numbered_images(folders[0], root, ENDINGS)
-    right = numbered_images(folders[1], root, ENDINGS)
-    alone = sorted({int(path.stem) for path in left} ^ {int(path.stem) for path in right})
+    left_folder = inside(root, pairs / "marker" / sensors[0] / indenter)
+    right_folder = inside(root, pairs / "marker" / sensors[1] / indenter)
+    left = numbered_images(left_folder, root, ENDINGS)
+    right = numbered_images(right_folder, root, ENDINGS)
+    alone = sorted(left.keys() ^ right.keys())
     if alone:
         came = f"{len(alone)} on one side only, e.g. {alone[0]:06d}"
         raise DatasetError(
             expected(f"{pairs}, {indenter}", "the same indices", came, "Same index = pair.")
         )
-    left_reference = _reference(folders[0], left, root, config)
-    right_reference = _reference(folders[1], right, root, config)
+    left_reference = _reference(left_folder, left, root, config)
+    right_reference = _reference(right_folder, right, root, config)
     name = "/".join(pairs.relative_to(root).parts) or pairs.name
-    for start in range(0, len(left), config.max_frames):
-        rows = slice(start, start + config.max_frames)
+    paired = list(zip(left.values(), right.values(), strict=True))
+    for start in range(0, len(paired), config.max_frames):
+        left_frames = []
+        right_frames = []
+        for left_path, right_path in paired[start : start + config.max_frames]:
+            left_frames.append(read_marker_picture(left_path, HALF_WAY))
+            right_frames.append(read_marker_picture(right_path, HALF_WAY))
         yield PairRecording(
             sensors=sensors,
             indenter=indenter,
             name=name,
             left_reference=left_reference,
             right_reference=right_reference,
-            left_frames=np.stack([read_marker_picture(path, HALF_WAY) for path in left[rows]]),
-            right_frames=np.stack([read_marker_picture(path, HALF_WAY) for path in right[rows]]),
+            left_frames=np.stack(left_frames),
+            right_frames=np.stack(right_frames),
             first_frame=start,
         )
 
 
-def _reference(folder: Path, images: list[Path], root: Path, config: PairConfig) -> np.ndarray:
+def _reference(folder: Path, images: dict[int, Path], root: Path, config: PairConfig) -> np.ndarray:
     for place in (folder / REFERENCE_FILE, folder.parent / REFERENCE_FILE):
         if place.is_file():
             return read_marker_picture(inside(root, place), HALF_WAY)
     if config.reference_index is None:
-        do = "If one of the frames was taken without contact, name it: PairConfig(reference_index=0)."
+        do = "If one of the frames was taken without contact, "
+        do += "name it: PairConfig(reference_index=0)."
         raise DatasetError(expected(str(folder), REFERENCE_FILE, "none", do))
-    for path in images:
-        if int(path.stem) == config.reference_index:
-            return read_marker_picture(path, HALF_WAY)
-    wanted = f"frame {config.reference_index:06d} as reference"
-    raise DatasetError(expected(str(folder), wanted, f"{len(images)} others", "Name another."))
+    if config.reference_index not in images:
+        wanted = f"frame {config.reference_index:06d} as reference"
+        came = f"{len(images)} others"
+        raise DatasetError(expected(str(folder), wanted, came, "Name another."))
+    return read_marker_picture(images[config.reference_index], HALF_WAY)
 
 
 def write_uniforce_pairs(
     root: str | Path, recording: PairRecording, pattern: str, date: str | None = None
 ) -> Path:
-    """Append pairs to the layout and return the ``<left>_<right>`` folder; reading gives the same images back.
+    """Append pairs to the layout and return the ``<left>_<right>`` folder.
 
-    Frames go on from the last index of their indenter. The outermost 4 px become black, as the
-    format has it. The left image of a pair is written last: a killed writer leaves at most one
-    right image without its partner.
+    Reading gives the same images back. Frames go on from the last index of their indenter. The
+    outermost 4 px become black, as the format has it. The left image of a pair is written last: a
+    killed writer leaves at most one right image without its partner.
 
     Args:
         root: folder of the data set; created where missing.
