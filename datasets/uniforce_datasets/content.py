@@ -1,9 +1,11 @@
-"""Check a dataset's content whatever its hashes say: exact marker images, resting references, every frame, numbers.
+"""Check a dataset's content: exact marker images, references that don't change, frames, numbers.
 
-Looked at before an episode counts as saved (``check_stored``), and again before a dataset is read (``check_content``).
+``check_stored`` is called before an episode counts as saved, ``check_content`` before a dataset is
+read.
 """
 
 import os
+from collections import defaultdict, deque
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -13,7 +15,6 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from uniforce_datasets.dataset_info import videos
 from uniforce_datasets.hashes import Verify
 from uniforce_datasets.raw_video import FOLDER, raw_path
 from uniforce_datasets.source import Episode, Source, VideoSpan, episode_frames, stored_frames
@@ -34,11 +35,11 @@ def check_content(source: Source, verify: Verify = "full") -> None:
 
     Args:
         source: an opened dataset.
-        verify: "full" decodes every frame of every video; "quick" one frame of each finger's marker video and two of
-            its reference in every episode; "off" does nothing.
+        verify: "full" decodes every frame of every video; "quick" one frame of each finger's
+            marker video and two of its reference in every episode; "off" does nothing.
 
-    Raises DatasetError: NaN, a wrong time or count, a marker image with loss or colour, a reference that changes, a
-    video that can't be decoded; names the episode.
+    Raises DatasetError: NaN, a wrong time or count, a marker image with loss or colour, a
+    reference that changes, a video that can't be decoded; names the episode.
     """
     if verify == "off":
         return
@@ -54,7 +55,7 @@ def check_content(source: Source, verify: Verify = "full") -> None:
 
 
 def check_stored(
-    staged: Path, frames: int, fps: int, ends: Mapping[str, tuple[np.ndarray, ...]]
+    staged: Path, frames: int, fps: int, ends: Mapping[str, tuple[np.ndarray, np.ndarray]]
 ) -> None:
     """Check the videos of one staged episode.
 
@@ -64,23 +65,26 @@ def check_stored(
         fps: frames per second.
         ends: first and last recorded (H, W, 3) image by marker key.
 
-    Raises DatasetError: a frame is missing, or a decoded marker image differs from the recorded one.
+    Raises DatasetError: a frame is missing, or a decoded marker image isn't the recorded one.
     """
     do = "Episode discarded; record it again."
-    raw = {file: f"raw {file.parts[-2]}" for file in sorted((staged / FOLDER).rglob("*.mp4"))}
-    videos = {file: file.parts[-3] for file in sorted((staged / "videos").rglob("*.mp4"))}
-    for file, key in (raw | videos).items():
+    videos = {}
+    for file in sorted((staged / FOLDER).rglob("*.mp4")):
+        videos[file] = f"raw {file.parts[-2]}"
+    for file in sorted((staged / "videos").rglob("*.mp4")):
+        videos[file] = file.parts[-3]
+    for file, key in videos.items():
         stored = stored_frames(file)
         if stored != frames:
             raise DatasetError(expected(key, f"{frames} frames", stored, do))
-        decoded = end_frames(VideoSpan(file, 0.0), frames, fps) if key in ends else ()
-        if not all(np.array_equal(a, b) for a, b in zip(decoded, ends.get(key, ()), strict=True)):
-            raise DatasetError(
-                expected(key, "the recorded marker images after decoding", "others", do)
-            )
+        if key in ends:
+            decoded = end_frames(VideoSpan(file, 0.0), frames, fps)
+            if not np.array_equal(decoded, ends[key]):
+                wanted = "the recorded marker images after decoding"
+                raise DatasetError(expected(key, wanted, "others", do))
 
 
-def end_frames(span: VideoSpan, length: int, fps: int) -> tuple[np.ndarray, ...]:
+def end_frames(span: VideoSpan, length: int, fps: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the first and the last (H, W, 3) frame of an episode's video."""
     first = next(episode_frames(span, length, fps))
     *_, last = episode_frames(span, length, fps, first=max(0, length - END_FRAMES))
@@ -94,14 +98,17 @@ def _check_columns(source: Source) -> None:
         raise DatasetError(
             expected(str(source.root / "data"), f"one number each in {COUNTED}", "rows", do)
         )
-    lengths = [episode.length for episode in source.episodes]
-    indices = np.repeat([episode.index for episode in source.episodes], lengths)
-    frames = np.concatenate([np.arange(length) for length in lengths])
-    episode, frame, time_s = (kept.pop(key) for key in COUNTED)
-    late_s = np.abs(time_s - frames / float(source.info["fps"]))
+    indices = []
+    frames = []
+    for episode in source.episodes:
+        indices.append(np.full(episode.length, episode.index))
+        frames.append(np.arange(episode.length))
+    index = np.concatenate(indices)
+    frame = np.concatenate(frames)
+    late_s = np.abs(kept.pop("timestamp") - frame / float(source.info["fps"]))
     wrong = {
-        ("episode_index", "the number of its episode"): episode != indices,
-        ("frame_index", "0, 1, 2, … in an episode"): frame != frames,
+        ("episode_index", "the number of its episode"): kept.pop("episode_index") != index,
+        ("frame_index", "0, 1, 2, … in an episode"): kept.pop("frame_index") != frame,
         ("timestamp", "frame_index / fps"): ~(late_s <= TOLERANCE_s),
     }
     for key, rows in kept.items():
@@ -109,37 +116,34 @@ def _check_columns(source: Source) -> None:
     for (key, wanted), rows in wrong.items():
         if rows.any():
             row = int(rows.argmax())
-            where = f"{key} in {source.root / 'data'}, episode {indices[row]}"
-            raise DatasetError(
-                expected(
-                    where, wanted, f"another in frame {frames[row]}", "Restore it from a copy."
-                )
-            )
+            where = f"{key} in {source.root / 'data'}, episode {index[row]}"
+            came = f"another in frame {frame[row]}"
+            raise DatasetError(expected(where, wanted, came, "Restore it from a copy."))
 
 
 def _numbers(source: Source) -> list[str]:
     """Return the columns of numbers that a policy reads or learns."""
-    kinds = {key: (f["dtype"], len(f["shape"])) for key, f in source.features.items()}
-    return [
-        key
-        for key, kind in kinds.items()
-        if kind in (("float32", 1), ("float64", 1))
-        and (key.startswith(OBSERVATION) or key == ACTION)
-    ]
+    found = []
+    for key, feature in source.features.items():
+        is_vector = feature["dtype"] in ("float32", "float64") and len(feature["shape"]) == 1
+        if is_vector and (key == ACTION or key.startswith(OBSERVATION)):
+            found.append(key)
+    return found
 
 
 def _check_counts(source: Source) -> None:
-    """Compare what video files announce with the lengths of the episodes in them."""
-    needed: dict[Path, list[Episode]] = {}
+    """Compare the frame counts in the videos' headers with the lengths of their episodes."""
+    episodes_of: dict[Path, list[Episode]] = defaultdict(list)
     for episode in source.episodes:
-        raw = [raw_path(source.root, finger, episode.index) for finger in FINGERS]
-        for file in [
-            *(span.file for span in episode.videos.values()),
-            *(r for r in raw if r.is_file()),
-        ]:
-            needed.setdefault(file, []).append(episode)
-    for file, episodes in needed.items():
-        stored, wanted = stored_frames(file), sum(episode.length for episode in episodes)
+        for span in episode.videos.values():
+            episodes_of[span.file].append(episode)
+        for finger in FINGERS:
+            raw = raw_path(source.root, finger, episode.index)
+            if raw.is_file():
+                episodes_of[raw].append(episode)
+    for file, episodes in episodes_of.items():
+        stored = stored_frames(file)
+        wanted = sum(episode.length for episode in episodes)
         if stored != wanted:
             where = f"{file}, episode {', '.join(str(episode.index) for episode in episodes[:3])}"
             do = "Frames are missing or too many: restore it from a copy."
@@ -147,29 +151,32 @@ def _check_counts(source: Source) -> None:
 
 
 def _sample(source: Source, episode: Episode) -> None:
-    """Look at the middle of marker videos and at both ends of references."""
-    for key in (key for key in videos(source.info) if key in TACTILE_KEYS):
-        span, length, middle = episode.videos[key], episode.length, episode.length // 2
+    """Check the middle of marker videos and both ends of references."""
+    for key in TACTILE_KEYS:
+        if key not in episode.videos:
+            continue
+        span = episode.videos[key]
+        frames: Iterable[np.ndarray]
         with _named(episode):
             if key in REFERENCE_KEYS:
-                frames = end_frames(span, length, source.fps)
+                frames = end_frames(span, episode.length, source.fps)
             else:
-                frames = (next(episode_frames(span, length, source.fps, first=middle)),)
+                middle = episode.length // 2
+                frames = [next(episode_frames(span, episode.length, source.fps, first=middle))]
         _check_markers(episode, key, frames)
 
 
 def _decode(source: Source, episode: Episode) -> None:
-    """Look at every frame of every video, raw ones too."""
-    for key in videos(source.info):
-        frames = _whole(source, episode, episode.videos[key])
+    """Check every frame of every video, raw ones too."""
+    for key, span in episode.videos.items():
+        frames = _whole(source, episode, span)
         if key in TACTILE_KEYS:
             _check_markers(episode, key, frames)
-        else:
-            sum(1 for _ in frames)
+        deque(frames, maxlen=0)
     for finger in FINGERS:
         file = raw_path(source.root, finger, episode.index)
         if file.is_file():
-            sum(1 for _ in _whole(source, episode, VideoSpan(file, 0.0)))
+            deque(_whole(source, episode, VideoSpan(file, 0.0)), maxlen=0)
 
 
 def _whole(source: Source, episode: Episode, span: VideoSpan) -> Iterator[np.ndarray]:
@@ -178,32 +185,23 @@ def _whole(source: Source, episode: Episode, span: VideoSpan) -> Iterator[np.nda
 
 
 def _check_markers(episode: Episode, key: str, frames: Iterable[np.ndarray]) -> None:
-    rest = None
+    """Raise DatasetError unless the (H, W, 3) frames hold only 0 and 255, R = G = B."""
+    where = f"{key} in {episode.videos[key].file}, episode {episode.index}"
+    last = None
     for frame in frames:
-        if rest is not None and np.array_equal(frame, rest):
+        if last is not None and np.array_equal(frame, last):
             continue
-        if rest is not None and key in REFERENCE_KEYS:
-            do = "A reference is taken once, before an episode: record it again, or leave the episode out."
-            raise DatasetError(
-                expected(_place(episode, key), "one image all the time", "another one", do)
-            )
-        _check_marker(episode, key, frame)
-        rest = frame
-
-
-def _check_marker(episode: Episode, key: str, frame: np.ndarray) -> None:
-    """Raise DatasetError unless a decoded (H, W, 3) frame holds only 0 and 255, R = G = B."""
-    between = bool((frame + np.uint8(1) > 1).any())  # 255 + 1 is 0
-    if between or not (frame[..., 1:] == frame[..., :1]).all():
-        came = "values between" if between else "colours"
-        do = "The video was encoded with loss: record or convert it again with h264 crf 0 (uniforce record does)."
-        raise DatasetError(
-            expected(_place(episode, key), "only 0 and 255 after decoding", came, do)
-        )
-
-
-def _place(episode: Episode, key: str) -> str:
-    return f"{key} in {episode.videos[key].file}, episode {episode.index}"
+        if last is not None and key in REFERENCE_KEYS:
+            do = "A reference is taken once, before an episode: "
+            do += "record it again, or leave the episode out."
+            raise DatasetError(expected(where, "one image all the time", "another one", do))
+        between = bool((frame + np.uint8(1) > 1).any())  # 255 + 1 is 0
+        if between or not (frame[..., 1:] == frame[..., :1]).all():
+            came = "values between" if between else "colours"
+            do = "The video was encoded with loss: "
+            do += "record or convert it again with h264 crf 0 (uniforce record does)."
+            raise DatasetError(expected(where, "only 0 and 255 after decoding", came, do))
+        last = frame
 
 
 @contextmanager

@@ -1,9 +1,8 @@
-"""``meta/info.json`` of a LeRobot dataset: whole, of the right types; and no path or link leads out of the folder.
+"""``meta/info.json`` of a LeRobot dataset: whole, typed, and no path or link leads outside.
 
 Checked before anything else is opened.
 """
 
-import math
 import os
 import re
 import string
@@ -36,13 +35,14 @@ def inside(root: Path, path: Path) -> Path:
     Raises DatasetError: it leads outside.
     """
     if not path.resolve().is_relative_to(root.resolve()):
-        do = "Copy the files into the folder (huggingface-cli: --local-dir), or give the folder that holds both."
+        do = "Copy the files into the folder (huggingface-cli: --local-dir), "
+        do += "or give the folder that holds both."
         raise DatasetError(expected(str(path), f"a path inside {root}", f"{path.resolve()}", do))
     return path
 
 
 def check_links(root: Path, within: Path) -> None:
-    """Raise DatasetError if a file or folder in ``root`` is a link that leads out of ``within``; nothing is opened."""
+    """Raise DatasetError for a link in ``root`` that leads out of ``within``; nothing is opened."""
     for folder, folders, files in os.walk(root):  # links to folders are named, not entered
         for name in (*folders, *files):
             path = Path(folder) / name
@@ -51,21 +51,21 @@ def check_links(root: Path, within: Path) -> None:
 
 
 def check_template(where: str, template: object) -> str:
-    """Return a path like ``videos/{video_key}/file-{file_index:03d}.mp4`` if whatever it becomes stays inside.
+    """Return a path like ``videos/{video_key}/file-{file_index:03d}.mp4`` that stays inside.
 
     Raises DatasetError: no text, absolute, with ``..``, or with a placeholder LeRobot doesn't have.
     """
     if not isinstance(template, str):
         raise DatasetError(_strange(where, template))
     try:
-        parts = list(string.Formatter().parse(template))
+        for _, field, form, conversion in string.Formatter().parse(template):
+            if field is not None and (
+                field not in PLACEHOLDERS or not FORMAT.fullmatch(form or "") or conversion
+            ):
+                raise DatasetError(_strange(where, template))
     except ValueError as error:
         raise DatasetError(_strange(where, template)) from error
-    known = all(
-        field is None or (field in PLACEHOLDERS and FORMAT.fullmatch(form or "") and not turn)
-        for _, field, form, turn in parts
-    )
-    if not known or not _stays(template):
+    if not _stays(template):
         raise DatasetError(_strange(where, template))
     return template
 
@@ -99,7 +99,8 @@ def read_info(root: Path, within: Path | None = None) -> dict[str, Any]:
         root: the dataset's folder.
         within: folder that its links may lead into; None is the dataset's own.
 
-    Raises DatasetError: none there, broken, without episodes, or naming a path or holding a link that leads outside.
+    Raises DatasetError: none there, broken, without episodes, or naming a path or holding a link
+    that leads outside.
     """
     file = root / INFO
     if not file.is_file():
@@ -151,18 +152,18 @@ def _check_numbers(file: Path, info: dict[str, Any]) -> None:
         raise DatasetError(
             expected(str(file.parents[1]), "episodes", "none", "Record at least one.")
         )
-    fps = float(info["fps"]) if abs(info["fps"]) < 1e6 else math.inf
-    if not (0 < fps < math.inf) or info["total_episodes"] < 0 or info["total_frames"] < 1:
+    if not 0 < info["fps"] < 1e6 or info["total_episodes"] < 0 or info["total_frames"] < 1:
         came = {name: _short(info[name]) for name in ("fps", "total_episodes", "total_frames")}
         raise DatasetError(expected(str(file), "numbers above 0", came, "Restore it."))
 
 
 def _check_feature(file: Path, key: str, feature: object) -> None:
-    whole = isinstance(feature, dict) and isinstance(feature.get("dtype"), str)
-    if not whole or not isinstance(feature.get("shape"), list):  # type: ignore[attr-defined]
-        raise DatasetError(
-            expected(f"{key} in {file}", "dtype and shape", _short(feature), "Restore it.")
-        )
+    match feature:
+        case {"dtype": str(), "shape": list()}:
+            return
+    raise DatasetError(
+        expected(f"{key} in {file}", "dtype and shape", _short(feature), "Restore it.")
+    )
 
 
 def _short(value: object) -> str:

@@ -1,7 +1,8 @@
 """The columns of a recorded demonstration: the features that LeRobot v3 stores.
 
-Scene cameras and marker images are videos; truth and provenance are per-frame numbers, because LeRobot's delete
-and split drop per-episode columns, and they carry no ``observation.`` prefix, so that no policy ever reads them.
+Scene cameras and marker images are videos. Truth and provenance are per-frame numbers, because
+LeRobot's delete and split drop per-episode columns; they carry no ``observation.`` prefix, so that
+no policy ever reads them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -32,7 +33,7 @@ def vector_column(names: Sequence[str], dtype: str = "float32") -> dict[str, Any
 
 
 def flat_column(size: int, dtype: str) -> dict[str, Any]:
-    """Return the feature of a per-frame vector whose numbers need no names; LeRobot's tools break on more axes."""
+    """Return the feature of a per-frame vector without names; LeRobot takes no more axes."""
     return {"dtype": dtype, "shape": (size,), "names": None}
 
 
@@ -53,21 +54,23 @@ def dataset_features(
         truth: whether the true pad wrench is known (simulation) and stored.
         further: columns a robot stores beside these, by key.
     """
-    shapes = cameras if isinstance(cameras, Mapping) else dict.fromkeys(keys.CAMERAS, cameras)
-    features = {keys.camera_key(camera): video_column(shape) for camera, shape in shapes.items()}
-    features |= {key: video_column(MARKER_VIDEO_SHAPE) for key in keys.TACTILE_KEYS}
-    features |= {keys.STATE: vector_column(keys.AXES), keys.ACTION: vector_column(keys.AXES)}
-    if truth:
-        features |= {
-            keys.truth_wrench_key(finger): vector_column(WRENCH_AXES) for finger in FINGERS
-        }
+    if not isinstance(cameras, Mapping):
+        cameras = dict.fromkeys(keys.CAMERAS, cameras)
+    features = {keys.camera_key(camera): video_column(shape) for camera, shape in cameras.items()}
+    for key in keys.TACTILE_KEYS:
+        features[key] = video_column(MARKER_VIDEO_SHAPE)
+    features[keys.STATE] = vector_column(keys.AXES)
+    features[keys.ACTION] = vector_column(keys.AXES)
     for finger in FINGERS:
+        if truth:
+            features[keys.truth_wrench_key(finger)] = vector_column(WRENCH_AXES)
         # index into sensors.list_sensors()
         features[keys.sensor_key(finger)] = scalar_column("int64")
         features[keys.time_key(finger)] = scalar_column("float64")
         features[keys.age_key(finger)] = scalar_column("float32")
     features[keys.SUCCESS] = scalar_column("float32")
-    features |= {key: scalar_column("int64") for key in (keys.OUTCOME, keys.SEED)}
+    features[keys.OUTCOME] = scalar_column("int64")
+    features[keys.SEED] = scalar_column("int64")
     return features | dict(further or {})
 
 
@@ -81,15 +84,17 @@ def refuse_other_features(meta: Any, fps: int, features: Mapping[str, dict[str, 
 
     Raises DatasetError: a column is missing, too many, or of another form; another rate.
     """
-    wanted = {key: (f["dtype"], tuple(f["shape"])) for key, f in features.items()}
-    stored = {key: f for key, f in meta.features.items() if key not in DEFAULT_FEATURES}
-    came = {key: (f["dtype"], tuple(f["shape"])) for key, f in stored.items()}
-    if came == wanted and meta.fps == fps:
-        return
-    odd = sorted(k for k in wanted | came if came.get(k) != wanted.get(k)) or f"{meta.fps} fps"
-    raise DatasetError(
-        expected("dataset", "the features to record", f"others: {odd}", "Record into another root.")
-    )
+    stored = meta.features
+    odd = set(features.keys() ^ stored.keys()) - DEFAULT_FEATURES.keys()
+    for key in features.keys() & stored.keys():
+        if features[key]["dtype"] != stored[key]["dtype"]:
+            odd.add(key)
+        if list(features[key]["shape"]) != list(stored[key]["shape"]):
+            odd.add(key)
+    if odd or meta.fps != fps:
+        others = f"others: {sorted(odd) or f'{meta.fps} fps'}"
+        do = "Record into another root."
+        raise DatasetError(expected("dataset", "the features to record", others, do))
 
 
 def sensor_index(name: str) -> int:
@@ -98,13 +103,13 @@ def sensor_index(name: str) -> int:
 
 
 class ColumnMaker:
-    """Makes columns of values; a marker image that equals the last one, as a reference does, is made only once."""
+    """Makes columns of values; a marker image that equals the last one is made only once."""
 
     def __init__(self) -> None:
         self._last: dict[str, tuple[np.ndarray, np.ndarray]] = {}
 
     def __call__(self, key: str, value: Any) -> np.ndarray:
-        """Return the value as stored: marker images as (480, 640, 3) with R = G = B, the rest as it came.
+        """Return the value as stored: marker images as (480, 640, 3) with R = G = B.
 
         It shares no memory with ``value``: a driver may fill one array over and over.
         """
@@ -112,30 +117,31 @@ class ColumnMaker:
         if key not in keys.TACTILE_KEYS:
             return array
         if key not in self._last or not np.array_equal(self._last[key][0], array):
-            self._last[key] = array, _marker_column(key, array)
+            coloured = array[..., None] if array.ndim == 2 else array
+            image = check_marker_image(coloured[..., 0], key)
+            if not (coloured == image[..., None]).all():
+                do = "Store marker images."
+                raise ContractError(expected(key, "R = G = B", "a coloured image", do))
+            self._last[key] = (array, np.repeat(image[..., None], 3, axis=2))
         return self._last[key][1]
-
-
-def _marker_column(key: str, array: np.ndarray) -> np.ndarray:
-    image = check_marker_image(array if array.ndim == 2 else array[..., 0], key)
-    if array.ndim == 3 and not (array == image[..., None]).all():
-        raise ContractError(expected(key, "R = G = B", "a coloured image", "Store marker images."))
-    return np.repeat(image[..., None], 3, axis=2)
 
 
 def check_row(row: dict[str, np.ndarray], features: dict[str, dict]) -> None:
     """Raise ContractError for a missing or unknown column, a wrong shape or dtype, NaN or inf."""
-    missing, unknown = sorted(features.keys() - row.keys()), sorted(row.keys() - features.keys())
-    if missing or unknown:
+    if row.keys() != features.keys():
+        missing = sorted(features.keys() - row.keys())
+        unknown = sorted(row.keys() - features.keys())
         came = f"missing {missing}, unknown {unknown}"
         raise ContractError(
             expected("frame", "the dataset's columns", came, "See dataset_features.")
         )
     for key, value in row.items():
-        dtype = "uint8" if features[key]["dtype"] == "video" else features[key]["dtype"]
-        if value.shape != tuple(features[key]["shape"]) or value.dtype != dtype:
-            wanted, came = f"{features[key]['shape']} {dtype}", f"{value.shape} {value.dtype}"
-            raise ContractError(expected(key, wanted, came, "Convert it before add()."))
+        shape = features[key]["shape"]
+        dtype = features[key]["dtype"].replace("video", "uint8")
+        if value.shape != tuple(shape) or value.dtype != dtype:
+            came = f"{value.shape} {value.dtype}"
+            do = "Convert it before add()."
+            raise ContractError(expected(key, f"{shape} {dtype}", came, do))
         if value.dtype.kind == "f" and not np.isfinite(value).all():
             raise ContractError(
                 expected(key, "finite numbers", "NaN or inf", "Check where it comes from.")

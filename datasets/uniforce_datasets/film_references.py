@@ -1,4 +1,4 @@
-"""Free-air references of a session of recorded films: a film's own frame, a borrowed one, or why there is none."""
+"""Free-air references of recorded films: an own frame, a borrowed one, or the reason for none."""
 
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -40,13 +40,14 @@ def film_references(folder: str | Path, sensor: str, borrow: bool = False) -> li
     """Return the reference of every film of one session, sorted by film.
 
     Args:
-        folder: films below a folder for each object; see ``find_films``. The films may show several pads.
+        folder: films below a folder for each object; see ``find_films``. The films may show several
+            pads.
         sensor: the camera sensor that was filmed.
-        borrow: give a film without a free frame the one of another film of its pad. Pads are mounted anew between
-            films, so it may lie a few pixels off.
+        borrow: give a film without a free frame the one of another film of its pad. Pads are
+            mounted anew between films, so it may lie a few pixels off.
 
-    Raises ContractError: no camera sensor; DatasetError: no film in the folder. A film that can't be read, or has
-    frames of another size than most, says so in ``why``.
+    Raises ContractError: no camera sensor; DatasetError: no film in the folder. A film that can't
+    be read, or has frames of another size than most, says so in ``why``.
     """
     if get_sensor(sensor).signal != "camera":
         raise ContractError(
@@ -62,10 +63,9 @@ def film_references(folder: str | Path, sensor: str, borrow: bool = False) -> li
         except UniForceError as error:
             found[path] = FilmReference(name, held, 0, {}, why=str(error))
             continue
-        found[path] = FilmReference(
-            name, held, len(seen.numbers), seen.refused, why=_unread(name, seen)
-        )
-        if seen.numbers:
+        why = _unread(name, seen)
+        found[path] = FilmReference(name, held, len(seen.numbers), seen.refused, why)
+        if not why:
             markers[path] = seen
     session = _of_one_size(found, markers)
     if session:
@@ -84,16 +84,20 @@ def _unread(name: str, seen: FilmMarkers) -> str:
 
 
 def _of_one_size(found: dict[Path, FilmReference], markers: dict[Path, FilmMarkers]) -> list[Path]:
-    """Return the films whose frames have the size that most have; the others' references say that theirs differ."""
-    sizes = Counter(seen.shape for seen in markers.values())
-    usual = max(sizes, key=lambda shape: sizes[shape], default=())
+    """Return the films of the commonest frame size; set ``why`` of the others."""
+    if not markers:
+        return []
+    [(usual, _)] = Counter(seen.shape for seen in markers.values()).most_common(1)
+    session = []
     for path, seen in markers.items():
-        if seen.shape != usual:
-            do = "Films of another camera setting are another session: put them in a folder of their own."
-            found[path] = replace(
-                found[path], why=expected(found[path].film, usual, seen.shape, do)
-            )
-    return [path for path, seen in markers.items() if seen.shape == usual]
+        if seen.shape == usual:
+            session.append(path)
+            continue
+        do = "Films of another camera setting are another session: "
+        do += "put them in a folder of their own."
+        why = expected(found[path].film, usual, seen.shape, do)
+        found[path] = replace(found[path], why=why)
+    return session
 
 
 def _place(
@@ -104,15 +108,18 @@ def _place(
 ) -> None:
     """Put the references of a session's films in."""
     films = [Film(found[path].held, markers[path].centres_px) for path in session]
-    known, free = pads(films)
-    taken = borrowed(films, known, free) if borrow else free
-    of_pad = {film: number for number, pad in enumerate(known) for film in pad.films}
+    known, taken = pads(films)
+    if borrow:
+        taken = borrowed(films, known, taken)
+    pad_of = dict.fromkeys(range(len(films)), -1)
+    for number, pad in enumerate(known):
+        pad_of |= dict.fromkeys(pad.films, number)
     for number, path in enumerate(session):
         own = found[path]
         reference = taken[number]
         if reference is None:
-            pad = of_pad.get(number)
-            found[path] = replace(own, why=_missing(own.film, pad), pad=-1 if pad is None else pad)
+            why = _missing(own.film, pad_of[number])
+            found[path] = replace(own, why=why, pad=pad_of[number])
             continue
         source = session[reference.film]
         frame = markers[source].numbers[reference.frame]
@@ -121,14 +128,10 @@ def _place(
         )
 
 
-def _missing(name: str, pad: int | None) -> str:
-    if pad is None:
+def _missing(name: str, pad: int) -> str:
+    if pad < 0:
         wanted = f"a free frame, in which {FEWEST_OBJECTS} objects show the same markers"
-        return expected(
-            name,
-            wanted,
-            "none",
-            "Begin each film in free air, and film more objects with this pad.",
-        )
+        do = "Begin each film in free air, and film more objects with this pad."
+        return expected(name, wanted, "none", do)
     do = "It shows contact only: begin in free air, or borrow=true takes another film's."
     return expected(name, f"a free frame of pad {pad}", "none", do)

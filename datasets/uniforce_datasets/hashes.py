@@ -1,4 +1,4 @@
-"""Hashes of a dataset or training view (see ``uniforce_vtla.file_hashes``), each with the episode of its file."""
+"""Hashes of the files of a dataset or view, each with the episode that its file belongs to."""
 
 import logging
 import os
@@ -11,7 +11,6 @@ from uniforce_datasets.staging import COMMIT, STAGING
 from uniforce_vtla.errors import DatasetError, expected, require_one_of
 from uniforce_vtla.file_hashes import (
     HASHES,
-    Entries,
     Entry,
     differences,
     hash_files,
@@ -35,104 +34,114 @@ def check_verify(verify: str) -> Verify:
 
 
 def files_of(root: Path) -> list[str]:
-    """Return the files that count as a dataset's or view's, relative to its folder; not a system's own."""
+    """Return the files that count as a dataset's or view's, relative to its folder.
+
+    Files of an operating system don't count.
+    """
     parts = (".",) if (root / VIEW_MARKER).is_file() else PARTS
-    walked = (
-        Path(folder, name)
-        for part in parts
-        for folder, _, names in os.walk(root / part)
-        for name in names
-    )
-    # rglob fails where a recorder drops a folder
-    paths = [path.relative_to(root) for path in walked if path.is_file()]
-    names = [str(path) for path in paths if not any(map(is_foreign, path.parts))]
-    return [name for name in names if name != HASHES]
+    found = []
+    for part in parts:
+        for folder, _, names in os.walk(root / part):  # rglob fails where a recorder drops a folder
+            for name in names:
+                path = Path(folder, name).relative_to(root)
+                is_ours = str(path) != HASHES and not any(map(is_foreign, path.parts))
+                if is_ours and (root / path).is_file():
+                    found.append(str(path))
+    return found
 
 
-def write_hashes(root: Path, episodes: Mapping[str, int | None]) -> None:
-    """Write the hashes of the files that are there now; ``episodes`` has the number of those that belong to one."""
-    store_hashes(root, _with_episodes(hash_files(root, files_of(root)), episodes))
-
-
-def _with_episodes(entries: Entries, episodes: Mapping[str, int | None]) -> Entries:
-    numbers = {name: episodes.get(name) for name in entries}
-    return {
-        name: entry if numbers[name] is None else entry | {"episode": numbers[name]}
-        for name, entry in sorted(entries.items())
-    }
+def write_hashes(root: Path, episodes: Mapping[str, int]) -> None:
+    """Write the hashes of all files; ``episodes`` has the number of those that belong to one."""
+    entries = hash_files(root, sorted(files_of(root)))
+    for name in entries.keys() & episodes.keys():
+        entries[name]["episode"] = episodes[name]
+    store_hashes(root, entries)
 
 
 def stage_hashes(root: Path, episode: int | None = None) -> None:
-    """Write into the staging folder what ``hashes.json`` will be once the staged files are moved in.
+    """Write into the staging folder the ``hashes.json`` that will hold once the files are moved in.
 
-    Nothing where the dataset was begun without hashes: ``uniforce verify rehash=true`` gives it some.
+    Nothing where the dataset was begun without hashes: ``uniforce verify rehash=true`` makes them.
     """
     known = read_hashes(root, DatasetError)
     if known is None and (root / INFO).exists():
         return
     staged = root / STAGING
-    # info, statistics and tasks, in meta/ itself, are rewritten with every episode
-    names = files_of(staged)
-    episodes = {name: episode for name in names if Path(name).parent != INFO.parent}
-    store_hashes(staged, (known or {}) | _with_episodes(hash_files(staged, names), episodes))
+    entries = hash_files(staged, sorted(files_of(staged)))
+    for name, entry in entries.items():
+        # info, statistics and tasks, in meta/ itself, are rewritten with every episode
+        if episode is not None and Path(name).parent != INFO.parent:
+            entry["episode"] = episode
+    store_hashes(staged, (known or {}) | entries)
 
 
 def check_hashes(root: Path, verify: Verify = "full") -> None:
     """Compare the files of a dataset or view with its hashes; one warning where it has none.
 
-    A commit that a kill has cut short counts as made or not made, file by file. A file that a recorder moves in
-    meanwhile is looked at again: a dataset can be checked while it is recorded.
+    A commit that a kill has cut short counts as made or not made, file by file. A file that a
+    recorder moves in meanwhile is looked at again: a dataset can be checked while it is recorded.
 
     Args:
         root: its folder.
-        verify: "full" reads every file; "quick" compares the sizes of videos only; "off" does nothing.
+        verify: "full" reads every file; "quick" compares videos by size; "off" does nothing.
 
     Raises DatasetError: a file is missing, changed, or none of the dataset's; names its episode.
     """
     if verify == "off":
         return
-    if not any((folder / HASHES).exists() for folder in (root, root / COMMIT)):
-        logger.warning(
-            "%s", expected(str(root / HASHES), "hashes of its files", "none", _what_to_do(root))
-        )
+    if not ((root / HASHES).exists() or (root / COMMIT / HASHES).exists()):
+        do = _what_to_do(root)
+        logger.warning(expected(str(root / HASHES), "hashes of its files", "none", do))
         return
-    saved, doubted = _saved(root), None
+    wanted, files = _saved(root)
+    doubted = set(wanted)
     for _ in range(LOOKS):
-        wrong = _wrong(*saved, verify, doubted)
+        wrong = _wrong(wanted, files, verify, doubted)
         if not wrong:
             return
-        before, saved, doubted = saved, _saved(root), set(wrong)
-        if saved == before:
+        doubted = set(wrong)
+        before = (wanted, files)
+        wanted, files = _saved(root)
+        if (wanted, files) == before:
             break
-    wanted, (name, came) = saved[0], next(iter(wrong.items()))
-    episode = wanted[name][0].get("episode") if name in wanted else None
-    where = os.path.join(root, name) + ("" if episode is None else f", episode {episode}")
+    name, came = next(iter(wrong.items()))
+    where = os.path.join(root, name)
+    if name in wanted and "episode" in wanted[name][0]:
+        where += f", episode {wanted[name][0]['episode']}"
     raise DatasetError(expected(where, "the file as it was saved", came, _what_to_do(root)))
 
 
 def _saved(root: Path) -> tuple[dict[str, list[Entry]], dict[str, Path]]:
-    """Return by name the entries that are all right, and where each file is, also in the middle of a commit."""
-    stored = [read_hashes(folder, DatasetError) or {} for folder in (root, root / COMMIT)]
-    names = {name: None for entries in stored for name in entries}
-    wanted = {name: [entries[name] for entries in stored if name in entries] for name in names}
-    return wanted, {
-        name: folder / name for folder in (root / COMMIT, root) for name in files_of(folder)
-    }
+    """Return the entries that are right and the place of each file, by name.
+
+    In the middle of a commit a file has two entries, and may be in either folder.
+    """
+    wanted: dict[str, list[Entry]] = {}
+    for folder in (root, root / COMMIT):
+        for name, entry in (read_hashes(folder, DatasetError) or {}).items():
+            wanted.setdefault(name, []).append(entry)
+    files = {}
+    for folder in (root / COMMIT, root):
+        for name in files_of(folder):
+            files[name] = folder / name
+    return wanted, files
+
+
+def _is_video(path: Path) -> bool:
+    return path.suffix == VIDEO
 
 
 def _wrong(
-    wanted: Mapping[str, list[Entry]],
-    found: Mapping[str, Path],
-    verify: Verify,
-    doubted: set[str] | None,
+    wanted: Mapping[str, list[Entry]], files: Mapping[str, Path], verify: Verify, doubted: set[str]
 ) -> dict[str, str]:
-    """Return by name what is not as it was saved, and what it is instead; ``doubted``: only these are looked at."""
-    strange = {name: "one that was never saved here" for name in found if name not in wanted}
-    is_video = (lambda path: path.suffix == VIDEO) if verify == "quick" else None
-    asked = {
-        name: entries for name, entries in wanted.items() if doubted is None or name in doubted
-    }
-    return strange | dict(differences(asked, found, is_video))
+    """Return how files differ from their entries, by name; of those saved, check ``doubted``."""
+    wrong = {}
+    for name in files:
+        if name not in wanted:
+            wrong[name] = "one that was never saved here"
+    asked = {name: entries for name, entries in wanted.items() if name in doubted}
+    by_size = _is_video if verify == "quick" else None
+    return wrong | dict(differences(asked, files, by_size))
 
 
 def _what_to_do(root: Path) -> str:

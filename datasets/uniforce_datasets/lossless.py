@@ -1,4 +1,4 @@
-"""Open a recorded dataset only if it is what was saved: its hashes, whole files, references, exact marker video.
+"""Open a recorded dataset only if it is as it was saved: hashes, files, references, marker video.
 
 After LeRobot's own tools changed it, ``rehash`` checks its content and writes its hashes anew.
 """
@@ -36,14 +36,10 @@ def open_dataset(
     source = check_dataset(root, verify)
     for file in source.root.rglob("*.parquet"):
         if is_foreign(file.name):
-            raise DatasetError(
-                expected(
-                    str(file), "none, LeRobot opens it as a table", "a system's file", "Delete it."
-                )
-            )
-    return LeRobotDataset(
-        repo_id, **({"root": source.root, "revision": LOCAL, "video_backend": "pyav"} | options)
-    )
+            wanted = "none, LeRobot opens it as a table"
+            raise DatasetError(expected(str(file), wanted, "a system's file", "Delete it."))
+    given = {"root": source.root, "revision": LOCAL, "video_backend": "pyav"} | options
+    return LeRobotDataset(repo_id, **given)
 
 
 def check_dataset(root: str | Path, verify: str = "quick", within: Path | None = None) -> Source:
@@ -51,14 +47,17 @@ def check_dataset(root: str | Path, verify: str = "quick", within: Path | None =
 
     Args:
         root: its folder.
-        verify: "full" compares the SHA-256 of every file and decodes every frame; "quick" compares sizes, and hashes
-            of all but videos, and decodes some marker images of every episode; "off" looks at the metadata only.
+        verify: "full" compares the SHA-256 of every file and decodes every frame; "quick" compares
+            sizes, and hashes of all but videos, and decodes some marker images of every episode;
+            "off" looks at the metadata only.
         within: folder that its links may lead into; None is the dataset's own.
 
-    Raises DatasetError: a file is missing, damaged, exchanged or never was saved there, a marker stream has no
-    reference or is lossy, a number isn't one; names file and episode; ContractError: another ``verify``.
+    Raises DatasetError: a file is missing, damaged, exchanged or never was saved there, a marker
+    stream has no reference or is lossy, a number isn't one; names file and episode; ContractError:
+    another ``verify``.
     """
-    depth, root = check_verify(verify), absolute(root)
+    depth = check_verify(verify)
+    root = absolute(root)
     read_info(root, within)  # paths first: none that leads outside is opened
     check_hashes(root, depth)
     return check_whole(root, depth, within)
@@ -77,19 +76,19 @@ def check_whole(root: Path, verify: Verify, within: Path | None = None) -> Sourc
 
 
 TABLES = ("data", "meta/episodes")
-NUMBERED = ("raw", "cards")  # files named after their episode
-STEM = "episode_"
+NUMBERED = ("raw", "cards")  # files named after their episode, episode_000017
 
 
 def rehash(root: str | Path, verify: str = "full") -> Source:
-    """Check a dataset's content and write the hashes of the files that are there now; return its source.
+    """Check a dataset's content and write the hashes of its files as they are; return its source.
 
     An interrupted save is finished before. A recorder at work there is refused.
 
-    Raises DatasetError: content that can't be trusted (see ``check_dataset``), or a recorder at work; no hash is
-    changed; ContractError: another ``verify``.
+    Raises DatasetError: content that can't be trusted (see ``check_dataset``), or a recorder at
+    work; no hash is changed; ContractError: another ``verify``.
     """
-    root, depth = claim(root), check_verify(verify)
+    depth = check_verify(verify)
+    root = claim(root)
     held = lock(root, wait_s=0.0)
     try:
         recover(root)
@@ -107,12 +106,15 @@ def _episodes(source: Source) -> dict[str, int]:
     for episode in source.episodes:
         for span in episode.videos.values():
             users[span.file].add(episode.index)
-    for file in (file for part in TABLES for file in parquet_files(source.root / part)):
-        users[file] = set(read_table(file, ["episode_index"])["episode_index"].to_pylist())
-    for file in (file for part in NUMBERED for file in (source.root / part).rglob(f"{STEM}*")):
-        users[file] = {int(word) for word in [file.stem.removeprefix(STEM)] if word.isdecimal()}
-    return {
-        str(file.relative_to(source.root)): max(found)
-        for file, found in users.items()
-        if len(found) == 1
-    }
+    for part in TABLES:
+        for file in parquet_files(source.root / part):
+            users[file] = set(read_table(file, ["episode_index"])["episode_index"].to_pylist())
+    for part in NUMBERED:
+        for file in (source.root / part).rglob("episode_*"):
+            if (number := file.stem.removeprefix("episode_")).isdecimal():
+                users[file].add(int(number))
+    episodes = {}
+    for file, found in users.items():
+        if len(found) == 1:
+            episodes[str(file.relative_to(source.root))] = found.pop()
+    return episodes

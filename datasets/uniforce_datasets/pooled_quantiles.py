@@ -1,7 +1,8 @@
 """Statistics of state and action over all frames at once.
 
-LeRobot 0.6.1 averages the quantiles of the episodes: ten episodes that together cover 0…10 get q01 / q99 = 4.5 / 5.5
-instead of 0.1 / 9.9, and a quantile-normalised policy then trains on targets far outside [−1, 1].
+LeRobot 0.6.1 averages the quantiles of the episodes: ten episodes that together cover 0…10 get
+q01 / q99 = 4.5 / 5.5 instead of 0.1 / 9.9, and a quantile-normalised policy then trains on targets
+far outside [−1, 1].
 """
 
 import json
@@ -32,14 +33,13 @@ def pooled_stats(values: np.ndarray) -> dict[str, np.ndarray]:
         "std": values.std(0),
         "count": np.array([len(values)]),
     }
-    quantiles = np.quantile(values, QUANTILES, axis=0)
-    return stats | {
-        f"q{round(q * 100):02d}": row for q, row in zip(QUANTILES, quantiles, strict=True)
-    }
+    for share, row in zip(QUANTILES, np.quantile(values, QUANTILES, axis=0), strict=True):
+        stats[f"q{round(share * 100):02d}"] = row
+    return stats
 
 
 def write_pooled_stats(root: str | Path) -> None:
-    """Replace the statistics of state and action, where a recording has them, in ``meta/stats.json`` by pooled ones.
+    """Replace the statistics of state and action in ``meta/stats.json`` by pooled ones.
 
     Statistics and hashes change in one step; no other program may write to the dataset meanwhile.
 

@@ -1,7 +1,8 @@
-"""Raw tactile frames beside a dataset: ``raw/tactile_left/episode_000017.mp4``, one file per episode and finger.
+"""Raw tactile frames beside a dataset, e.g. ``raw/tactile_left/episode_000017.mp4``.
 
-Not a LeRobot feature, on purpose: LeRobot hands every video key to a policy as a camera, and decodes it for every
-training sample. These are kept so that demonstrations survive a better canonicaliser, and nothing else reads them.
+Not a LeRobot feature, on purpose: LeRobot hands every video key to a policy as a camera and decodes
+it for every training sample. These are kept so that demonstrations survive a better canonicaliser,
+and nothing else reads them.
 """
 
 import os
@@ -35,7 +36,9 @@ class RawVideo:
     def __init__(
         self, staged: Path, shapes: Mapping[Finger, tuple[int, ...]], encoder: PerKeyEncoder
     ) -> None:
-        self._staged, self._shapes, self._encoder = staged, dict(shapes), encoder
+        self._staged = staged
+        self._shapes = dict(shapes)
+        self._encoder = encoder
         self._begun = False
 
     @property
@@ -50,9 +53,7 @@ class RawVideo:
             do = "Announce every raw stream when the recorder is made."
             raise ContractError(expected("raw tactile frames", self._shapes, shapes, do))
         if self._shapes and not self._begun:
-            self._encoder.start_episode(
-                [tactile_name(finger) for finger in self._shapes], self._staged
-            )
+            self._encoder.start_episode(list(map(tactile_name, self._shapes)), self._staged)
             self._begun = True
         for finger, frame in frames.items():
             self._encoder.feed_frame(tactile_name(finger), frame)

@@ -33,7 +33,7 @@ from uniforce_datasets.rig_settings import Settings, write_settings
 from uniforce_datasets.staged_writer import open_writer
 from uniforce_datasets.staging import STAGING, claim, commit, lock, recover
 from uniforce_datasets.video_encoder import PerKeyEncoder, codec_of
-from uniforce_vtla.contracts import FINGERS, Finger
+from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import (
     DatasetError,
     DroppedFrameError,
@@ -53,7 +53,7 @@ from uniforce_vtla.keys import (
 )
 
 MIN_FRAMES = 2  # LeRobot computes no video statistics for fewer
-AT_THE_END = (SUCCESS, OUTCOME, SEED, CAUSE)  # columns known only when the episode is over
+AT_THE_END = (SUCCESS, OUTCOME, SEED, CAUSE)
 
 
 class EpisodeRecorder:
@@ -75,9 +75,10 @@ class EpisodeRecorder:
         features: columns of another kind of recording, in place of a demonstration's (``truth`` and
             ``cameras`` then say nothing); marker images are stored exactly there too.
 
-    Raises DatasetError: another recorder writes here, the folder can't be written, holds something else or other
-    features, a file that isn't as it was saved, the disk is full, a video frame was lost; ContractError: a frame with a
-    missing key, a wrong shape, or a marker image that isn't {0, 255}.
+    Raises DatasetError: another recorder writes here, the folder can't be written, holds something
+    else or other features, a file that isn't as it was saved, the disk is full, a video frame was
+    lost; ContractError: a frame with a missing key, a wrong shape, or a marker image that isn't
+    {0, 255}.
     """
 
     def __init__(
@@ -99,18 +100,25 @@ class EpisodeRecorder:
         # LeRobot's own, one per saved episode: they tear other lines, and fail with stderr
         disable_progress_bars()
         self.root = claim(root)
-        self._repo_id, self._fps = repo_id, fps
-        self._realtime, self._queue_frames = realtime, queue_frames
+        self._repo_id = repo_id
+        self._fps = fps
+        self._realtime = realtime
+        self._queue_frames = queue_frames
         self._sensors = {
-            sensor_key(f): np.array([sensor_index(name)], dtype=np.int64)
-            for f, name in zip(FINGERS, (left_sensor, right_sensor), strict=True)
+            sensor_key("left"): np.array([sensor_index(left_sensor)], dtype=np.int64),
+            sensor_key("right"): np.array([sensor_index(right_sensor)], dtype=np.int64),
         }
-        self._features = dataset_features(cameras, truth, further) if features is None else features
+        if features is None:
+            features = dataset_features(cameras, truth, further)
+        self._features = features
+        # columns known only when the episode is over
+        self._at_the_end = [key for key in AT_THE_END if key in features]
         self._columns = ColumnMaker()
         self._raw_shapes = dict(raw_shapes or {})
         self._lock = lock(self.root, lock_wait_s)
         self._writer: DatasetWriter | None = None  # of the running episode
-        self._stored = 0, 0  # episodes and frames
+        self._stored_episodes = 0
+        self._stored_frames = 0
         with ExitStack() as failed:
             failed.callback(self._lock.release)
             with self._storing("a dataset to go on with"):
@@ -123,12 +131,12 @@ class EpisodeRecorder:
     @property
     def num_episodes(self) -> int:
         """Saved episodes, those of earlier sessions included."""
-        return self._stored[0]
+        return self._stored_episodes
 
     @property
     def total_frames(self) -> int:
         """Frames of all saved episodes."""
-        return self._stored[1]
+        return self._stored_frames
 
     @property
     def features(self) -> dict[str, dict]:
@@ -138,7 +146,9 @@ class EpisodeRecorder:
     @property
     def num_frames(self) -> int:
         """Frames waiting in the current episode."""
-        return 0 if self._writer is None else self._writer.episode_buffer["size"]
+        if self._writer is None:
+            return 0
+        return self._writer.episode_buffer["size"]
 
     def add(
         self, frame: Mapping[str, Any], task: str, raw: Mapping[Finger, np.ndarray] | None = None
@@ -146,25 +156,26 @@ class EpisodeRecorder:
         """Append one observation and the action commanded at it; every array is copied.
 
         Args:
-            frame: every column but provenance that the recorder knows: cameras (H, W, 3) uint8, marker images
-                (480, 640) or (480, 640, 3) uint8, state, action, truth, capture time and age.
+            frame: every column but provenance that the recorder knows: cameras (H, W, 3) uint8,
+                marker images (480, 640) or (480, 640, 3) uint8, state, action, truth, capture time
+                and age.
             task: the instruction, in words.
             raw: raw frame (H, W, 3) uint8 by finger, exactly those announced.
         """
         row = {key: self._columns(key, value) for key, value in frame.items()} | self._sensors
-        row |= {key: np.zeros(1, dtype=self._features[key]["dtype"]) for key in self._at_the_end}
+        for key in self._at_the_end:
+            row[key] = np.zeros(1, dtype=self._features[key]["dtype"])
         check_row(row, self._features)
         with self._storing("room to store it"):
-            writer = self._open() if self._writer is None else self._writer
+            writer = self._writer
+            if writer is None:
+                writer = self._open()
             self._raw.add(raw or {})
             writer.add_frame(row | {"task": task})
         for key in TACTILE_KEYS:
-            self._ends[key] = (self._ends.get(key, (row[key],))[0], row[key])
+            first, _ = self._ends.get(key, (row[key], row[key]))
+            self._ends[key] = (first, row[key])
         self._refuse_dropped()
-
-    @property
-    def _at_the_end(self) -> tuple[str, ...]:
-        return tuple(key for key in AT_THE_END if key in self._features)
 
     def save(
         self,
@@ -175,27 +186,36 @@ class EpisodeRecorder:
         card: Mapping[str, Any] | None = None,
         settings: Settings | None = None,
     ) -> None:
-        """Make the episode durable; on any error it is discarded and the saved ones stay as they are.
+        """Make the episode durable; on any error discard it and leave the saved ones as they are.
 
         Args:
             success: clean success.
             outcome: one of ``keys.OUTCOME_NAMES``.
             seed: the integer that rebuilds the scene.
             cause: one of ``keys.ABORT_CAUSES``, stored where the dataset has the column.
-            card: whatever else is to be known of the episode, kept as ``cards/episode_000017.json``.
+            card: further facts of the episode, kept as ``cards/episode_000017.json``.
             settings: of the rig, see ``rig_settings``; compare them before the first episode.
         """
         require_one_of("outcome", outcome, OUTCOME_NAMES, "Take evaluation's outcome.")
         require_one_of("cause", cause, ABORT_CAUSES)
-        writer, frames, episode = self._writer, self.num_frames, self.num_episodes
+        writer = self._writer
+        frames = self.num_frames
+        episode = self.num_episodes
         if writer is None or frames < MIN_FRAMES:
             self.discard()
             raise DatasetError(
                 expected("episode", f"≥ {MIN_FRAMES} frames", frames, "Record longer.")
             )
         self._refuse_dropped()
-        ends = (float(success), OUTCOME_NAMES.index(outcome), seed, ABORT_CAUSES.index(cause))
-        self._write_at_the_end(writer, dict(zip(AT_THE_END, ends, strict=True)))
+        ends = {
+            SUCCESS: success,
+            OUTCOME: OUTCOME_NAMES.index(outcome),
+            SEED: seed,
+            CAUSE: ABORT_CAUSES.index(cause),
+        }
+        for key in self._at_the_end:
+            value = np.array([ends[key]], dtype=self._features[key]["dtype"])
+            writer.episode_buffer[key] = [value] * frames
         try:
             with self._storing("room to store it"):
                 writer.save_episode()
@@ -207,7 +227,8 @@ class EpisodeRecorder:
                 check_stored(self.root / STAGING, frames, self._fps, self._ends)
                 stage_hashes(self.root, episode)
                 commit(self.root)
-            self._stored = episode + 1, self.total_frames + frames
+            self._stored_episodes += 1
+            self._stored_frames += frames
             self.discard()
         except DatasetError:
             with suppress(OSError, RuntimeError, DatasetError):
@@ -217,7 +238,8 @@ class EpisodeRecorder:
 
     def discard(self) -> None:
         """Let go of the running episode without writing: what it staged is deleted."""
-        writer, self._writer = self._writer, None
+        writer = self._writer
+        self._writer = None
         if writer is not None:
             self._raw.cancel()
             writer.cancel_pending_videos()
@@ -229,7 +251,8 @@ class EpisodeRecorder:
     def close(self) -> None:
         """Drop an unfinished episode, pool the statistics over all data, let others record here.
 
-        Raises DatasetError: no room for the statistics, others can record nevertheless; see ``write_pooled_stats``.
+        Raises DatasetError: no room for the statistics, others can record nevertheless; see
+        ``write_pooled_stats``.
         """
         if not self._lock.is_locked:
             return
@@ -254,7 +277,7 @@ class EpisodeRecorder:
         self.close()
 
     def _open(self) -> DatasetWriter:
-        """Finish an interrupted save; return a LeRobot writer whose files all go to the staging folder."""
+        """Finish an interrupted save; return a LeRobot writer into the staging folder."""
         recover(self.root)
         writer = open_writer(
             self.root, self._repo_id, self._fps, self._features, self._queue_frames, self._realtime
@@ -263,15 +286,16 @@ class EpisodeRecorder:
         encoder = PerKeyEncoder(self._fps, self._queue_frames, self._realtime)
         self._raw = RawVideo(self.root / STAGING, self._raw_shapes, encoder)
         # first and last marker images of the episode
-        self._ends: dict[str, tuple[np.ndarray, ...]] = {}
-        self._stored = writer._meta.total_episodes, int(writer._meta.total_frames)
+        self._ends: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        self._stored_episodes = writer._meta.total_episodes
+        self._stored_frames = int(writer._meta.total_frames)
         self._writer = writer
         return writer
 
     def _refuse_dropped(self) -> None:
-        dropped = self._raw.dropped | (
-            self._writer._streaming_encoder.dropped if self._writer else {}
-        )
+        dropped = dict(self._raw.dropped)
+        if self._writer is not None:
+            dropped |= self._writer._streaming_encoder.dropped
         if dropped:
             self.discard()
             do = "Episode discarded; record it again."
@@ -279,15 +303,9 @@ class EpisodeRecorder:
                 expected("video", "every frame stored", f"{dropped} dropped", do)
             )
 
-    def _write_at_the_end(self, writer: DatasetWriter, ends: Mapping[str, float]) -> None:
-        buffer = writer.episode_buffer
-        for key in self._at_the_end:
-            value = ends[key]
-            buffer[key] = [np.array([value], dtype=self._features[key]["dtype"])] * buffer["size"]
-
     @contextmanager
     def _storing(self, wanted: str) -> Iterator[None]:
-        """Turn what goes wrong while storing into a DatasetError, with the running episode discarded."""
+        """Turn errors of storing into a DatasetError, with the running episode discarded."""
         try:
             yield
         except (OSError, RuntimeError, DatasetError) as error:

@@ -1,7 +1,8 @@
-"""The settings of the rig that recorded a dataset, ``meta/rig.json``: a later session with others is noticed.
+"""Settings of the rig that recorded a dataset, ``meta/rig.json``: later sessions are compared.
 
-Each entry says from which episode on its settings held. Nothing in it names a person, a machine or a network: where a
-device is, is stored as a short hash, so that two that were exchanged still differ.
+Each entry says from which episode on its settings held. Nothing in it names a person, a machine or
+a network: where a device is, is stored as a short hash, so that two that were exchanged still
+differ.
 """
 
 import hashlib
@@ -44,37 +45,42 @@ def _plain(name: str, value: Any) -> Any:
 
 
 def stored_settings(root: Path) -> list[dict[str, Any]]:
-    """Return what a dataset knows: ``from_episode`` and ``settings`` of each stretch; empty where it knows none.
+    """Return ``from_episode`` and ``settings`` of each stretch of a dataset that knows any.
 
     Raises DatasetError: the file is damaged.
     """
     if not (root / RIG).is_file():
         return []
-    stretches = read_object(root / RIG, DatasetError).get("stretches")
-    entries: list[Any] = stretches if isinstance(stretches, list) else [None]
-    if all(
-        isinstance(entry, dict) and isinstance(entry.get("settings"), dict) for entry in entries
-    ):
-        return entries
+    match read_object(root / RIG, DatasetError):
+        case {"stretches": list() as stretches} if all(map(_is_stretch, stretches)):
+            return stretches
     raise DatasetError(
         expected(str(root / RIG), "settings of a rig", "something else", "Restore it from a copy.")
     )
 
 
+def _is_stretch(entry: object) -> bool:
+    return isinstance(entry, dict) and isinstance(entry.get("settings"), dict)
+
+
+def _last_settings(root: Path) -> Settings:
+    stretches = stored_settings(root)
+    return stretches[-1]["settings"] if stretches else {}
+
+
 def agreed_changes(root: Path, settings: Settings, accept: bool) -> dict[str, tuple[Any, Any]]:
     """Return by name each setting that differs from the dataset's last ones, before and now.
 
-    What only one version of the program knows is no difference. Raises ContractError: there is one, and not ``accept``.
+    A setting that only one version of the program knows is no difference. Raises ContractError:
+    there is one, and not ``accept``.
     """
-    last = [stretch["settings"] for stretch in stored_settings(root)][-1:]
-    changes = {
-        name: (before[name], settings[name])
-        for before in last
-        for name in sorted(before.keys() & settings.keys())
-        if before[name] != settings[name]
-    }
+    before = _last_settings(root)
+    changes = {}
+    for name in sorted(before.keys() & settings.keys()):
+        if before[name] != settings[name]:
+            changes[name] = (before[name], settings[name])
     if changes and not accept:
-        came = ", ".join(f"{name} {before!r} → {now!r}" for name, (before, now) in changes.items())
+        came = ", ".join(f"{name} {old!r} → {new!r}" for name, (old, new) in changes.items())
         do = "Put them back, record into another root, or go on with settings_changed=accept."
         raise ContractError(
             expected("settings", "those that this dataset was recorded with", came, do)
@@ -84,7 +90,7 @@ def agreed_changes(root: Path, settings: Settings, accept: bool) -> dict[str, tu
 
 def write_settings(root: Path, staged: Path, episode: int, settings: Settings) -> None:
     """Stage the settings from ``episode`` on; nothing where they are the last ones still."""
-    stretches = stored_settings(root)
-    if settings and [stretch["settings"] for stretch in stretches[-1:]] != [settings]:
-        content = {"stretches": [*stretches, {"from_episode": episode, "settings": settings}]}
+    if settings and settings != _last_settings(root):
+        stretches = [*stored_settings(root), {"from_episode": episode, "settings": settings}]
+        content = {"stretches": stretches}
         (staged / RIG).write_text(json.dumps(content, indent=1) + "\n")

@@ -1,26 +1,30 @@
-"""Read a recorded dataset file by file, without LeRobot and without the hub: whole or not at all."""
+"""Read a recorded dataset file by file, without LeRobot and the hub: whole or not at all."""
 
-import itertools
+from collections import defaultdict
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 import av
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from uniforce_datasets.dataset_info import parquet_files, read_info, videos
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import DatasetError, expected
-from uniforce_vtla.keys import tactile_key
+from uniforce_vtla.keys import TACTILE_KEYS, camera_key, tactile_key
 from uniforce_vtla.options import absolute
 
 # the last: metadata that is no text, no codec
 BROKEN_VIDEO = (av.error.FFmpegError, OSError, IndexError, ValueError)
 MAX_PIXELS = 4096 * 2304  # of a frame; a damaged header may announce gigabytes
 LONGEST_VIDEO_S = 1e6  # eleven days; a start beyond is no number anybody wrote on purpose
+SPAN = ("chunk_index", "file_index", "from_timestamp")  # columns of a video of an episode
 
 
 @dataclass(frozen=True)
@@ -38,8 +42,13 @@ class Episode:
     index: int  # its number in the dataset
     start: int  # index of its first frame in the dataset
     length: int  # frames
-    task: str  # the instruction in words
+    task: str  # the instruction in words; one of them where it changes within the episode
     videos: dict[str, VideoSpan]  # span by video key
+
+    @property
+    def rows(self) -> slice:
+        """Frames of the episode within a column of the dataset."""
+        return slice(self.start, self.start + self.length)
 
 
 @dataclass(frozen=True)
@@ -70,26 +79,51 @@ class Source:
         """Fingers with a marker stream."""
         return tuple(f for f in FINGERS if tactile_key(f) in self.features)
 
+    @property
+    def cameras(self) -> list[str]:
+        """Names of the scene cameras."""
+        found = []
+        for key in videos(self.info):
+            if key.startswith(camera_key("")) and key not in TACTILE_KEYS:
+                found.append(key.removeprefix(camera_key("")))
+        return found
+
+    def instructions(self) -> np.ndarray:
+        """Return (N,) the instruction of every frame, in words.
+
+        Raises DatasetError: ``meta/tasks.parquet`` is missing or damaged, or lacks an instruction.
+        """
+        file = self.root / "meta" / "tasks.parquet"
+        numbers = self.columns(("task_index",))["task_index"].ravel()
+        try:
+            tasks = pd.read_parquet(file)["task_index"]
+            words = pd.Series(tasks.index, index=tasks).reindex(numbers).to_numpy(object)
+        except (pa.ArrowException, OSError, KeyError, ValueError) as error:
+            raise DatasetError(
+                expected(str(file), "instructions by number", error, "Restore it from a copy.")
+            ) from error
+        if not all(isinstance(word, str) for word in words):
+            do = "Restore it from a copy."
+            raise DatasetError(expected(str(file), "an instruction for every frame", "none", do))
+        return words
+
     def columns(self, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
-        """Return (N, D) or (N,) columns of all frames; raise DatasetError where frames are missing."""
+        """Return (N, D) or (N,) columns of all frames; DatasetError: frames are missing."""
         columns = read_columns(self.root, ("index", *keys))
         order = np.argsort(columns["index"], kind="stable")
         order = order[columns["index"][order] < self.num_frames]
-        if (
-            len(order) != self.num_frames
-            or (columns["index"][order] != np.arange(self.num_frames)).any()
-        ):
-            do = "Files are missing."
-            raise DatasetError(
-                expected(str(self.root / "data"), f"{self.num_frames} frames", len(order), do)
-            )
+        if not np.array_equal(columns["index"][order], np.arange(self.num_frames)):
+            wanted = f"{self.num_frames} frames"
+            where = str(self.root / "data")
+            raise DatasetError(expected(where, wanted, len(order), "Files are missing."))
         return {key: columns[key][order] for key in keys}
 
 
 def read_source(root: str | Path, within: Path | None = None) -> Source:
-    """Open the dataset at ``root``; its links may lead into ``within``, by default the dataset itself.
+    """Open a dataset; its links may lead into ``within``, by default the dataset itself.
 
-    Raises DatasetError: no dataset there, no episode, broken metadata, or a path or link that leads out of it.
+    Raises DatasetError: no dataset there, no episode, broken metadata, or a path or link that leads
+    out of it.
     """
     root = absolute(root)
     info = read_info(root, within)
@@ -97,62 +131,70 @@ def read_source(root: str | Path, within: Path | None = None) -> Source:
 
 
 def _episodes(root: Path, info: dict[str, Any]) -> tuple[Episode, ...]:
+    folder = root / "meta" / "episodes"
     keys = videos(info)
-    spans = [
-        f"videos/{k}/{part}"
-        for k in keys
-        for part in ("chunk_index", "file_index", "from_timestamp")
-    ]
-    columns = ["episode_index", "dataset_from_index", "length", "tasks", *spans]
-    files = parquet_files(root / "meta" / "episodes")
-    rows = [row for file in files for row in read_table(file, columns).to_pylist()]
-    where, total = str(root / "meta" / "episodes"), info["total_episodes"]
-    for row in rows:
-        _check_row(where, row, keys)
-    rows = sorted(rows, key=lambda row: row["episode_index"])[:total]
-    starts = list(itertools.accumulate((row["length"] for row in rows), initial=0))
-    in_order = all(
-        row["episode_index"] == i and row["dataset_from_index"] == starts[i]
-        for i, row in enumerate(rows)
-    )
-    if len(rows) != total or not in_order or starts[-1] != info["total_frames"]:
-        wanted = f"{total} episodes of {info['total_frames']} frames, one after another"
-        raise DatasetError(
-            expected(where, wanted, f"{len(rows)} of {starts[-1]}", "Files are missing.")
+    columns = ["episode_index", "dataset_from_index", "length", "tasks"]
+    for key in keys:
+        columns += [f"videos/{key}/{part}" for part in SPAN]
+    rows = []
+    for file in parquet_files(folder):
+        for row in read_table(file, columns).to_pylist():
+            _check_row(str(folder), row, keys)
+            rows.append(row)
+    rows.sort(key=itemgetter("episode_index"))
+    found: list[Episode] = []
+    start = 0
+    in_order = True
+    for number, row in enumerate(rows[: info["total_episodes"]]):
+        in_order &= row["episode_index"] == number and row["dataset_from_index"] == start
+        found.append(_episode(root, info, row, keys))
+        start += row["length"]
+    if len(found) != info["total_episodes"] or not in_order or start != info["total_frames"]:
+        wanted = (
+            f"{info['total_episodes']} episodes of {info['total_frames']} frames, one after another"
         )
-    return tuple(_episode(root, info, row, keys) for row in rows)
+        came = f"{len(found)} of {start}"
+        raise DatasetError(expected(str(folder), wanted, came, "Files are missing."))
+    return tuple(found)
 
 
 def _check_row(where: str, row: dict[str, Any], keys: list[str]) -> None:
     counts = ["episode_index", "dataset_from_index", "length"]
-    counts += [f"videos/{key}/{part}" for key in keys for part in ("chunk_index", "file_index")]
-    whole = all(type(row[name]) is int and row[name] >= 0 for name in counts) and row["length"] > 0
-    seconds = [row[f"videos/{key}/from_timestamp"] for key in keys]
-    timed = all(type(value) is float and 0 <= value < LONGEST_VIDEO_S for value in seconds)
-    tasks = row["tasks"]
-    worded = isinstance(tasks, str) or (
-        isinstance(tasks, list) and tasks and isinstance(tasks[0], str)
-    )
-    if not (whole and timed and worded):
-        came = repr({name: row[name] for name in counts[:3]} | {"tasks": tasks})[:200]
-        raise DatasetError(
-            expected(where, "counts, seconds and a task", came, "Restore it from a copy.")
-        )
+    task = row["tasks"]
+    if isinstance(task, list) and task:
+        task = task[0]
+    whole = isinstance(task, str)
+    for key in keys:
+        counts += [f"videos/{key}/chunk_index", f"videos/{key}/file_index"]
+        from_s = row[f"videos/{key}/from_timestamp"]
+        whole &= type(from_s) is float and 0 <= from_s < LONGEST_VIDEO_S
+    for name in counts:
+        whole &= type(row[name]) is int and row[name] >= 0
+    if not whole or row["length"] == 0:
+        came = {name: row[name] for name in (*counts[:3], "tasks")}
+        do = "Restore it from a copy."
+        raise DatasetError(expected(where, "counts, seconds and a task", repr(came)[:200], do))
 
 
 def _episode(root: Path, info: dict[str, Any], row: dict[str, Any], keys: list[str]) -> Episode:
-    def span(key: str) -> VideoSpan:
-        chunk, file = row[f"videos/{key}/chunk_index"], row[f"videos/{key}/file_index"]
-        path = info["video_path"].format(video_key=key, chunk_index=chunk, file_index=file)
-        return VideoSpan(root / path, row[f"videos/{key}/from_timestamp"])
-
-    start, length, task = row["dataset_from_index"], row["length"], row["tasks"]
-    task = task if isinstance(task, str) else task[0]
-    return Episode(row["episode_index"], start, length, task, {key: span(key) for key in keys})
+    spans = {}
+    for key in keys:
+        path = info["video_path"].format(
+            video_key=key,
+            chunk_index=row[f"videos/{key}/chunk_index"],
+            file_index=row[f"videos/{key}/file_index"],
+        )
+        spans[key] = VideoSpan(root / path, row[f"videos/{key}/from_timestamp"])
+    task = row["tasks"]
+    if not isinstance(task, str):
+        task = task[0]
+    return Episode(row["episode_index"], row["dataset_from_index"], row["length"], task, spans)
 
 
 def read_columns(root: Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
     """Read (N, D) or (N,) columns of every data file, in file order.
+
+    Columns are joined as arrays: LeRobot's tools store the same rows as another Arrow type.
 
     Raises DatasetError: no data file, or one that can't be read.
     """
@@ -161,39 +203,38 @@ def read_columns(root: Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
         raise DatasetError(
             expected(str(root), "data/**/*.parquet", "none", "Record episodes first.")
         )
-    tables = {file: read_table(file, list(keys)) for file in files}
-    return {key: _joined(root / "data", key, tables) for key in keys}
-
-
-def _joined(data: Path, key: str, tables: dict[Path, pa.Table]) -> np.ndarray:
-    """Join a column's numbers: as arrays, since LeRobot's tools store the same rows as another Arrow type."""
-    parts = [
-        _as_array(str(file), key, table[key].combine_chunks()) for file, table in tables.items()
-    ]
-    kinds = {f"{part.dtype}{list(part.shape[1:])}" for part in parts}
-    if len(kinds) > 1:
-        do = "Files of different recordings lie together."
-        raise DatasetError(expected(f"{key} in {data}", "one kind of numbers", sorted(kinds), do))
-    return np.concatenate(parts)
+    parts: dict[str, list[np.ndarray]] = defaultdict(list)
+    for file in files:
+        table = read_table(file, list(keys))
+        for key in keys:
+            parts[key].append(_as_array(str(file), key, table[key].combine_chunks()))
+    columns = {}
+    for key, arrays in parts.items():
+        kinds = {f"{array.dtype}{list(array.shape[1:])}" for array in arrays}
+        if len(kinds) > 1:
+            where = f"{key} in {root / 'data'}"
+            do = "Files of different recordings lie together."
+            raise DatasetError(expected(where, "one kind of numbers", sorted(kinds), do))
+        columns[key] = np.concatenate(arrays)
+    return columns
 
 
 def _as_array(where: str, key: str, column: pa.Array) -> np.ndarray:
     """Return (N, D) or (N,) numbers."""
-    rows, values = len(column), column
-    if hasattr(column, "flatten") and pa.types.is_nested(column.type):
-        values = column.flatten()
+    nested = hasattr(column, "flatten") and pa.types.is_nested(column.type)
+    values = column.flatten() if nested else column
     flat = values.to_numpy(zero_copy_only=False)
-    ragged = values is not column and (not rows or len(flat) % rows)
+    ragged = nested and (len(column) == 0 or len(flat) % len(column))
     if column.null_count or ragged or flat.dtype.kind not in "biuf":
         came = f"{column.type} with {column.null_count} missing"
         raise DatasetError(
             expected(f"{key} in {where}", "rows of numbers", came, "Restore it from a copy.")
         )
-    return flat if values is column else flat.reshape(rows, -1)
+    return flat.reshape(len(column), -1) if nested else flat
 
 
 def read_table(file: Path, keys: list[str]) -> pa.Table:
-    """Read some columns of a parquet file; raise DatasetError if it is missing, damaged or lacks one."""
+    """Read columns of a parquet file; DatasetError: it is missing, damaged, or lacks one."""
     try:
         return pq.ParquetFile(file).read(columns=keys).select(keys).replace_schema_metadata(None)
     except KeyError as error:
@@ -212,33 +253,34 @@ def episode_frames(span: VideoSpan, length: int, fps: int, first: int = 0) -> It
     """
     start_s = span.from_s + (first - 0.5) / fps
     missing = length - first
-    try:
-        with av.open(str(span.file)) as video:
-            stream = video.streams.video[0]
-            if stream.codec_context is None:
-                raise ValueError("no known codec")
-            stream.codec_context.options = {"max_pixels": str(MAX_PIXELS)}
-            video.seek(max(0, int(start_s / float(stream.time_base or 1))), stream=stream)
-            for frame in video.decode(stream):
-                if missing and frame.time is not None and frame.time >= start_s:
-                    missing -= 1
-                    yield frame.to_ndarray(format="rgb24")
-                if not missing:
-                    return
-    except BROKEN_VIDEO as error:
-        do = "Restore it from a copy or delete the episode."
-        raise DatasetError(expected(str(span.file), "a whole video", error, do)) from error
+    with _opened(span.file) as video:
+        stream = video.streams.video[0]
+        if stream.codec_context is None:
+            raise ValueError("no known codec")
+        stream.codec_context.options = {"max_pixels": str(MAX_PIXELS)}
+        video.seek(max(0, int(start_s / float(stream.time_base or 1))), stream=stream)
+        for frame in video.decode(stream):
+            if missing and frame.time is not None and frame.time >= start_s:
+                missing -= 1
+                yield frame.to_ndarray(format="rgb24")
+            if not missing:
+                return
     do = "The video is truncated: restore it."
     raise DatasetError(expected(str(span.file), f"{length} frames", length - missing, do))
 
 
 def stored_frames(file: Path) -> int:
-    """Return how many frames a video's header announces; raise DatasetError if it can't be opened."""
-    frames = 0
+    """Return the frame count in a video's header; raise DatasetError if it can't be opened."""
+    with _opened(file) as video:
+        return video.streams.video[0].frames
+
+
+@contextmanager
+def _opened(file: Path) -> Iterator[av.container.InputContainer]:
+    """Open a video; DatasetError: it can't be opened, or is damaged where it is read."""
     try:
         with av.open(str(file)) as video:
-            frames = video.streams.video[0].frames
+            yield video
     except BROKEN_VIDEO as error:
         do = "Restore it from a copy or delete the episode."
         raise DatasetError(expected(str(file), "a whole video", error, do)) from error
-    return frames

@@ -1,9 +1,10 @@
 """LeRobot's dataset writer, pointed at the staging folder.
 
-``LeRobotDataset.resume`` reads all episodes' metadata through Hugging Face datasets, about a second of work per saved
-episode; a writer needs only where the last one ended.
+``LeRobotDataset.resume`` reads all episodes' metadata through Hugging Face datasets, about a second
+of work per saved episode; a writer needs only where the last one ended.
 """
 
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,6 @@ from uniforce_vtla.errors import DatasetError, expected
 
 # a revision that is no version number: LeRobot then doesn't look for one on the hub
 LOCAL = "local"
-PLACES = ("chunk_index", "file_index")
 
 
 class StagedMetadata(LeRobotDatasetMetadata):
@@ -32,9 +32,13 @@ class StagedMetadata(LeRobotDatasetMetadata):
             )
         try:
             self.info = load_info(self.root)
-            self.tasks = load_tasks(self.root) if self.total_tasks else None
             self.stats = load_stats(self.root)
-            self.episodes = [_last_row(self.root, self.video_keys)] if self.total_episodes else None
+            self.tasks = None
+            self.episodes = None
+            if self.total_tasks:
+                self.tasks = load_tasks(self.root)
+            if self.total_episodes:
+                self.episodes = [_last_row(self.root, self.video_keys)]
         except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
             do = "Restore it from a copy, or record into a new folder."
             came = f"{type(error).__name__}: {error}"
@@ -45,21 +49,18 @@ class StagedMetadata(LeRobotDatasetMetadata):
 
 def _last_row(root: Path, video_keys: list[str]) -> dict[str, Any]:
     """Return the columns a writer goes on from."""
-    prefixes = ["data", "meta/episodes", *(f"videos/{key}" for key in video_keys)]
-    columns = [f"{prefix}/{place}" for prefix in prefixes for place in PLACES]
+    columns = ["episode_index", "dataset_to_index"]
+    for prefix in ("data", "meta/episodes", *(f"videos/{key}" for key in video_keys)):
+        columns += [f"{prefix}/chunk_index", f"{prefix}/file_index"]
     file = parquet_files(root / "meta" / "episodes")[-1]
-    rows = (
-        pq.ParquetFile(file)
-        .read(columns=["episode_index", "dataset_to_index", *columns])
-        .to_pylist()
-    )
-    return max(rows, key=lambda row: row["episode_index"])
+    rows = pq.ParquetFile(file).read(columns=columns).to_pylist()
+    return max(rows, key=itemgetter("episode_index"))
 
 
 def open_writer(
     root: Path, repo_id: str, fps: int, features: dict[str, dict], queue_frames: int, realtime: bool
 ) -> DatasetWriter:
-    """Return a writer that appends one episode to the dataset at ``root``, or begins it, in the staging folder."""
+    """Return a writer into the staging folder that goes on with the dataset at ``root``."""
     staged = root / STAGING
     if (root / "meta" / "info.json").exists():
         meta = StagedMetadata(repo_id, root, LOCAL)

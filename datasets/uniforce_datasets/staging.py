@@ -1,10 +1,11 @@
 """Make each saved episode durable in one step: write it aside, then move it in.
 
-An episode is written into ``.staging``; when complete and flushed, the folder is renamed ``.commit`` (the one atomic
-step) and its files are moved into the dataset, ``meta/info.json`` and ``hashes.json`` last.  LeRobot's own loader can
-open the dataset at any instant in between, its hashes fit at any instant, and ``recover`` finishes or forgets
-whatever a power loss or kill -9 left behind. One recorder at a time holds a dataset, by a file lock that ends with its
-process, however that ends.
+An episode is written into ``.staging``; when complete and flushed, the folder is renamed
+``.commit`` (the one atomic step) and its files are moved into the dataset, ``meta/info.json`` and
+``hashes.json`` last. LeRobot's own loader can open the dataset at any instant in between, its
+hashes fit at any instant, and ``recover`` finishes or forgets whatever a power loss or kill -9 left
+behind. One recorder at a time holds a dataset, by a file lock that ends with its process, however
+that ends.
 """
 
 import errno
@@ -22,22 +23,24 @@ from uniforce_vtla.options import absolute
 
 # of file systems that can't, e.g. for a folder on a network
 UNSYNCED = (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS)
-STAGING, COMMIT = ".staging", ".commit"
+STAGING = ".staging"
+COMMIT = ".commit"
 ORDER = (
-    *("data", "videos", "raw", "cards"),
-    *(
-        "meta/episodes",
-        "meta/tasks.parquet",
-        "meta/stats.json",
-        "meta/rig.json",
-        "meta/info.json",
-        HASHES,
-    ),
+    "data",
+    "videos",
+    "raw",
+    "cards",
+    "meta/episodes",
+    "meta/tasks.parquet",
+    "meta/stats.json",
+    "meta/rig.json",
+    "meta/info.json",
+    HASHES,
 )
 
 
 def claim(root: str | Path) -> Path:
-    """Return the folder of a dataset, made where there is none. Nothing is left in a folder that is refused.
+    """Return the folder of a dataset, made where there is none; a refused one is left as it is.
 
     Raises DatasetError: no name, nothing can be written there, or it holds something else.
     """
@@ -51,19 +54,18 @@ def claim(root: str | Path) -> Path:
             foreign = [path.name for path in folder.iterdir() if not is_foreign(path.name)]
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
         raise not_stored(f"root={root}", "a folder to write to", error, do) from error
-    if foreign and not any((folder / name).exists() for name in (COMMIT, "meta/info.json")):
-        raise DatasetError(
-            expected(
-                str(folder), "an empty folder or a dataset", foreign[:3], "Choose another root."
-            )
-        )
+    is_dataset = (folder / COMMIT).exists() or (folder / "meta/info.json").exists()
+    if foreign and not is_dataset:
+        wanted = "an empty folder or a dataset"
+        raise DatasetError(expected(str(folder), wanted, foreign[:3], "Choose another root."))
     return folder
 
 
 def lock(root: Path, wait_s: float) -> FileLock:
     """Return the held lock of a dataset's folder; releasing it lets others record.
 
-    Waits ``wait_s`` for another recorder that is about to end; raises DatasetError where it still holds the lock.
+    Waits ``wait_s`` for another recorder that is about to end; raises DatasetError where it still
+    holds the lock.
     """
     held = FileLock(root / ".recorder.lock")
     try:
@@ -111,12 +113,10 @@ def _sync(path: Path) -> None:
 def _move_in(root: Path) -> None:
     staged = root / COMMIT
     for part in ORDER:
-        source = staged / part
-        for file in (
-            [source] if source.is_file() else sorted(p for p in source.rglob("*") if p.is_file())
-        ):
-            target = root / file.relative_to(staged)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            os.replace(file, target)
-            _sync(target.parent)
-    shutil.rmtree(staged, ignore_errors=True)  # empty but for what an operating system put there
+        for file in [staged / part, *sorted((staged / part).rglob("*"))]:
+            if file.is_file():
+                target = root / file.relative_to(staged)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                os.replace(file, target)
+                _sync(target.parent)
+    shutil.rmtree(staged, ignore_errors=True)  # empty but for files of an operating system

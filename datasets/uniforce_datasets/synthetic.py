@@ -1,4 +1,4 @@
-"""A small dataset of moving dots and a stand-in for the tokenizer: for tests, where no simulation is wanted."""
+"""A small dataset of moving dots and a stand-in for the tokenizer, for tests without simulation."""
 
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ def synthetic_frame(step: int, rng: np.random.Generator) -> dict[str, Any]:
     """Return one recordable frame; every number differs from frame to frame."""
     ramp = np.linspace(0, 200, CAMERA_SHAPE[1], dtype=np.uint8)
     picture = np.broadcast_to(np.roll(ramp, 3 * step)[None, :, None], CAMERA_SHAPE).copy()
-    frame: dict[str, Any] = {keys.camera_key(camera): picture for camera in keys.CAMERAS}
+    frame: dict[str, Any] = dict.fromkeys(map(keys.camera_key, keys.CAMERAS), picture)
     for finger in FINGERS:
         frame[keys.tactile_key(finger)] = dots(20 * np.sin(step / 5))
         frame[keys.tactile_key(finger, reference=True)] = dots(0)

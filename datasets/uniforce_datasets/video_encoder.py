@@ -1,9 +1,9 @@
-"""Video while recording: a codec per key, no frame lost in silence, and encoder threads leaner than LeRobot's own.
+"""Video while recording: a codec per key, no frame lost in silence, and lean encoder threads.
 
-LeRobot 0.6.1 knows one codec per dataset and drops a frame with a log line when its queue is full. Its thread takes
-5.5 ms of a core per 640×480 frame here, 2 ms of it for statistics of every single one, and a recorder runs up to eight.
-Ours takes statistics of every fifth frame, as LeRobot itself samples frames when it doesn't stream; the picture goes to
-x264 without a detour.
+LeRobot 0.6.1 knows one codec per dataset and drops a frame with a log line when its queue is full.
+Its thread takes 5.5 ms of a core per 640×480 frame here, 2 ms of it for statistics of every frame,
+and a recorder runs up to eight. Ours takes statistics of every fifth frame, as LeRobot itself
+samples frames when it doesn't stream; the picture goes to x264 without a detour.
 """
 
 import itertools
@@ -28,7 +28,6 @@ from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.keys import TACTILE_KEYS, tactile_key, tactile_name
 
 LOOK_s = 0.1  # between looks at whether the episode was cancelled
-MIN_FRAMES = 2  # quantiles of one frame are no quantiles
 CHANNELS = 3
 
 
@@ -45,27 +44,29 @@ class EncoderThread(_CameraEncoderThread):
     _last: tuple[np.ndarray, av.VideoFrame] | None = None
 
     def run(self) -> None:
-        """Encode until the queue says ``None`` or the episode is cancelled; answer statistics, or what went wrong."""
+        """Encode until ``None`` or a cancelled episode; answer statistics or an error."""
         try:
             self.result_queue.put(("ok", self._encode()))
         except (av.error.FFmpegError, OSError, ValueError, RuntimeError) as error:
             self.result_queue.put(("error", str(error)))
 
     def _encode(self) -> dict[str, Any] | None:
-        statistics, count = RunningQuantileStats(), 0
+        statistics = RunningQuantileStats()
         first = next(self._frames(), None)
         if first is None:
             return None
         with closing(av.open(str(self.video_path), "w")) as container:
             stream = self._stream(container, first)
-            for count, frame in enumerate(itertools.chain([first], self._frames()), 1):
-                container.mux(stream.encode(self._picture(frame, count - 1)))
-                if (count - 1) % self.stats_every == 0:
+            for number, frame in enumerate(itertools.chain([first], self._frames())):
+                container.mux(stream.encode(self._picture(frame, number)))
+                if number % self.stats_every == 0:
                     statistics.update(_pixels(frame))
             container.mux(stream.encode())
-        if (count - 1) // self.stats_every + 1 < MIN_FRAMES <= count:
+        if number == 0:  # quantiles of one frame are no quantiles
+            return None
+        if number < self.stats_every:
             statistics.update(_pixels(frame))  # a very short episode: its last frame too
-        return statistics.get_statistics() if count >= MIN_FRAMES else None
+        return statistics.get_statistics()
 
     def _frames(self) -> Iterator[np.ndarray]:
         while not self.stop_event.is_set():
@@ -81,25 +82,27 @@ class EncoderThread(_CameraEncoderThread):
         codec = self.video_encoder
         options = codec.get_codec_options(self.encoder_threads, as_strings=True)
         stream = container.add_stream(codec.vcodec, self.fps, options=options)
-        stream.pix_fmt, stream.time_base = codec.pix_fmt, Fraction(1, self.fps)
-        stream.height, stream.width = frame.shape[:2]
+        stream.pix_fmt = codec.pix_fmt
+        stream.time_base = Fraction(1, self.fps)
+        stream.height = frame.shape[0]
+        stream.width = frame.shape[1]
         return stream
 
     def _picture(self, frame: np.ndarray, number: int) -> av.VideoFrame:
-        picture = (
-            self._unchanged(frame)
-            if self.still
-            else av.VideoFrame.from_ndarray(frame, format="rgb24")
-        )
-        picture.pts, picture.time_base = number, Fraction(1, self.fps)
-        return picture
+        """Return a frame as a picture; of a still stream the last one again if nothing changed.
 
-    def _unchanged(self, frame: np.ndarray) -> av.VideoFrame:
-        """Return the last picture again where the frame is the same: its conversion costs more than its coding."""
-        if self._last is None or not np.array_equal(frame, self._last[0]):
+        The conversion of a picture costs more than its coding.
+        """
+        if self.still and self._last is not None and np.array_equal(frame, self._last[0]):
+            picture = self._last[1]
+        else:
             picture = av.VideoFrame.from_ndarray(frame, format="rgb24")
-            self._last = frame.copy(), picture.reformat(format=self.video_encoder.pix_fmt)
-        return self._last[1]
+            if self.still:
+                picture = picture.reformat(format=self.video_encoder.pix_fmt)
+                self._last = (frame.copy(), picture)
+        picture.pts = number
+        picture.time_base = Fraction(1, self.fps)
+        return picture
 
 
 def _pixels(frame: np.ndarray) -> np.ndarray:
@@ -110,31 +113,30 @@ def _pixels(frame: np.ndarray) -> np.ndarray:
 
 PATIENCE_s = 60.0  # how long a simulation waits for a stuck encoder before it gives the episode up
 POLL_s = 0.002  # between looks at a full queue
-REFERENCE_KEYS = tuple(tactile_key(finger, reference=True) for finger in FINGERS)
+REFERENCE_KEYS = (tactile_key("left", reference=True), tactile_key("right", reference=True))
 # of raw streams: names, never LeRobot keys
-RAW_NAMES = tuple(tactile_name(finger) for finger in FINGERS)
+RAW_NAMES = tuple(map(tactile_name, FINGERS))
 
 
 def camera_codec() -> RGBEncoderConfig:
-    """H.264 at crf 23: 20–30 kB per noisy 640×480 frame; x264's fastest preset costs 2.7 ms of a core, the next 4.4."""
+    """H.264 at crf 23: 20–30 kB per noisy 640×480 frame.
+
+    x264's fastest preset costs 2.7 ms of a core, the next 4.4.
+    """
     return RGBEncoderConfig(vcodec="h264", crf=23, preset="ultrafast", g=2)
 
 
-def marker_codec() -> RGBEncoderConfig:
-    """H.264 at crf 0: exact for images that hold only 0 and 255 with R = G = B."""
-    return RGBEncoderConfig(vcodec="h264", crf=0, preset="ultrafast", g=15)
-
-
-def raw_codec() -> RGBEncoderConfig:
-    """H.264 at crf 10, for raw tactile frames; docs/recording.md has what it costs and what it keeps."""
-    return RGBEncoderConfig(vcodec="h264", crf=10, preset="ultrafast", g=15)
-
-
 def codec_of(key: str) -> RGBEncoderConfig:
-    """Return the codec a video key is stored with."""
+    """Return the codec a video key is stored with.
+
+    Marker images are exact at crf 0, since they hold only 0 and 255 with R = G = B. Raw tactile
+    frames have crf 10: docs/recording.md says what it costs and what it keeps.
+    """
     if key in RAW_NAMES:
-        return raw_codec()
-    return marker_codec() if key in TACTILE_KEYS else camera_codec()
+        return RGBEncoderConfig(vcodec="h264", crf=10, preset="ultrafast", g=15)
+    if key in TACTILE_KEYS:
+        return RGBEncoderConfig(vcodec="h264", crf=0, preset="ultrafast", g=15)
+    return camera_codec()
 
 
 class PerKeyEncoder(StreamingVideoEncoder):
@@ -167,14 +169,18 @@ class PerKeyEncoder(StreamingVideoEncoder):
     def _start(self, key: str, temp_dir: Path) -> None:
         frames: queue.Queue = queue.Queue(self.queue_maxsize)
         result: queue.Queue = queue.Queue(1)
-        stop, path = threading.Event(), Path(tempfile.mkdtemp(dir=temp_dir)) / f"{key}.mp4"
+        stop = threading.Event()
+        path = Path(tempfile.mkdtemp(dir=temp_dir)) / f"{key}.mp4"
         thread = EncoderThread(
             path, self.fps, codec_of(key), frames, result, stop, encoder_threads=1
         )
         thread.still = key in REFERENCE_KEYS
         thread.start()
-        self._frame_queues[key], self._result_queues[key] = frames, result
-        self._threads[key], self._stop_events[key], self._video_paths[key] = thread, stop, path
+        self._frame_queues[key] = frames
+        self._result_queues[key] = result
+        self._threads[key] = thread
+        self._stop_events[key] = stop
+        self._video_paths[key] = path
 
     def feed_frame(self, video_key: str, image: np.ndarray) -> None:
         """Queue a frame; in simulation, wait for room first."""

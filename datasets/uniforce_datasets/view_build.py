@@ -1,4 +1,4 @@
-"""Build a training view: videos decoded once, cameras resized, touch encoded by the frozen tokenizer.
+"""Build a training view: decode videos once, resize cameras, encode touch by the tokenizer.
 
 Stock LeRobot decodes six videos for every training sample.  A view reads arrays instead.
 """
@@ -23,7 +23,6 @@ from tqdm import tqdm
 from uniforce_datasets.hashes import check_hashes, write_hashes
 from uniforce_datasets.source import Episode, episode_frames
 from uniforce_datasets.view_plan import (
-    TOUCH_STREAMS,
     EpisodeFacts,
     ViewPlan,
     ViewSettings,
@@ -32,7 +31,7 @@ from uniforce_datasets.view_plan import (
 )
 from uniforce_vtla.contracts import FINGERS, Finger, check_marker_image
 from uniforce_vtla.errors import DatasetError, expected
-from uniforce_vtla.keys import CAMERAS, VIEW_MARKER, camera_key, tactile_key
+from uniforce_vtla.keys import CAMERAS, VIEW_MARKER, tactile_key
 from uniforce_vtla.options import absolute
 from uniforce_vtla.results_file import only_writer, write_json
 from uniforce_vtla.tokenizer import Tokenizer
@@ -47,7 +46,10 @@ class LatentEncoder(Protocol):
         """Identity of the weights; policies refuse latents of another one."""
 
     def __call__(self, reference: np.ndarray, current: np.ndarray, finger: Finger) -> np.ndarray:
-        """Return (B, K·latent) float32 from a (H, W) reference and (B, H, W) images as the sensor saw them."""
+        """Return (B, K·latent) float32 from a (H, W) reference and (B, H, W) images.
+
+        Images are as the sensor saw them.
+        """
 
 
 class PooledTokenizer:
@@ -55,16 +57,15 @@ class PooledTokenizer:
 
     Args:
         tokenizer: it, the folder it is in, or None for the shipped one.
-        grid: cells per side.
+        grid: pooled latents per side.
     """
 
     def __init__(self, tokenizer: Tokenizer | str | Path | None, grid: int) -> None:
-        found = (
-            tokenizer
-            if isinstance(tokenizer, Tokenizer)
-            else Tokenizer.from_pretrained(tokenizer or None)
-        )
-        self._tokenizer, self._grid, self.hash = found, grid, found.hash
+        if not isinstance(tokenizer, Tokenizer):
+            tokenizer = Tokenizer.from_pretrained(tokenizer or None)
+        self._tokenizer = tokenizer
+        self._grid = grid
+        self.hash = tokenizer.hash
 
     def __call__(self, reference: np.ndarray, current: np.ndarray, finger: Finger) -> np.ndarray:
         """See ``LatentEncoder``."""
@@ -89,6 +90,7 @@ def build_view(
     keep: Callable[[EpisodeFacts], bool] = lambda facts: facts.success,
     workers: int = 1,
     verify: str = "quick",
+    cameras: Mapping[str, str] | None = None,
 ) -> Path:
     """Build the view of one or more recorded datasets; go on where an interrupted build stopped.
 
@@ -103,12 +105,14 @@ def build_view(
         keep: chooses episodes; clean successes by default.
         workers: processes that decode and encode, an episode each at a time.
         verify: how the datasets are checked, see ``check_dataset``.
+        cameras: recorded name of the view's ``front`` and ``wrist`` camera where it is another.
 
-    Raises DatasetError: a dataset can't be trusted, no episode is left, or ``out`` holds something else; ContractError:
-    another process builds it.
+    Raises DatasetError: a dataset can't be trusted, no episode is left, or ``out`` holds something
+    else; ContractError: another process builds it.
     """
     encoder = encoder or PooledTokenizer(tokenizer, latent_grid)
-    settings = ViewSettings(image_side, latent_grid, dict(slots or DEFAULT_SLOTS), encoder.hash)
+    slots = dict(slots or DEFAULT_SLOTS)
+    settings = ViewSettings(image_side, latent_grid, slots, encoder.hash, dict(cameras or {}))
     plan = plan_view([roots] if isinstance(roots, str | Path) else roots, settings, keep, verify)
     out = absolute(out)
     if _same_view(out, plan):
@@ -126,21 +130,17 @@ def build_view(
 
 
 def _same_view(out: Path, plan: ViewPlan) -> bool:
-    """Return whether ``out`` is this view already; raise DatasetError if it holds something else."""
+    """Return whether ``out`` is this view, undamaged; DatasetError: it holds something else."""
     marker = out / VIEW_MARKER
-    if marker.is_file():
-        same = json.loads(marker.read_text()) == json.loads(json.dumps(plan.marker))
-        return same and _whole(out)
-    if out.exists() and any(out.iterdir()):
-        raise DatasetError(
-            expected(str(out), "no folder, or an older view", "other files", "Choose another out.")
-        )
-    return False
-
-
-def _whole(view: Path) -> bool:
+    if not marker.is_file():
+        if out.exists() and any(out.iterdir()):
+            do = "Choose another out."
+            raise DatasetError(expected(str(out), "no folder, or an older view", "other files", do))
+        return False
+    if json.loads(marker.read_text()) != json.loads(json.dumps(plan.marker)):
+        return False
     try:
-        check_hashes(view)
+        check_hashes(out)
     except DatasetError as error:
         logger.warning("built anew: %s", error)
         return False
@@ -153,27 +153,31 @@ class _Job:
 
     episode: Episode
     fps: int
-    side: int
+    settings: ViewSettings
     encoder: LatentEncoder
 
 
 def _write_frames(plan: ViewPlan, encoder: LatentEncoder, building: Path, workers: int) -> None:
     done = _resume(plan, building)
-    arrays: dict[str, np.ndarray] = {}
-    starts = plan.starts
-    bar = tqdm(total=plan.num_frames, initial=int(starts[done]), desc="view", unit="frame")
-    side, left = plan.settings.image_side, plan.episodes[done:]
-    jobs = [_Job(episode, source.fps, side, encoder) for source, episode in left]
-    with bar, closing(_in_turn(jobs, workers)) as blocks:
-        for number, episode_blocks in enumerate(blocks, done):
-            for name, block in episode_blocks.items():
+    arrays: dict[str, np.memmap] = {}
+    start = int(plan.starts[done])
+    content = plan.marker["content"]
+    jobs = []
+    for _, episode in plan.episodes[done:]:
+        jobs.append(_Job(episode, plan.fps, plan.settings, encoder))
+    bar = tqdm(total=plan.num_frames, initial=start, desc="view", unit="frame")
+    with bar, closing(_in_turn(jobs, workers)) as finished:
+        for job, blocks in zip(jobs, finished, strict=True):
+            end = start + job.episode.length
+            for name, block in blocks.items():
                 if name not in arrays:
                     arrays[name] = _open(building, name, plan.num_frames, block)
-                arrays[name][starts[number] : starts[number + 1]] = block
-            for array in arrays.values():
-                array.flush()  # type: ignore[attr-defined]
-            write_json(building / PROGRESS, {"content": plan.marker["content"], "done": number + 1})
-            bar.update(int(starts[number + 1] - starts[number]))
+                arrays[name][start:end] = block
+                arrays[name].flush()
+            start = end
+            done += 1
+            write_json(building / PROGRESS, {"content": content, "done": done})
+            bar.update(job.episode.length)
     (building / PROGRESS).unlink(missing_ok=True)
 
 
@@ -204,11 +208,12 @@ def _resume(plan: ViewPlan, building: Path) -> int:
     return 0
 
 
-def _open(building: Path, name: str, frames: int, block: np.ndarray) -> np.ndarray:
-    path, shape = building / f"{name}.npy", (frames, *block.shape[1:])
+def _open(building: Path, name: str, frames: int, block: np.ndarray) -> np.memmap:
+    path = building / f"{name}.npy"
     if path.is_file():
         array = np.lib.format.open_memmap(path, mode="r+")
     else:
+        shape = (frames, *block.shape[1:])
         array = np.lib.format.open_memmap(path, mode="w+", dtype=block.dtype, shape=shape)
     # a full disk is an error now, and none when a page is written: that is a SIGBUS
     with path.open("rb+") as file:
@@ -220,8 +225,9 @@ def _episode_blocks(job: _Job) -> dict[str, np.ndarray]:
     """Return each stream's name and its (length, …) block."""
     blocks = {}
     for camera in CAMERAS:
-        frames = episode_frames(job.episode.videos[camera_key(camera)], job.episode.length, job.fps)
-        blocks[camera] = np.stack([resize(frame, job.side) for frame in frames])
+        video = job.episode.videos[job.settings.video_key(camera)]
+        frames = episode_frames(video, job.episode.length, job.fps)
+        blocks[camera] = np.stack([resize(frame, job.settings.image_side) for frame in frames])
     for finger in FINGERS:
         blocks |= _touch(job, finger)
     return blocks
@@ -235,17 +241,21 @@ def resize(image: np.ndarray, side: int) -> np.ndarray:
 
 
 def _touch(job: _Job, finger: Finger) -> dict[str, np.ndarray]:
-    """Return a finger's latents (length, K·latent), and the two controls: descriptors and small image pairs."""
-    episode, encoder = job.episode, job.encoder
-    spans = episode.videos[tactile_key(finger, reference=True)], episode.videos[tactile_key(finger)]
-    reference = next(episode_frames(spans[0], episode.length, job.fps))[..., 0]
-    current = episode_frames(spans[1], episode.length, job.fps)
-    parts: dict[str, list[np.ndarray]] = {name: [] for name in TOUCH_STREAMS}
-    for frames in batched(current, BATCH):
-        images = np.stack(
-            [check_marker_image(frame[..., 0], tactile_key(finger)) for frame in frames]
-        )
-        parts["latent"].append(encoder(reference, images, finger).astype(np.float32))
-        parts["descriptor"].append(descriptors(reference, images, finger))
-        parts["marker_pair"].append(marker_pairs(reference, images, finger))
-    return {touch_stream(name, finger): np.concatenate(blocks) for name, blocks in parts.items()}
+    """Return a finger's latents (length, K·latent), descriptors and small image pairs."""
+    key = tactile_key(finger)
+    episode = job.episode
+    reference_video = episode.videos[tactile_key(finger, reference=True)]
+    reference = next(episode_frames(reference_video, episode.length, job.fps))[..., 0]
+    latents = []
+    described = []
+    pairs = []
+    for frames in batched(episode_frames(episode.videos[key], episode.length, job.fps), BATCH):
+        images = np.stack([check_marker_image(frame[..., 0], key) for frame in frames])
+        latents.append(job.encoder(reference, images, finger).astype(np.float32))
+        described.append(descriptors(reference, images, finger))
+        pairs.append(marker_pairs(reference, images, finger))
+    return {
+        touch_stream("latent", finger): np.concatenate(latents),
+        touch_stream("descriptor", finger): np.concatenate(described),
+        touch_stream("marker_pair", finger): np.concatenate(pairs),
+    }

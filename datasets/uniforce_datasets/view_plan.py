@@ -5,8 +5,10 @@
 
 import hashlib
 import json
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,8 @@ from uniforce_vtla.sensors import list_sensors
 FORMAT = 2  # of the view folder; a view of another format is built anew
 # arrays per finger; the last two feed controls
 TOUCH_STREAMS = ("latent", "descriptor", "marker_pair")
+# array of a view in which instructions change within an episode: (N,) index into its "tasks"
+TASK_INDEX = "task_index"
 
 
 def touch_stream(name: str, finger: Finger) -> str:
@@ -38,7 +42,7 @@ class EpisodeFacts:
     source: str
     episode: int
     length: int
-    task: str
+    task: str  # the instruction of its first frame
     success: bool
     outcome: str
     seed: int
@@ -54,55 +58,80 @@ class ViewSettings:
     latent_grid: int
     slots: Mapping[str, str]
     tokenizer_hash: str
+    # recorded name of each of the view's cameras that was recorded under another name
+    cameras: Mapping[str, str] = field(default_factory=dict)
+
+    def video_key(self, camera: str) -> str:
+        """Return the key under which one of the view's cameras was recorded."""
+        return keys.camera_key(self.cameras.get(camera, camera))
+
+    @property
+    def stored(self) -> dict[str, Any]:
+        """Settings as the view stores them; without renamed cameras as earlier versions did."""
+        stored = asdict(self)
+        if not self.cameras:
+            del stored["cameras"]
+        return stored
 
 
 @dataclass(frozen=True)
 class ViewPlan:
-    """Chosen episodes in order, where they come from, and the numeric columns of all their frames."""
+    """Chosen episodes in order, where they come from, and the numeric columns of all their frames.
+
+    ``tasks`` are the instructions that ``columns[TASK_INDEX]`` counts; empty where each episode
+    has one instruction.
+    """
 
     settings: ViewSettings
     fps: int
     facts: tuple[EpisodeFacts, ...]
     episodes: tuple[tuple[Source, Episode], ...]
     columns: dict[str, np.ndarray]
-
-    @property
-    def num_frames(self) -> int:
-        """N, frames of all chosen episodes."""
-        return sum(fact.length for fact in self.facts)
+    tasks: tuple[str, ...]
 
     @property
     def starts(self) -> np.ndarray:
         """(E + 1,) first frame of each episode, and N."""
-        return np.concatenate([[0], np.cumsum([fact.length for fact in self.facts])]).astype(
-            np.int64
-        )
+        return np.cumsum([0, *(fact.length for fact in self.facts)])
+
+    @property
+    def num_frames(self) -> int:
+        """N, frames of all chosen episodes."""
+        return int(self.starts[-1])
 
     @property
     def marker(self) -> dict[str, Any]:
         """Content of ``uniforce_view.json``."""
-        sensors = {
-            f: sorted({getattr(fact, f"{f}_sensor") for fact in self.facts}) for f in FINGERS
-        }
-        return asdict(self.settings) | {
+        episodes = list(map(asdict, self.facts))
+        marker = self.settings.stored | {
             "format": FORMAT,
             "fps": self.fps,
             "num_frames": self.num_frames,
             "sources": sorted({fact.source for fact in self.facts}),
-            "sensors": sensors,
+            "sensors": mounted_sensors(episodes),
             "wrench": keys.truth_wrench_key(FINGERS[0]) in self.columns,
-            "episodes": [asdict(fact) for fact in self.facts],
-            "content": self._content(),
+            "episodes": episodes,
+            "content": self._content(episodes),
         }
+        if self.tasks:
+            marker["tasks"] = list(self.tasks)
+        return marker
 
-    def _content(self) -> str:
+    def _content(self, episodes: list[dict[str, Any]]) -> str:
         """Hash of settings, episodes and numbers: equal for a view that needs no rebuilding."""
-        digest = hashlib.sha256(
-            json.dumps([asdict(self.settings), *map(asdict, self.facts)]).encode()
-        )
+        content = [self.settings.stored, *episodes, *self.tasks]
+        digest = hashlib.sha256(json.dumps(content).encode())
         for key in sorted(self.columns):
             digest.update(np.ascontiguousarray(self.columns[key]).tobytes())
         return digest.hexdigest()
+
+
+def mounted_sensors(episodes: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
+    """Return the names of all sensors that a finger had in some episodes, by finger."""
+    mounted: dict[str, list[str]] = {}
+    for finger in FINGERS:
+        mounted[finger] = sorted({facts[f"{finger}_sensor"] for facts in episodes})
+    return mounted
 
 
 def plan_view(
@@ -113,70 +142,109 @@ def plan_view(
 ) -> ViewPlan:
     """Check the datasets and choose their episodes.
 
-    Raises DatasetError: a broken dataset, different frame rates, a stream missing, no episode chosen; ContractError:
-    unknown slots or fingers.
+    Raises DatasetError: a broken dataset, different frame rates, a stream missing, no episode
+    chosen; ContractError: unknown slots, fingers or cameras.
     """
     for slot, finger in settings.slots.items():
         require_one_of("slot", slot, keys.SLOTS, "Write touch0:right.")
         check_finger(finger)
+    for camera in settings.cameras:
+        require_one_of("camera", camera, keys.CAMERAS, "Write front:NAME, the recorded one last.")
+    facts: list[EpisodeFacts] = []
+    episodes: list[tuple[Source, Episode]] = []
     sources = [check_dataset(root, verify) for root in roots]
     for source in sources:
-        _check_streams(source, sources[0].fps)
-    truth = all(keys.truth_wrench_key(f) in s.features for s in sources for f in FINGERS)
-    chosen = [(s, e, f) for s in sources for e, f in episode_facts(s) if wanted(f)]
-    if not chosen:
+        _check_streams(source, sources[0].fps, settings)
+        for episode, fact in episode_facts(source):
+            if wanted(fact):
+                facts.append(fact)
+                episodes.append((source, episode))
+    if not facts:
         do = "Record successful demos, or keep failures."
         raise DatasetError(expected("view", "at least one chosen episode", "none", do))
-    facts, episodes = tuple(f for *_, f in chosen), tuple((s, e) for s, e, _ in chosen)
-    return ViewPlan(settings, sources[0].fps, facts, episodes, _columns(episodes, truth))
+    columns, tasks = _columns(episodes, sources)
+    return ViewPlan(settings, sources[0].fps, tuple(facts), tuple(episodes), columns, tasks)
 
 
-def _check_streams(source: Source, fps: int) -> None:
-    needed = [keys.camera_key(c) for c in keys.CAMERAS] + [keys.tactile_key(f) for f in FINGERS]
+def _check_streams(source: Source, fps: int, settings: ViewSettings) -> None:
+    cameras = list(map(settings.video_key, keys.CAMERAS))
+    needed = [*cameras, *map(keys.tactile_key, FINGERS)]
     missing = [key for key in needed if key not in source.features]
-    if missing or source.fps != fps:
-        came = f"{source.fps} Hz, without {missing}" if missing else f"{source.fps} Hz"
-        raise DatasetError(
-            expected(str(source.root), f"{fps} Hz and {needed}", came, "Leave it out.")
-        )
+    if not missing and source.fps == fps:
+        return
+    came = f"{source.fps} Hz"
+    do = "Leave it out."
+    if missing:
+        came += f", without {missing}"
+    if set(missing) & set(cameras):
+        recorded = ", ".join(source.cameras) or "none"
+        option = "cameras=front:NAME,wrist:NAME"
+        do = f"Rename its cameras ({recorded}) with {option}, or leave it out."
+    raise DatasetError(expected(str(source.root), f"{fps} Hz and {needed}", came, do))
 
 
 def episode_facts(source: Source) -> list[tuple[Episode, EpisodeFacts]]:
-    """Return the episodes of a dataset with what is known of each; raises DatasetError: columns are missing."""
-    left, right = (keys.sensor_key(f) for f in FINGERS)
-    columns = source.columns((keys.SUCCESS, keys.OUTCOME, keys.SEED, left, right))
+    """Return the episodes of a dataset with their facts; DatasetError: columns are missing."""
+    left_key = keys.sensor_key("left")
+    right_key = keys.sensor_key("right")
+    columns = source.columns((keys.SUCCESS, keys.OUTCOME, keys.SEED, left_key, right_key))
+    instructions = source.instructions()
+    sensors = list_sensors()
+    found = []
+    for episode in source.episodes:
+        first = {key: column[episode.start].item() for key, column in columns.items()}
+        facts = EpisodeFacts(
+            source=str(source.root),
+            episode=episode.index,
+            length=episode.length,
+            task=instructions[episode.start],
+            success=bool(first[keys.SUCCESS]),
+            outcome=keys.OUTCOME_NAMES[int(first[keys.OUTCOME])],
+            seed=int(first[keys.SEED]),
+            left_sensor=sensors[int(first[left_key])],
+            right_sensor=sensors[int(first[right_key])],
+        )
+        found.append((episode, facts))
+    return found
 
-    def fact(episode: Episode) -> EpisodeFacts:
-        first = {key: column[episode.start] for key, column in columns.items()}
-        sensors = (list_sensors()[int(first[key])] for key in (left, right))
-        success, outcome = bool(first[keys.SUCCESS]), keys.OUTCOME_NAMES[int(first[keys.OUTCOME])]
-        head = (str(source.root), episode.index, episode.length, episode.task)
-        return EpisodeFacts(*head, success, outcome, int(first[keys.SEED]), *sensors)
 
-    return [(episode, fact(episode)) for episode in source.episodes]
-
-
-def _columns(episodes: Sequence[tuple[Source, Episode]], truth: bool) -> dict[str, np.ndarray]:
-    wanted = (keys.STATE, keys.ACTION, *(keys.truth_wrench_key(f) for f in FINGERS if truth))
-    by_root = {source.root: source.columns(wanted) for source, _ in episodes}
-
-    def gather(key: str) -> np.ndarray:
-        parts = [by_root[s.root][key][e.start : e.start + e.length] for s, e in episodes]
-        return np.concatenate(parts).astype(np.float32)
-
-    return {key: gather(key) for key in wanted}
+def _columns(
+    episodes: Sequence[tuple[Source, Episode]], sources: Sequence[Source]
+) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+    """Return columns of all chosen frames, and instructions where they change in an episode."""
+    wrenches = tuple(map(keys.truth_wrench_key, FINGERS))
+    wanted: tuple[str, ...] = (keys.STATE, keys.ACTION)
+    if all(source.features.keys() >= set(wrenches) for source in sources):
+        wanted += wrenches
+    stored: dict[Path, dict[str, np.ndarray]] = {}
+    words: list[np.ndarray] = []
+    one_each = True
+    parts: dict[str, list[np.ndarray]] = defaultdict(list)
+    for source, episode in episodes:
+        if source.root not in stored:
+            stored[source.root] = source.columns(wanted) | {keys.TASK: source.instructions()}
+        columns = stored[source.root]
+        words.append(columns[keys.TASK][episode.rows])
+        one_each &= len(set(words[-1])) == 1
+        for key in wanted:
+            parts[key].append(columns[key][episode.rows])
+    joined = {key: np.concatenate(blocks).astype(np.float32) for key, blocks in parts.items()}
+    if one_each:
+        return joined, ()
+    tasks, joined[TASK_INDEX] = np.unique(np.concatenate(words), return_inverse=True)
+    return joined, tuple(tasks)
 
 
 # --- the facts of a view that was built, checked before any of its arrays is opened
 
 COUNTS = ("image_side", "latent_grid", "fps", "num_frames")
-TOUCH = tuple(touch_stream(name, finger) for name in TOUCH_STREAMS for finger in FINGERS)
 
 
 def read_marker(root: Path) -> dict[str, Any]:
     """Return a view's facts.
 
-    Raises DatasetError: not a whole view of this format, damaged facts, or a link that leads out of the folder.
+    Raises DatasetError: not a whole view of this format, damaged facts, or a link that leads out
+    of the folder.
     """
     file = root / keys.VIEW_MARKER
     if not file.is_file():
@@ -185,7 +253,11 @@ def read_marker(root: Path) -> dict[str, Any]:
         )
     check_links(root, root)
     marker = read_object(file, DatasetError)
-    arrays = (*keys.CAMERAS, keys.STATE, keys.ACTION, *TOUCH)
+    arrays = [*keys.CAMERAS, keys.STATE, keys.ACTION]
+    for name, finger in product(TOUCH_STREAMS, FINGERS):
+        arrays.append(touch_stream(name, finger))
+    if "tasks" in marker:
+        arrays.append(TASK_INDEX)
     missing = [name for name in arrays if not (root / f"{name}.npy").is_file()]
     if marker.get("format") != FORMAT or missing:
         came = f"format {marker.get('format')}, missing {missing}"
@@ -199,21 +271,29 @@ def read_marker(root: Path) -> dict[str, Any]:
 
 
 def _described(marker: dict[str, Any]) -> bool:
-    sensors, slots = marker.get("sensors"), marker.get("slots")
-    named = isinstance(sensors, dict) and all(_words(kinds) for kinds in sensors.values())
-    filled = isinstance(slots, dict) and _words(list(slots.values()))
-    return named and filled and isinstance(marker.get("wrench"), bool)
+    sensors = marker.get("sensors")
+    slots = marker.get("slots")
+    if not (isinstance(sensors, dict) and isinstance(slots, dict)):
+        return False
+    lists = [*sensors.values(), list(slots.values()), marker.get("tasks", [])]
+    return all(map(_words, lists)) and isinstance(marker.get("wrench"), bool)
 
 
 def _filled(marker: dict[str, Any]) -> bool:
     """Whether these are episodes, and together as long as the view."""
     episodes = marker.get("episodes")
-    if not isinstance(episodes, list) or not all(isinstance(e, dict) for e in episodes):
+    if not isinstance(episodes, list):
         return False
-    lengths = [e.get("length") for e in episodes]
-    whole = all(type(length) is int and length > 0 for length in lengths)
-    words = [e.get(name) for e in episodes for name in ("task", "left_sensor", "right_sensor")]
-    return whole and sum(lengths) == marker["num_frames"] and _words(words)
+    frames = 0
+    for facts in episodes:
+        if not isinstance(facts, dict):
+            return False
+        length = facts.get("length")
+        words = [facts.get(name) for name in ("task", "left_sensor", "right_sensor")]
+        if type(length) is not int or length <= 0 or not _words(words):
+            return False
+        frames += length
+    return frames == marker["num_frames"]
 
 
 def _words(values: object) -> bool:

@@ -1,1 +1,1 @@
-"""Every command: a config dataclass and a ``main`` each; they know all the rest, and nothing knows them."""
+"""All commands: a config dataclass and a ``main`` each. No other package imports them."""

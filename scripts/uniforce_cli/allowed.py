@@ -1,4 +1,4 @@
-"""Which files and facts of a dataset or policy may leave this machine: lists of what may, never of what may not.
+"""Files and facts of a dataset or policy that may leave this machine: lists of what may, only.
 
 A value on a list is kept as far as it is of its kind: a path, an address or a note has no way in.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,12 +20,13 @@ type Kind = Literal["numbers", "text"] | Mapping[str, Kind]  # "*" stands for ev
 
 CHUNK = r"chunk-\d+/file-\d+"
 DATASET_FILES = re.compile(
-    rf"(data|meta/episodes)/{CHUNK}\.parquet|meta/tasks\.parquet|meta/(info|stats|rig)\.json|{re.escape(HASHES)}|"
-    rf"videos/[\w.-]+/{CHUNK}\.mp4|raw/\w+/episode_\d+\.mp4|cards/episode_\d+\.json"
+    rf"(data|meta/episodes)/{CHUNK}\.parquet|meta/tasks\.parquet|meta/(info|stats|rig)\.json"
+    rf"|{re.escape(HASHES)}|videos/[\w.-]+/{CHUNK}\.mp4"
+    r"|raw/\w+/episode_\d+\.mp4|cards/episode_\d+\.json"
 )
 POLICY_FILES = re.compile(
-    rf"README\.md|config\.json|{re.escape(HASHES)}|scores\.json|provenance\.json|model\.safetensors|"
-    r"policy_(pre|post)processor(_step_\d+_\w+)?\.(json|safetensors)"
+    rf"README\.md|config\.json|{re.escape(HASHES)}|scores\.json|provenance\.json|model\.safetensors"
+    r"|policy_(pre|post)processor(_step_\d+_\w+)?\.(json|safetensors)"
 )
 PROVENANCE: Mapping[str, Kind] = {
     **dict.fromkeys(("version", "machine", "date", "device", "commit"), "text"),
@@ -35,14 +36,19 @@ SETTINGS: Kind = {  # of uniforce record
     **dict.fromkeys(
         ("robot", "teleop", "level", "left_sensor", "right_sensor", "operator", "verdict"), "text"
     ),
-    **dict.fromkeys(
-        ("episodes", "seed", "episode_s", "window", "reserve_MB", "unwell_s", "late_share"),
-        "numbers",
-    ),
-    **dict.fromkeys(
-        ("keep_failures", "drive_between", "keep_aborted", "keep_raw", "real_time"), "numbers"
-    ),
     "prompts": "text",
+    "episodes": "numbers",
+    "seed": "numbers",
+    "episode_s": "numbers",
+    "window": "numbers",
+    "reserve_MB": "numbers",
+    "unwell_s": "numbers",
+    "late_share": "numbers",
+    "keep_failures": "numbers",
+    "drive_between": "numbers",
+    "keep_aborted": "numbers",
+    "keep_raw": "numbers",
+    "real_time": "numbers",
 }
 CARD: Kind = {  # of an episode
     **dict.fromkeys(("label", "prompt", "teleop", "rig", "level", "begun"), "text"),
@@ -93,78 +99,83 @@ def allowed(content: Any, kind: Kind) -> Any:
         kept = [allowed(entry, kind) for entry in content]
         return NOTHING if NOTHING in kept else kept
     if isinstance(content, dict):
-        return (
-            NOTHING
-            if kind == "text"
-            else _allowed_entries(content, {"*": kind} if kind == "numbers" else kind)
-        )
-    wanted = str if kind == "text" else int | float
-    return content if isinstance(kind, str) and isinstance(content, wanted) else NOTHING
+        if kind == "text":
+            return NOTHING
+        return _allowed_entries(content, {"*": kind} if kind == "numbers" else kind)
+    match kind, content:
+        case ("text", str()) | ("numbers", int() | float()):
+            return content
+    return NOTHING
 
 
 def _allowed_entries(content: Mapping[str, Any], kinds: Mapping[str, Kind]) -> dict[str, Any]:
-    known = {name: kinds.get(name, kinds.get("*")) for name in content}
-    kept = {
-        name: allowed(value, kind)
-        for name, value in content.items()
-        if (kind := known[name]) is not None
-    }
-    return {name: value for name, value in kept.items() if value is not NOTHING}
+    kept = {}
+    for name, value in content.items():
+        kind = kinds.get(name, kinds.get("*"))
+        found = NOTHING if kind is None else allowed(value, kind)
+        if found is not NOTHING:
+            kept[name] = found
+    return kept
 
 
-def dataset_files(root: Path) -> list[str]:
-    """Return the names, relative to its folder, of those files of a dataset that may be handed on, sorted."""
-    names = [path.relative_to(root).as_posix() for path in root.rglob("*") if path.is_file()]
-    return sorted(name for name in names if DATASET_FILES.fullmatch(name))
+def _files(folder: Path) -> list[str]:
+    """Return the names of all files in a folder and below, relative to it, sorted."""
+    found = []
+    for path in folder.rglob("*"):
+        if path.is_file():
+            found.append(path.relative_to(folder).as_posix())
+    return sorted(found)
 
 
 def stage_dataset(root: Path, staged: Path) -> list[str]:
-    """Lay out in an empty folder what of a dataset may be handed on; return the files' names.
+    """Lay out a dataset's files that may be handed on in an empty folder; return their names.
 
-    Large files become links; cards and ``info.json`` are written anew with what their lists allow, and so are their
-    hashes. The dataset itself stays as it is. Raises DatasetError: a damaged JSON file.
+    Large files become links; cards and ``info.json`` are written anew with what their lists allow,
+    and so are their hashes. The dataset itself stays as it is. Raises DatasetError: a damaged JSON
+    file.
     """
-    names = dataset_files(root)
+    names = [name for name in _files(root) if DATASET_FILES.fullmatch(name)]
+    written = []
     for name in names:
         target = staged / name
         target.parent.mkdir(parents=True, exist_ok=True)
-        kind = (
-            CARD
-            if name.startswith("cards/")
-            else {"meta/info.json": INFO, "meta/rig.json": RIG}.get(name)
-        )
-        if kind is None or not _write_allowed(root / name, target, kind):
+        kind = {"meta/info.json": INFO, "meta/rig.json": RIG}.get(name)
+        if name.startswith("cards/"):
+            kind = CARD
+        if kind is not None and _write_allowed(root / name, target, kind):
+            written.append(name)
+        else:
             target.symlink_to((root / name).resolve())
-    if (hashes := read_hashes(root, DatasetError)) is None:
-        return names
-    (staged / HASHES).unlink()
-    written = [
-        name for name in names if (staged / name).is_file() and not (staged / name).is_symlink()
-    ]
-    fresh = {
-        name: hashes.get(name, {}) | entry for name, entry in hash_files(staged, written).items()
-    }
-    store_hashes(staged, {name: entry for name, entry in (hashes | fresh).items() if name in names})
+    hashes = read_hashes(root, DatasetError)
+    if hashes is not None:
+        (staged / HASHES).unlink()
+        entries = {name: hashes[name] for name in names if name in hashes}
+        for name, entry in hash_files(staged, written).items():
+            entries[name] = entries.get(name, {}) | entry
+        store_hashes(staged, entries)
     return names
 
 
 def _write_allowed(source: Path, target: Path, kind: Kind) -> bool:
-    """Write what a list allows of a JSON file; return False, and write nothing, where that is all of it."""
+    """Write the allowed part of a JSON file; write nothing and return False where it is whole."""
     content = read_object(source, DatasetError)
     kept = allowed(content, kind)
-    if kept != content:
-        target.write_text(json.dumps(kept, indent=1, ensure_ascii=False) + "\n")
-    return bool(kept != content)
+    if kept == content:
+        return False
+    target.write_text(json.dumps(kept, indent=1, ensure_ascii=False) + "\n")
+    return True
 
 
 def refuse_others(out: Path, known: re.Pattern[str]) -> None:
-    """Raise ContractError where a folder to hand on holds files that aren't of it; hidden ones are never sent."""
-    found = [path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()]
-    others = sorted(
-        name for name in found if not known.fullmatch(name) and not name.startswith(".")
-    )
+    """Raise ContractError where a folder to hand on holds other files than the known ones.
+
+    Hidden files are never sent.
+    """
+    others = [n for n in _files(out) if not known.fullmatch(n) and not n.startswith(".")]
     if others:
-        came = ", ".join(others[:3]) + (f" and {len(others) - 3} more" if len(others) > 3 else "")
+        came = ", ".join(others[:3])
+        if len(others) > 3:
+            came += f" and {len(others) - 3} more"
         do = "Name a new folder: everything in it is handed on."
         raise ContractError(expected("out", "a folder with nothing else in it", came, do))
 
@@ -180,13 +191,14 @@ def refuse_paths(folder: Path) -> None:
                 )
 
 
-def _texts(content: Any, key: str = "") -> list[tuple[str, str]]:
-    """Return (key, text) of every text in a content read from JSON."""
-    if isinstance(content, str):
-        return [(key, content)]
-    entries: list[tuple[str, Any]] = []
-    if isinstance(content, dict):
-        entries = list(content.items())
-    elif isinstance(content, list):
-        entries = [(key, entry) for entry in content]
-    return [found for name, entry in entries for found in _texts(entry, name)]
+def _texts(content: Any, key: str = "") -> Iterator[tuple[str, str]]:
+    """Yield (key, text) of every text in a content read from JSON."""
+    match content:
+        case str():
+            yield key, content
+        case dict():
+            for name, entry in content.items():
+                yield from _texts(entry, name)
+        case list():
+            for entry in content:
+                yield from _texts(entry, key)

@@ -1,6 +1,7 @@
-"""Where a command ends: whatever it raises becomes one line and an exit code; ``--debug`` shows where it came from.
+"""End of every command: an error becomes one line and an exit code; ``--debug`` shows its source.
 
-Here, too, are the types of options that several commands share; what they allow is in ``uniforce_vtla/options.py``.
+Also the types of options that several commands share; their rules are in
+``uniforce_vtla/options.py``.
 """
 
 import argparse
@@ -23,11 +24,15 @@ from uniforce_vtla.errors import (
     no_room,
     without_credentials,
 )
-from uniforce_vtla.options import Names, Pattern
+from uniforce_vtla.options import Names, Pattern, split
 from uniforce_vtla.sensors import list_sensors
 from uniforce_vtla.terminal import LastingText, stops_like_ctrl_c
 
-REFUSED, NO_ROOM, FAULT, STOPPED = 2, 4, 70, 130
+# exit codes
+REFUSED = 2
+NO_ROOM = 4
+FAULT = 70
+STOPPED = 130
 DEBUG = "--debug"
 OURS = (
     "uniforce_",
@@ -44,7 +49,7 @@ Verify = Literal["full", "quick", "off"]
 Level = Literal["easy", "touch"]
 Gripper = Literal["servo", "hand"]  # of the scene
 Sensor = Annotated[str, Names(list_sensors())]
-# words for what a simulated finger wears (uniforce_vtla/contact/worn.py)
+# words for the sensor on a simulated finger (uniforce_vtla/contact/worn.py)
 _WORN = r"\w+(:(any|drawing|\d{1,6}))?(\+\w+=[\d.]+)*"
 Worn = Annotated[str, Pattern("a sensor and which unit of it", _WORN, "tactip:any")]
 Sensors = Annotated[str, Names(list_sensors(), many=True)]
@@ -53,15 +58,15 @@ Sensors = Annotated[str, Names(list_sensors(), many=True)]
 class Command:
     """An entry point that knows its options: a command line in, one line for an error.
 
-    Exit codes: the command's own; 2 for what a user can put right, 4 for a full disk, 70 for a fault of the program,
-    130 after Ctrl-C, kill or a closed terminal.
+    Exit codes: the command's own; 2 for what a user can put right, 4 for a full disk, 70 for a
+    fault of the program, 130 after Ctrl-C, kill or a closed terminal.
 
     Args:
-        main: gets the config, the words themselves where there is no config class; returns an exit code, None for 0.
-        config_class: what the options are parsed into; None = ``main`` gets the words themselves.
+        main: gets the config; returns an exit code, None for 0.
+        config_class: the options are parsed into it; None = ``main`` gets the words themselves.
         presets: see ``parse``.
-        others: options that begin like this are not parsed; ``main`` gets them, as ``--key=value``, beside the config,
-            and the names of the options that were given.
+        others: options that begin like this are not parsed; ``main`` gets them, as
+            ``--key=value``, beside the config, and the names of the options that were given.
     """
 
     def __init__(
@@ -71,34 +76,40 @@ class Command:
         presets: Path | None = None,
         others: tuple[str, ...] = (),
     ) -> None:
-        self._main, self.config_class, self._presets, self.others = (
-            main,
-            config_class,
-            presets,
-            others,
-        )
+        self._main = main
+        self.config_class = config_class
+        self._presets = presets
+        self.others = others
         module = main.__module__  # a person typed uniforce record, or benchmarks.gates
         verb = module.removeprefix("uniforce_cli.")
         self._name = module if verb == module else f"uniforce {verb}"
 
     def __call__(self, argv: Sequence[str] | None = None) -> int:
         """Run on the given arguments, the process's own when None; return the exit code."""
-        words = list(sys.argv[1:] if argv is None else argv)
-        plain = [word for word in words if word != DEBUG]
-        run = partial(self._run, plain)
+        if argv is None:
+            argv = sys.argv[1:]
+        run = partial(self._run, [word for word in argv if word != DEBUG])
         with stops_like_ctrl_c():
-            return run() if len(plain) < len(words) else guarded(self._name, run)
+            if DEBUG in argv:
+                return run()
+            return guarded(self._name, run)
 
     def _run(self, words: list[str]) -> int:
         if self.config_class is None:
             return self._main(words) or 0
-        names = [word.removeprefix("--") for word in words]
-        flags = [f"--{name}" for name in names if self.others and name.startswith(self.others)]
-        own = [word for word in words if f"--{word.removeprefix('--')}" not in flags]
+        own = []
+        flags = []
+        for word in words:
+            name = word.removeprefix("--")
+            if name.startswith(self.others):
+                flags.append(f"--{name}")
+            else:
+                own.append(word)
         split_words(flags)
         config: Any = parse(self.config_class, own, self._presets)
-        more = (flags, list(split_words(own))) if self.others else ()
-        return self._main(config, *more) or 0
+        if self.others:
+            return self._main(config, flags, list(split_words(own))) or 0
+        return self._main(config) or 0
 
 
 def command(
@@ -108,8 +119,13 @@ def command(
     return lambda main: Command(main, config_class, presets, others)
 
 
+def by_name(text: str) -> dict[str, str]:
+    """Return the pairs of an option like ``touch0:right,touch1:left``."""
+    return dict(pair.split(":", 1) for pair in split(text))
+
+
 def one_thread() -> None:
-    """Let torch, OpenCV and numpy's BLAS compute on one thread: small work gains nothing from more."""
+    """Let torch, OpenCV and numpy compute on one thread: small work gains nothing from more."""
     import cv2
     import torch
     from threadpoolctl import threadpool_limits
@@ -120,9 +136,10 @@ def one_thread() -> None:
 
 
 def worker_process() -> None:
-    """Compute on one thread, and keep what this process has built: checkpoints and rigs, 35 MB each.
+    """Compute on one thread, and keep this process with its checkpoints and rigs, 35 MB each.
 
-    joblib replaces a process that grew by .3 GB; importing and building then begin again. It has no public setting.
+    joblib replaces a process that grew by .3 GB; importing and building then begin again. It has no
+    public setting.
     """
     from joblib.externals.loky import process_executor
 
@@ -138,22 +155,24 @@ def guarded(name: str, run: Callable[[], int]) -> int:
     except KeyboardInterrupt:
         return _end(name, "stopped", STOPPED)
     except DraccusException as error:
-        return _end(
-            name, expected("settings", "what it takes", reason_of(error), "See --help."), REFUSED
-        )
+        text = expected("settings", "what it takes", reason_of(error), "See --help.")
+        return _end(name, text, REFUSED)
     except (UniForceError, yaml.YAMLError, json.JSONDecodeError) as error:
         return _end(name, str(error), NO_ROOM if no_room(error) else REFUSED)
     except Exception as error:
-        if surroundings := _surroundings(error):
+        surroundings = _surroundings(error)
+        if surroundings:
             return _end(name, surroundings, NO_ROOM if no_room(error) else REFUSED)
-        what = f"a fault of this program, {type(error).__name__}: {error}. Run it with {DEBUG} and report it."
-        return _end(name, what, FAULT)
+        fault = f"a fault of this program, {type(error).__name__}: {error}"
+        return _end(name, f"{fault}. Run it with {DEBUG} and report it.", FAULT)
 
 
 def _surroundings(error: Exception) -> str:
-    """Return a line about what a user can put right: files, disks, network, login, packages; "" for anything else."""
-    if "huggingface_hub" in sys.modules and (said := _said_by_hub(error)):
-        return said
+    """Return a line about files, disks, network, login or packages; "" for another error."""
+    if "huggingface_hub" in sys.modules:
+        said = _said_by_hub(error)
+        if said:
+            return said
     match error:
         case OSError(filename=str() | bytes() | Path() as path):
             return f"{path!s}: {error.strerror}. Check the path and the room on its disk."
@@ -166,9 +185,8 @@ def _surroundings(error: Exception) -> str:
         case ImportError() if not str(error.name).startswith(OURS):
             return f"{error}. Install it; README.md names what is optional."
         case Exception() if type(error).__module__.startswith("wandb."):
-            return expected(
-                "wandb", "a login", str(error).rstrip("."), "wandb.enable=false does without."
-            )
+            said = str(error).rstrip(".")
+            return expected("wandb", "a login", said, "wandb.enable=false does without.")
     return ""
 
 
@@ -186,12 +204,9 @@ def _said_by_hub(error: Exception) -> str:
         case httpx.TransportError():
             return expected("hub", "a connection", error, "Is the network there? Try again.")
         case errors.HfHubHTTPError() | errors.EntryNotFoundError() | errors.HFValidationError():
-            return expected(
-                "hub",
-                "what was asked for",
-                str(error).rstrip("."),
-                "Check the name and your login.",
-            )
+            said = str(error).rstrip(".")
+            do = "Check the name and your login."
+            return expected("hub", "what was asked for", said, do)
     return ""
 
 
@@ -205,7 +220,7 @@ def _end(name: str, text: str, code: int) -> int:
 
 @contextmanager
 def usage_as_error() -> Iterator[None]:
-    """Let LeRobot's parser raise what is wrong instead of printing its usage, some hundred lines."""
+    """Let LeRobot's parser raise an error instead of printing a hundred lines of usage."""
     stock = argparse.ArgumentParser.error
 
     def error(parser: argparse.ArgumentParser, message: str) -> NoReturn:

@@ -1,7 +1,8 @@
 """Turn a published π0.5 (folder or hub id) into a pi05_uniforce that training can start from.
 
-Why not ``policy.pretrained_path``: LeRobot would load the published processors with it, which know nothing of touch,
-and its own loader goes on with random weights after an error. Here every tensor is placed by name or named in an error.
+Why not ``policy.pretrained_path``: LeRobot would load the published processors with it, which know
+nothing of touch, and its own loader goes on with random weights after an error. Here every tensor
+is placed by name or named in an error.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from uniforce_cli.boundary import command, one_thread
+from uniforce_cli.boundary import by_name, command, one_thread
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.file_hashes import write_hashes
 from uniforce_vtla.json_file import read_object
@@ -22,27 +23,23 @@ if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce import PI05UniforceConfig
 
 KNOWN_TYPES = ("pi05", "pi05_uniforce")
-NOT_TAKEN = (  # what the new policy decides for itself, or what its own data say
-    *(
-        "type",
-        "device",
-        "dtype",
-        "input_features",
-        "output_features",
-        "normalization_mapping",
-        "rtc_config",
-    ),
-    *(
-        "pretrained_path",
-        "repo_id",
-        "trained_on",
-        "swap",
-        "left_sensor",
-        "right_sensor",
-        "touch",
-        "augment",
-    ),
-)
+NOT_TAKEN = {  # settings that the new policy or its data decide
+    "type",
+    "device",
+    "dtype",
+    "input_features",
+    "output_features",
+    "normalization_mapping",
+    "rtc_config",
+    "pretrained_path",
+    "repo_id",
+    "trained_on",
+    "swap",
+    "left_sensor",
+    "right_sensor",
+    "touch",
+    "augment",
+}
 Published = Annotated[str, Existing("a checkpoint's folder or a hub id", "config.json", hub=True)]
 Revision = Annotated[
     str, Pattern("a branch, tag or commit", r"\w[\w.-]{0,99}(/\w[\w.-]{0,99})*", "main")
@@ -51,31 +48,36 @@ Revision = Annotated[
 
 @dataclass
 class ConvertConfig:
-    """Give a π0.5 force tokens: its weights, new modules that start fresh, processors for your own data.
+    """Give a π0.5 force tokens: its weights, fresh new modules, processors for your own data.
 
     Example: uniforce convert source=lerobot/pi05_base view=outputs/view224 out=outputs/pi05_touch
-    then: uniforce train policy.path=outputs/pi05_touch dataset.repo_id=local/view dataset.root=outputs/view224
+    then: uniforce train policy.path=outputs/pi05_touch dataset.root=outputs/view224 …
     """
 
     source: Published = "lerobot/pi05_base"  # a pi05, or a pi05_uniforce to change its touch
-    view: View = ""  # of your demos (uniforce view image_side=224): features, statistics
+    # training view of your demos (uniforce view image_side=224), for features and statistics
+    view: View = ""
     out: OutFolder = "outputs/converted"  # the new policy's folder
-    # the last three: controls
+    # touch that the policy feels; wrench is the simulator's true one, a ceiling
     touch_input: Literal["latent", "none", "wrench"] = "latent"
-    touch_slots: Slots = "touch0:right,touch1:left"  # slot:finger, comma between them
-    token_site: Literal["prefix", "suffix"] = "prefix"  # where force tokens stand (docs/design.md)
+    # which finger fills which touch slot, comma between them
+    touch_slots: Slots = "touch0:right,touch1:left"
+    # place of the force tokens: prefix = beside cameras and text, encoded once | suffix = before
+    # the actions, read in every flow step
+    token_site: Literal["prefix", "suffix"] = "prefix"
     # training starts with the source's actions, touch behind a gate (touch/tokens.py)
     start_at_base: bool = True
-    # of the backbone; a tiny source stays float32
+    # number format of the backbone; a tiny source stays float32
     dtype: Literal["bfloat16", "float32"] = "bfloat16"
-    revision: Revision = ""  # of a hub repository
+    revision: Revision = ""  # branch, tag or commit of a hub repository; "" = its newest
 
 
 def convert(config: ConvertConfig) -> Path:
     """Build, fill and save the policy with its processors; return its folder.
 
-    Raises CheckpointError: no π0.5 there, a damaged file, or tensors that are missing, left over or misshapen;
-    ContractError: settings that don't go together; DatasetError: no view, or one that lacks the touch input.
+    Raises CheckpointError: no π0.5 there, a damaged file, or tensors that are missing, left over or
+    misshapen; ContractError: settings that don't go together; DatasetError: no view, or one that
+    lacks the touch input.
     """
     from lerobot.utils.feature_utils import dataset_to_policy_features
 
@@ -92,15 +94,16 @@ def convert(config: ConvertConfig) -> Path:
     revision = config.revision or None
     source = read_object(weights.find(config.source, weights.CONFIG, revision), CheckpointError)
     if source.get("type") not in KNOWN_TYPES:
-        policy, do = f"policy type of {config.source}", "Name a π0.5 checkpoint."
-        raise CheckpointError(expected(policy, " | ".join(KNOWN_TYPES), source.get("type"), do))
+        where = f"policy type of {config.source}"
+        do = "Name a π0.5 checkpoint."
+        raise CheckpointError(expected(where, " | ".join(KNOWN_TYPES), source.get("type"), do))
     weights.check_files(config.source, "full", revision, local_files_only=False)
-    slots = dict(pair.strip().split(":") for pair in config.touch_slots.split(",") if pair)
+    slots = by_name(config.touch_slots)
     view = TrainingView(config.view, slots=slots, touch=config.touch_input)
     settings = _settings(source, config, slots)
     features = dataset_to_policy_features(view.meta.features)
-    settings.output_features = {key: feature for key, feature in features.items() if key == ACTION}
-    settings.input_features = {key: feature for key, feature in features.items() if key != ACTION}
+    settings.output_features = {ACTION: features.pop(ACTION)}
+    settings.input_features = features
     policy = PI05UniforcePolicy(
         settings, dataset_stats=view.meta.stats, dataset_meta=view.meta, empty=True
     )
@@ -121,14 +124,15 @@ def _settings(
     from lerobot_policy_pi05_uniforce import PI05UniforceConfig
     from lerobot_policy_pi05_uniforce import configuration_pi05_uniforce as groups
 
-    known = PI05UniforceConfig.__dataclass_fields__.keys() - set(NOT_TAKEN)
+    known = PI05UniforceConfig.__dataclass_fields__.keys() - NOT_TAKEN
     taken = {name: value for name, value in source.items() if name in known}
     kinds = {
         "action": groups.ActionSettings,
         "tiny": groups.TinySettings,
         "sampler": groups.SamplerSettings,
     }
-    taken |= {name: kind(**taken[name]) for name, kind in kinds.items() if name in taken}
+    for name in kinds.keys() & taken.keys():
+        taken[name] = kinds[name](**taken[name])
     taken.setdefault("size", "base")
     touch = groups.TouchSettings(
         slots, config.touch_input, site=config.token_site, start_at_base=config.start_at_base
@@ -148,6 +152,5 @@ def main(config: ConvertConfig) -> None:
         )
     out = convert(config)
     print(f"policy in {out}; new modules start fresh: {', '.join(weights.FRESH)}")
-    print(
-        f"next: uniforce train policy.path={out} dataset.repo_id=local/view dataset.root={config.view}"
-    )
+    data = f"dataset.repo_id=local/view dataset.root={config.view}"
+    print(f"next: uniforce train policy.path={out} {data}")

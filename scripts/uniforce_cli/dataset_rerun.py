@@ -24,25 +24,21 @@ PNG = (".png", "image/png")
 def write_recording(
     rerun: ModuleType, summary: EpisodeSummary, source: Source, episode: Episode, path: Path
 ) -> Path:
-    """Write an episode and the layout it is looked at in to an .rrd file; DatasetError for a truncated video."""
+    """Write an episode and its layout to an .rrd file; DatasetError for a truncated video."""
     path.parent.mkdir(parents=True, exist_ok=True)
     at = rerun.TimeColumn(TIME, duration=summary.time_s)
     with rerun.RecordingStream("uniforce show", recording_id=path.stem) as recording:
         recording.save(path, default_blueprint=_layout(rerun, summary, source, episode))
-        recording.log(
-            "events", rerun.TextDocument("\n".join(["estimated:", *summary.verdict])), static=True
-        )
+        verdict = "\n".join(["estimated:", *summary.verdict])
+        recording.log("events", rerun.TextDocument(verdict), static=True)
         for name, pictures in streams(summary, source, episode):
             ending, kind, *options = JPEG if name.startswith(("camera", "raw")) else PNG
             blobs = [encoded(picture, ending, *options) for picture in pictures]
-            kinds = [kind] * len(blobs)
-            recording.send_columns(
-                name, [at], rerun.EncodedImage.columns(blob=blobs, media_type=kinds)
-            )
+            images = rerun.EncodedImage.columns(blob=blobs, media_type=[kind] * len(blobs))
+            recording.send_columns(name, [at], images)
         for name, values in traces(summary).items():
-            recording.send_columns(
-                name, [at], rerun.Scalars.columns(scalars=np.ascontiguousarray(values))
-            )
+            scalars = rerun.Scalars.columns(scalars=np.ascontiguousarray(values))
+            recording.send_columns(name, [at], scalars)
         for frame, text, level in _notes(summary):
             recording.set_time(TIME, duration=summary.time_s[frame])
             recording.log("log", rerun.TextLog(text, level=level))
@@ -59,7 +55,7 @@ def _notes(summary: EpisodeSummary) -> Iterator[tuple[int, str, str]]:
 
 
 def traces(summary: EpisodeSummary) -> dict[str, np.ndarray]:
-    """Return (n,) numbers by path: forces of both fingers, and what follows from them."""
+    """Return (n,) numbers by path: forces of both fingers, press and used friction."""
     found = {}
     for number, finger in enumerate(FINGERS):
         for axis, name in enumerate(AXES):
@@ -75,17 +71,22 @@ def traces(summary: EpisodeSummary) -> dict[str, np.ndarray]:
 
 
 def _layout(rerun: ModuleType, summary: EpisodeSummary, source: Source, episode: Episode) -> Any:
-    view, judged = rerun.blueprint, summary.found is not None
-    touch = [
-        f"raw/{finger}" for finger in FINGERS if raw_touch(source, episode, finger) is not None
-    ]
-    touch += [f"{what}/{finger}" for what in ("markers", "latent") for finger in FINGERS]
-    plots = [f"force_N/{finger}" for finger in FINGERS] + ["press_N"] * judged
-    plots += ["friction_used"] * (judged and summary.judges_slip)
-    grids = ([f"camera/{name}" for name in cameras(source)], touch)
-    pictures = [
-        view.Grid(*(view.Spatial2DView(origin=p, name=p) for p in paths)) for paths in grids
-    ]
+    view = rerun.blueprint
+    touch = []
+    plots = []
+    for finger in FINGERS:
+        if raw_touch(source, episode, finger) is not None:
+            touch.append(f"raw/{finger}")
+        plots.append(f"force_N/{finger}")
+    for stream in ("markers", "latent"):
+        touch += [f"{stream}/{finger}" for finger in FINGERS]
+    if summary.found is not None:
+        plots.append("press_N")
+        if summary.judges_slip:
+            plots.append("friction_used")
+    columns = []
+    for paths in ([f"camera/{name}" for name in cameras(source)], touch):
+        columns.append(view.Grid(*(view.Spatial2DView(origin=p, name=p) for p in paths)))
     texts = view.Horizontal(view.TextDocumentView(origin="events"), view.TextLogView(origin="log"))
-    lines = (view.TimeSeriesView(origin=path, name=path) for path in plots)
-    return view.Blueprint(view.Horizontal(view.Vertical(*pictures), view.Vertical(*lines, texts)))
+    lines = [view.TimeSeriesView(origin=path, name=path) for path in plots]
+    return view.Blueprint(view.Horizontal(view.Vertical(*columns), view.Vertical(*lines, texts)))

@@ -1,4 +1,4 @@
-"""The whole line on a laptop: record, train, roll out with trained and swapped sensors, score, show."""
+"""All stages on a laptop: record, train, roll out with trained and swapped sensors, score, show."""
 
 import contextlib
 import logging
@@ -28,27 +28,24 @@ class DemoConfig:
     Example: uniforce demo rollouts=4 out=outputs/demo
     """
 
-    episodes: Count = 3  # demos recorded live; enough to see every stage, too few to learn from
-    # optimiser steps on those demos; shows that training runs, not what it can reach
+    episodes: Count = 3  # demos to record; enough to see every stage, too few to learn from
+    # training steps on those demos; they show that training runs, not what it can reach
     train_steps: Count = 20
-    rollouts: Count = 4  # per arm, with the shipped policy; a smoke test, no claim
-    level: Level = "touch"  # the level the shipped policy was trained at
+    rollouts: Count = 4  # scenes per sensor, with the shipped policy; a smoke test, no claim
+    level: Level = "touch"  # level of the scene; the shipped policy was trained at touch
     out: OutFolder = "outputs/demo"  # everything goes here; an earlier demo there is replaced
 
 
-# arm → (left, right sensor): the shipped policy learnt to feel with a TacTip on the right finger, never retrained
-ARMS = {
-    "V+T": ("gelsight", "tactip"),
-    "V+G": ("gelsight", "gelsight"),
-    "V+U": ("gelsight", "uskin"),
-}
+# arm → sensor on the right finger; the shipped policy was trained with a TacTip there
+ARMS = {"V+T": "tactip", "V+G": "gelsight", "V+U": "uskin"}
 
 
 class ProgressBars:
-    """A stream that lets progress bars through to a terminal, on one line, and writes all else into a log."""
+    """A stream that shows progress bars on one line of a terminal and writes all else to a log."""
 
     def __init__(self, terminal: TextIO, log: TextIO) -> None:
-        self._terminal, self._log = terminal, log
+        self._terminal = terminal
+        self._log = log
 
     def write(self, text: str) -> int:
         """Sort a text by how it begins: a bar returns to the start of its line."""
@@ -70,21 +67,26 @@ class ProgressBars:
 
 @contextlib.contextmanager
 def logged(path: Path) -> Iterator[Callable[[str], None]]:
-    """Send what Python, its libraries and child processes print into a file; yield what prints for people.
+    """Send all output, of child processes too, into a file; yield a print function for people.
 
-    On a terminal progress bars stay, on one line. Where the block fails, the log's last lines and its path are printed.
+    On a terminal progress bars stay, on one line. If the block fails, the log's last lines and its
+    path are printed.
     """
-    handlers, stdout = list(logging.root.handlers), sys.stdout
+    handlers = list(logging.root.handlers)
+    stdout = sys.stdout
     sys.stdout.flush()
     sys.stderr.flush()
-    kept = os.dup(1), os.dup(2)
+    kept = (os.dup(1), os.dup(2))
     with path.open("w", buffering=1) as log, os.fdopen(os.dup(1), "w", buffering=1) as terminal:
         out = terminal if stdout is sys.__stdout__ else stdout
         errors = ProgressBars(terminal, log) if terminal.isatty() else log
         for number in (1, 2):
             os.dup2(log.fileno(), number)
         try:
-            with contextlib.redirect_stdout(log), contextlib.redirect_stderr(errors):  # type: ignore[type-var]
+            with (
+                contextlib.redirect_stdout(log),
+                contextlib.redirect_stderr(errors),  # type: ignore[type-var]
+            ):
                 yield lambda text: print(text, file=out, flush=True)
         finally:
             if isinstance(sys.exception(), Exception):  # Ctrl-C needs no explanation
@@ -98,7 +100,8 @@ def logged(path: Path) -> Iterator[Callable[[str], None]]:
 
 
 def run(config: DemoConfig) -> None:
-    start, out = time.perf_counter(), Path(config.out)
+    start = time.perf_counter()
+    out = Path(config.out)
     _start_over(out)
     with logged(out / LOG) as say:
         episode = _steps(config, out, say)
@@ -114,49 +117,61 @@ def run(config: DemoConfig) -> None:
 
 def _steps(config: DemoConfig, out: Path, say: Callable[[str], None]) -> Path:
     """Run every stage; return the path of the first demo's page."""
-    say(
-        f"\n[1/5] recording {config.episodes} demos with the scripted expert (GelSight left, TacTip right)"
-    )
+    expert = "the scripted expert (GelSight left, TacTip right)"
+    say(f"\n[1/5] recording {config.episodes} demos with {expert}")
     from uniforce_cli import lerobot_training, record, score, show, view
     from uniforce_vtla.evaluation.arms import table
 
     recording = record.RecordConfig(
-        episodes=config.episodes, level=config.level, root=str(out / "demos"),
-        # raw frames take twice as long
-        left_sensor="gelsight:drawing", right_sensor="tactip:drawing",
-    )  # fmt: skip
+        episodes=config.episodes,
+        level=config.level,
+        root=str(out / "demos"),
+        left_sensor="gelsight:drawing",  # raw frames take twice as long
+        right_sensor="tactip:drawing",
+    )
     record.record(recording)
     say("\n[2/5] training view: cameras resized once, touch encoded once by the frozen tokenizer")
     view.make_view(view.ViewConfig(roots=str(out / "demos"), out=str(out / "view")))
     say(f"\n[3/5] training a tiny policy for {config.train_steps} steps with LeRobot's own trainer")
     lerobot_training.train(_train_arguments(config, out))
-    say(
-        "\n[4/5] rolling out the shipped policy: trained sensor, then two swapped ones, nothing retrained"
-    )
+    sensors = "trained sensor, then two swapped ones, nothing retrained"
+    say(f"\n[4/5] rolling out the shipped policy: {sensors}")
     reports = []
-    for arm, (left, right) in ARMS.items():
+    for arm, sensor in ARMS.items():
         scoring = score.ScoreConfig(
-            arm=arm, left_sensor=left, right_sensor=right, level=config.level,
-            rollouts=config.rollouts, videos=1 if arm == "V+T" else 0, out=str(out / "score"),
-        )  # fmt: skip
+            arm=arm,
+            left_sensor="gelsight",
+            right_sensor=sensor,
+            level=config.level,
+            rollouts=config.rollouts,
+            videos=int(arm == "V+T"),
+            out=str(out / "score"),
+        )
         reports.append(score.score(scoring))
     say("\n[5/5] report")
     arms = {report.arm: report.as_dict() for report in reports}
     content = {"level": config.level, "label": "smoke, no claim", "arms": arms}
     write_json(out / "wiping.json", content | provenance())
-    (episode,) = show.show_dataset(
-        show.ShowDatasetConfig(root=str(out / "demos"), out=str(out / "show"))
-    )
+    shown = show.ShowDatasetConfig(root=str(out / "demos"), out=str(out / "show"))
+    (episode,) = show.show_dataset(shown)
     say(table(reports))
     return episode
 
 
 def _train_arguments(config: DemoConfig, out: Path) -> list[str]:
     return [
-        "policy=pi05_uniforce", "policy.size=tiny", "policy.device=cpu", "dataset.repo_id=local/demo",
-        f"dataset.root={out / 'view'}", f"steps={config.train_steps}", "batch_size=8", "num_workers=0",
-        "log_freq=5", f"save_freq={config.train_steps}", f"output_dir={out / 'train'}",
-    ]  # fmt: skip
+        "policy=pi05_uniforce",
+        "policy.size=tiny",
+        "policy.device=cpu",
+        "dataset.repo_id=local/demo",
+        f"dataset.root={out / 'view'}",
+        f"steps={config.train_steps}",
+        "batch_size=8",
+        "num_workers=0",
+        "log_freq=5",
+        f"save_freq={config.train_steps}",
+        f"output_dir={out / 'train'}",
+    ]
 
 
 def _start_over(out: Path) -> None:

@@ -1,4 +1,4 @@
-"""Say what this machine has for training, recording and rolling out, and what to do about what it lacks."""
+"""List what this machine has and lacks for training, recording and rolling out."""
 
 import importlib.metadata
 import os
@@ -31,12 +31,14 @@ DEVICES = Path("/dev")
 
 @dataclass
 class DoctorCommand:
-    """List what is here, what is missing, and what to do; 1 where something is missing that everything needs.
+    """List what this machine has, what is missing, and what to do about it.
+
+    Exit code 1: something is missing that everything needs.
 
     Example: uniforce doctor
     """
 
-    out: OutFolder = "outputs"  # where datasets and policies would go: is there room?
+    out: OutFolder = "outputs"  # folder for datasets and policies, to see whether it has room
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,9 @@ class Finding:
 
     def __str__(self) -> str:
         line = f"{self.state:8}  {self.name:18}  {self.seen}"
-        return f"{line}. {self.do}" if self.do else line
+        if self.do:
+            line += f". {self.do}"
+        return line
 
 
 def packages() -> Iterator[Finding]:
@@ -58,9 +62,8 @@ def packages() -> Iterator[Finding]:
     yield Finding("Python", "ok", platform.python_version())
     for name in NEEDED:
         if find_spec(name) is None:
-            yield Finding(
-                name, "missing", "not installed", "Run make setup, or pip install this package."
-            )
+            do = "Run make setup, or pip install this package."
+            yield Finding(name, "missing", "not installed", do)
         else:
             yield Finding(name, "ok", importlib.metadata.version(name))
 
@@ -87,8 +90,11 @@ def accelerator() -> Iterator[Finding]:
         return
     found = torch.cuda.get_device_properties(0)
     memory_GB = found.total_memory / GB
-    do = "" if memory_GB >= BASE_GPU_GB else f"Size base needs about {BASE_GPU_GB:.0f} GB."
-    yield Finding("device", "ok" if not do else "optional", f"{found.name}, {memory_GB:.0f} GB", do)
+    seen = f"{found.name}, {memory_GB:.0f} GB"
+    if memory_GB >= BASE_GPU_GB:
+        yield Finding("device", "ok", seen)
+    else:
+        yield Finding("device", "optional", seen, f"Size base needs about {BASE_GPU_GB:.0f} GB.")
     compiler = shutil.which("cc") or shutil.which("gcc")
     if compiler is None or find_spec("triton") is None:
         do = "Install gcc and triton, or policies sample without torch.compile."
@@ -99,32 +105,33 @@ def accelerator() -> Iterator[Finding]:
 
 def room(folder: Path) -> Finding:
     """Return how much room there is where data would go."""
-    there = folder.absolute()
-    while not there.exists():
-        there = there.parent
+    there = _existing(folder)
     free_GB = shutil.disk_usage(there).free / GB
     seen = f"{free_GB:.0f} GB free at {there}"
     if not os.access(there, os.W_OK):
         return Finding("disk", "missing", f"{there} can't be written", "Name another folder: out=…")
     if free_GB < LEAST_FREE_GB:
-        return Finding(
-            "disk", "missing", seen, f"Free {LEAST_FREE_GB:.0f} GB, or name another folder: out=…"
-        )
+        do = f"Free {LEAST_FREE_GB:.0f} GB, or name another folder: out=…"
+        return Finding("disk", "missing", seen, do)
     return Finding("disk", "ok", seen)
+
+
+def _existing(folder: Path) -> Path:
+    """Return a folder, or the nearest one above it that exists."""
+    there = folder.absolute()
+    while not there.exists():
+        there = there.parent
+    return there
 
 
 def caches() -> Finding:
     """Return whether models and datasets of the hub can be stored."""
     default = Path.home() / ".cache" / "huggingface"
     home = Path(os.environ.get("HF_HOME", default))
-    there = home if home.exists() else home.parent
-    while not there.exists():
-        there = there.parent
-    if os.access(there, os.W_OK):
+    if os.access(_existing(home), os.W_OK):
         return Finding("hub cache", "ok", str(home))
-    return Finding(
-        "hub cache", "optional", f"{home} can't be written", "Set HF_HOME to a folder of yours."
-    )
+    do = "Set HF_HOME to a folder of yours."
+    return Finding("hub cache", "optional", f"{home} can't be written", do)
 
 
 def realtime() -> Finding:
@@ -134,16 +141,17 @@ def realtime() -> Finding:
         do = "An arm needs a kernel with PREEMPT_RT; simulation doesn't."
         return Finding("real-time kernel", "optional", f"none ({platform.release()})", do)
     if not soft:
+        seen = "there, but this user gets no real-time priority"
         do = "Give your group rtprio in /etc/security/limits.conf."
-        return Finding(
-            "real-time kernel", "optional", "there, but this user gets no real-time priority", do
-        )
+        return Finding("real-time kernel", "optional", seen, do)
     return Finding("real-time kernel", "ok", f"{platform.release()}, priority up to {soft}")
 
 
 def devices(name: str, patterns: tuple[str, ...], used_for: str, group: str) -> Finding:
     """Return the devices of one kind, and whether this user may open them."""
-    found = sorted(path for pattern in patterns for path in DEVICES.glob(pattern))
+    found: list[Path] = []
+    for pattern in patterns:
+        found += sorted(DEVICES.glob(pattern))
     if not found:
         return Finding(name, "optional", "none", f"Needed for {used_for}.")
     closed = [str(path) for path in found if not os.access(path, os.R_OK | os.W_OK)]

@@ -32,12 +32,14 @@ def streams(
 ) -> Iterator[tuple[str, Iterator[np.ndarray]]]:
     """Yield the name of every stream of pictures, e.g. camera/front or latent/left, and its frames.
 
-    Frames are (H, W, 3) uint8 RGB. Reading them raises DatasetError where a video is missing or truncated.
+    Frames are (H, W, 3) uint8 RGB. Reading them raises DatasetError where a video is missing or
+    truncated.
     """
     for name, key in cameras(source).items():
         yield f"camera/{name}", frames(source, episode, key)
     for finger in FINGERS:
-        if (raw := raw_touch(source, episode, finger)) is not None:
+        raw = raw_touch(source, episode, finger)
+        if raw is not None:
             yield f"raw/{finger}", raw
         reference, current = marker_images(source, episode, finger)
         yield f"markers/{finger}", map(partial(overlay, reference), current)
@@ -46,14 +48,14 @@ def streams(
 
 
 def read_films(summary: EpisodeSummary, source: Source, episode: Episode) -> Films:
-    """Return pictures of evenly spaced frames and of the key frames; raises DatasetError as ``streams``."""
+    """Return pictures of evenly spaced frames and of key frames; DatasetError as ``streams``."""
     even = np.linspace(0, episode.length - 1, min(episode.length, MOMENTS)).round().astype(int)
-    wanted = sorted({*even.tolist(), *(moment.frame for moment in summary.key_frames)})
-    pictures = {
-        name: tuple(_small(frame) for number, frame in enumerate(stream) if number in wanted)
-        for name, stream in streams(summary, source, episode)
-    }
-    return Films(tuple(wanted), pictures)
+    wanted = {*even.tolist(), *(moment.frame for moment in summary.key_frames)}
+    pictures = {}
+    for name, stream in streams(summary, source, episode):
+        shown = [_small(frame) for number, frame in enumerate(stream) if number in wanted]
+        pictures[name] = tuple(shown)
+    return Films(tuple(sorted(wanted)), pictures)
 
 
 def encoded(picture: np.ndarray, ending: str, *options: int) -> bytes:
@@ -63,9 +65,8 @@ def encoded(picture: np.ndarray, ending: str, *options: int) -> bytes:
 
 def _small(picture: np.ndarray) -> bytes:
     scale = min(1.0, WIDTH_PX / picture.shape[1])
-    return encoded(
-        cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), ".webp", *WEBP
-    )
+    small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return encoded(small, ".webp", *WEBP)
 
 
 def _heat(strength: np.ndarray) -> np.ndarray:

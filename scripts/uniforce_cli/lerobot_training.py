@@ -1,4 +1,4 @@
-"""LeRobot's trainer behind ``uniforce train``: settings checked first, training views, hashed checkpoints."""
+"""LeRobot's trainer with checked settings, training views and hashed checkpoints."""
 
 import difflib
 import io
@@ -39,11 +39,12 @@ from uniforce_vtla.keys import VIEW_MARKER
 from uniforce_vtla.options import Range, Writable, at_home, check_text, shortened
 from uniforce_vtla.results_file import PROVENANCE, provenance, write_json
 
-VERIFY, EPISODES = "verify=", "dataset.episodes"
+VERIFY = "verify="
+EPISODES = "dataset.episodes"
 CHOICES = ("policy", "env")  # LeRobot wants --policy.type=NAME
 OURS = "pi05_uniforce"
 DEFAULTS = {"policy.push_to_hub": "false", "wandb.enable": "false"}
-# loading takes 3 % of a step; workers would take the cores that train. Checkpoints are small, and runs are stopped
+# loading takes 3 % of a step, and workers would take the cores that train; checkpoints are small
 ON_CPU = {"num_workers": "0", "save_freq": "1000"}
 RANGES = {  # of LeRobot's own settings, which it does not check
     "steps": Range(1, 10_000_000),
@@ -66,7 +67,9 @@ def to_lerobot(argv: Sequence[str]) -> list[str]:
     given = {flag[2:].partition("=")[0] for flag in flags if flag.startswith("--")}
     if "resume" in given:  # a resumed run brings its own settings
         return flags
-    defaults = DEFAULTS | (ON_CPU if "--policy.device=cpu" in flags else {})
+    defaults = dict(DEFAULTS)
+    if "--policy.device=cpu" in flags:
+        defaults |= ON_CPU
     return flags + [f"--{key}={value}" for key, value in defaults.items() if key not in given]
 
 
@@ -74,25 +77,34 @@ def _flag(argument: str) -> str:
     if argument.startswith("-") or "=" not in argument:
         return argument
     key, _, value = argument.partition("=")
-    return f"--{key}.type={value}" if key in CHOICES else f"--{key}={value}"
+    if key in CHOICES:
+        key += ".type"
+    return f"--{key}={value}"
 
 
 def take_verify(argv: Sequence[str]) -> tuple[str, list[str]]:
-    """Return the last ``verify=…`` ("" where there is none), which LeRobot doesn't know, and the other arguments."""
-    given = [argument.removeprefix(VERIFY) for argument in argv if argument.startswith(VERIFY)]
-    return (given or [""])[-1], [argument for argument in argv if not argument.startswith(VERIFY)]
+    """Return the last ``verify=…`` or "", which LeRobot doesn't know, and the other arguments."""
+    verify = ""
+    others = []
+    for argument in argv:
+        if argument.startswith(VERIFY):
+            verify = argument.removeprefix(VERIFY)
+        else:
+            others.append(argument)
+    return verify, others
 
 
 class TrainingAccelerator(Accelerator):
     """LeRobot's accelerator for our policy, but for two things.
 
-    It skips the search for unused parameters, a walk over the graph in every step: ours has none left
+    It skips the search for unused parameters, a walk over the graph in every step: ours has none
     (``training.py``, and a test per training option).
 
-    It lets the process group live as long as the process. LeRobot's trainer drops the group with its last frame,
-    microseconds after a barrier. The thread that drops it holds Python's lock and waits for gloo's; gloo's may still be
-    releasing the barrier's tensors, for which it wants the lock: a deadlock inside PyTorch (``~Reducer`` →
-    ``~ProcessGroupGloo`` → ``join``), seen once.
+    It lets the process group live as long as the process. LeRobot's trainer drops the group with
+    its last frame, microseconds after a barrier. The thread that drops it holds Python's lock and
+    waits for gloo's thread. That may still be releasing the barrier's tensors, for which it wants
+    the lock: a deadlock inside PyTorch (``~Reducer`` → ``~ProcessGroupGloo`` → ``join``), seen
+    once.
     """
 
     def __init__(self, config: PI05UniforceConfig) -> None:
@@ -112,7 +124,7 @@ class TrainingAccelerator(Accelerator):
 
 @contextmanager
 def replaced(owner: Any, name: str, stand_in: Callable[..., Any]) -> Iterator[None]:
-    """Let ``stand_in(stock, …)`` answer for a function of LeRobot's that takes no argument and has no class for it."""
+    """Let ``stand_in(stock, …)`` answer for a function of LeRobot's that can't be exchanged."""
     stock = getattr(owner, name)
     setattr(owner, name, partial(stand_in, stock))
     try:
@@ -123,7 +135,7 @@ def replaced(owner: Any, name: str, stand_in: Callable[..., Any]) -> Iterator[No
 
 @contextmanager
 def training_views(verify: str = "") -> Iterator[None]:
-    """Let LeRobot's trainer read a training view where the dataset root holds one, and no dataset unchecked."""
+    """Let LeRobot's trainer read a training view at the dataset root, and no dataset unchecked."""
 
     def make_dataset(stock: Any, cfg: Any) -> Any:
         # pulls in the recorder's libraries
@@ -134,9 +146,9 @@ def training_views(verify: str = "") -> Iterator[None]:
             return make_training_dataset(cfg, partial(_stock_dataset, stock), verify)
         if cfg.dataset.eval_split:
             do = "Make a view of the held-out episodes instead."
-            raise ContractError(
-                expected("dataset.eval_split", "0 with a training view", cfg.dataset.eval_split, do)
-            )
+            came = cfg.dataset.eval_split
+            wanted = "0 with a training view"
+            raise ContractError(expected("dataset.eval_split", wanted, came, do))
         return make_training_dataset(cfg, stock, verify)
 
     with replaced(factory, "make_dataset", make_dataset):
@@ -144,7 +156,7 @@ def training_views(verify: str = "") -> Iterator[None]:
 
 
 def _stock_dataset(stock: Any, cfg: Any) -> Any:
-    """Return what LeRobot reads; raises ContractError: it can't, from the folder or from the hub."""
+    """Return LeRobot's dataset; ContractError: it can't be read from the folder or the hub."""
     where = cfg.dataset.root or cfg.dataset.repo_id
     try:
         return stock(cfg)
@@ -156,14 +168,17 @@ def _stock_dataset(stock: Any, cfg: Any) -> Any:
 
 
 def _save_hashed(stock: Any, checkpoint_dir: Path, **given: Any) -> None:
-    """Save a checkpoint, where it comes from and its ``hashes.json``: LeRobot saves the processors after the policy."""
+    """Save a checkpoint, its provenance and its ``hashes.json``.
+
+    Here, since LeRobot saves the processors after the policy.
+    """
     stock(checkpoint_dir=checkpoint_dir, **given)
     write_json(checkpoint_dir / PRETRAINED_MODEL_DIR / PROVENANCE, provenance())
     write_hashes(checkpoint_dir / PRETRAINED_MODEL_DIR)
 
 
 def trains_ours(flags: Sequence[str]) -> bool:
-    """Return whether these flags name a pi05_uniforce, by type or by the folder it starts or goes on from."""
+    """Return whether these flags name a pi05_uniforce, by type or by a checkpoint's folder."""
     given = dict(flag[2:].split("=", 1) for flag in flags if flag.startswith("--") and "=" in flag)
     started = Path(given.get("policy.path", "")) / "config.json"
     resumed = Path(given.get("config_path", "")).parent / "config.json"
@@ -174,9 +189,10 @@ def trains_ours(flags: Sequence[str]) -> bool:
 
 
 def read_settings(flags: Sequence[str]) -> TrainPipelineConfig:
-    """Return LeRobot's settings as its own parser reads them from ``sys.argv``, checked before the work begins.
+    """Return LeRobot's settings as its parser reads them from ``sys.argv``, after checking them.
 
-    Raises ContractError: a setting LeRobot doesn't have, of a wrong type or out of range, a path that can't be used.
+    Raises ContractError: a setting LeRobot doesn't have, of a wrong type or out of range, a path
+    that can't be used.
     """
     said = io.StringIO()
     # what LeRobot warns of here, it does again when the work begins
@@ -191,7 +207,9 @@ def read_settings(flags: Sequence[str]) -> TrainPipelineConfig:
     except SystemExit as error:  # LeRobot's way to end after a wrong type; it printed why
         raise ContractError(f"settings: {_said(said.getvalue())} See --help.") from error
     except (*LEROBOTS_ERRORS, DraccusException) as error:
-        reason = reason_of(error) if isinstance(error, DraccusException) else error
+        reason: BaseException = error
+        if isinstance(error, DraccusException):
+            reason = reason_of(error)
         raise ContractError(
             expected("settings", "what LeRobot takes", _said(reason), "See --help.")
         ) from error
@@ -207,7 +225,9 @@ def _settings(cfg: TrainPipelineConfig) -> TrainPipelineConfig:
 def settings_known() -> dict[str, Option]:
     """Return LeRobot's settings and our policy's, with the ranges that we add."""
     known = options_of(TrainPipelineConfig) | options_of(PI05UniforceConfig, "policy.")
-    return known | {name: replace(known[name], rule=allowed) for name, allowed in RANGES.items()}
+    for name, allowed in RANGES.items():
+        known[name] = replace(known[name], rule=allowed)
+    return known
 
 
 def _check(given: Mapping[str, str], ours: bool) -> None:
@@ -217,37 +237,37 @@ def _check(given: Mapping[str, str], ours: bool) -> None:
         if name in known and (ours or not name.startswith("policy.")):
             check(known[name], read_value(known[name], text))
     _check_config_path(given)
-    root, out = given.get("dataset.root"), given.get("output_dir")
-    markers = (VIEW_MARKER, "meta/info.json")
-    if root is not None and not any((Path(root) / name).is_file() for name in markers):
-        raise ContractError(
-            expected("dataset.root", "a dataset or a training view", root, "Check the path.")
-        )
-    if root is not None and (episodes := given.get(EPISODES, "null")) != "null":
-        _check_episodes(Path(root), read_value(known[EPISODES], episodes))
-    if out is not None:
-        Writable().check("output_dir", out)
+    if "dataset.root" in given:
+        root = Path(given["dataset.root"])
+        episodes = given.get(EPISODES, "null")
+        if not (root / VIEW_MARKER).is_file() and not (root / "meta/info.json").is_file():
+            came = given["dataset.root"]
+            wanted = "a dataset or a training view"
+            raise ContractError(expected("dataset.root", wanted, came, "Check the path."))
+        if episodes != "null":
+            _check_episodes(root, read_value(known[EPISODES], episodes))
+    if "output_dir" in given:
+        Writable().check("output_dir", given["output_dir"])
 
 
 def _check_episodes(root: Path, chosen: Sequence[int]) -> None:
-    """Raise ContractError for episodes that a dataset or view hasn't got, none at all, or one that comes twice."""
+    """Raise ContractError for episodes that aren't there, none at all, or one that comes twice."""
     from uniforce_datasets.view_plan import read_marker
 
     if (root / VIEW_MARKER).is_file():
         stored = len(read_marker(root)["episodes"])
     else:
-        stored = int(
-            read_object(root / "meta" / "info.json", DatasetError).get("total_episodes") or 0
-        )
+        info = read_object(root / "meta" / "info.json", DatasetError)
+        stored = int(info.get("total_episodes") or 0)
     if not chosen or len({*chosen}) < len(chosen) or not {*chosen} <= {*range(stored)}:
         wanted = f"numbers from 0 to {stored - 1}, each once"
         raise ContractError(expected(EPISODES, wanted, chosen, "Leave it out to take all."))
 
 
 def _check_config_path(given: Mapping[str, str]) -> None:
-    """Raise ContractError where a run to go on with names no checkpoint's settings; a hub's name is LeRobot's to find.
+    """Raise ContractError where a run to go on with names no checkpoint's settings.
 
-    Raises CheckpointError: they are damaged.
+    A name on the hub is LeRobot's to find. Raises CheckpointError: the settings are damaged.
     """
     named = given.get("config_path", "")
     file = Path(named)
@@ -266,16 +286,18 @@ def _check_config_path(given: Mapping[str, str]) -> None:
 def _with_nearest(error: UniForceError) -> UniForceError:
     """Add the nearest known name to what argparse says of an unknown one."""
     _, unknown, words = str(error).partition("unrecognized arguments: ")
-    near = difflib.get_close_matches(
-        words.partition("=")[0].removeprefix("--"), settings_known(), 1
-    )
-    return ContractError(f"{error} Did you mean {near[0]}=…?") if unknown and near else error
+    name = words.partition("=")[0].removeprefix("--")
+    near = difflib.get_close_matches(name, settings_known(), 1)
+    if unknown and near:
+        return ContractError(f"{error} Did you mean {near[0]}=…?")
+    return error
 
 
 def _said(error: object) -> str:
-    return shortened(
-        f"{type(error).__name__}: {error}" if isinstance(error, Exception) else str(error), 300
-    )
+    text = str(error)
+    if isinstance(error, Exception):
+        text = f"{type(error).__name__}: {text}"
+    return shortened(text, 300)
 
 
 def _at_home(flag: str) -> str:
@@ -284,11 +306,12 @@ def _at_home(flag: str) -> str:
 
 
 def train(argv: Sequence[str]) -> None:
-    """Run ``lerobot-train`` on the given arguments; UniForceError: settings, data or a checkpoint it can't use."""
+    """Run ``lerobot-train``; UniForceError: settings, data or a checkpoint it can't use."""
     register_third_party_plugins()
     verify, settings = take_verify(argv)
     flags = [_at_home(flag) for flag in to_lerobot(settings)]
-    before, sys.argv = sys.argv, [sys.argv[0], *flags]  # LeRobot's parser reads sys.argv itself
+    before = sys.argv
+    sys.argv = [before[0], *flags]  # LeRobot's parser reads sys.argv itself
     try:
         if "--help" in flags:
             lerobot_train.main()
@@ -301,8 +324,7 @@ def train(argv: Sequence[str]) -> None:
         with training_views(verify), replaced(lerobot_train, "save_checkpoint", _save_hashed):
             lerobot_train.train(accelerator=accelerator)
         if ours:
-            print(
-                f"next: uniforce score policy={config.output_dir}/checkpoints/last/pretrained_model rollouts=100"
-            )
+            policy = f"{config.output_dir}/checkpoints/last/pretrained_model"
+            print(f"next: uniforce score policy={policy} rollouts=100")
     finally:
         sys.argv = before

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from importlib.metadata import version
 
-# what a verb is for; the module of its name does it and is loaded when it is called, so help is quick
+# purpose of each verb; its module is loaded when the verb is called, so that help is quick
 GROUPS = {
     "begin": {
         "doctor": "list what this machine has, what it lacks and what to do",
@@ -43,17 +43,21 @@ def overview() -> str:
     """Return the text of ``uniforce --help``."""
     lines = ["uniforce VERB key=value …    (uniforce VERB --help teaches a verb by example)"]
     for title, group in GROUPS.items():
-        lines += ["", f"{title}:", *(f"  {name:10} {does}" for name, does in group.items())]
+        lines += ["", f"{title}:"]
+        for name, does in group.items():
+            lines.append(f"  {name:10} {does}")
     lines += [
         "",
-        "What proves the project's figures: python -m benchmarks.NAME, see docs/benchmark.md.",
+        "Measure the project's figures: python -m benchmarks.NAME, see docs/benchmark.md.",
     ]
     return "\n".join(lines)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a verb; 2 with one line where there is no such verb."""
-    given = list(sys.argv[1:] if argv is None else argv)
+    if argv is None:
+        argv = sys.argv[1:]
+    given = list(argv)
     if not given or given[0] in ("--help", "-h", "help"):
         print(overview())
         return 0
@@ -62,11 +66,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     name, *rest = given
     if name not in VERBS:
-        near = difflib.get_close_matches(name, VERBS, n=1)
-        hint = f"Did you mean {near[0]}?" if near else "See uniforce --help."
-        print(
-            f"uniforce: expected a verb ({' | '.join(VERBS)}), got {name}. {hint}", file=sys.stderr
-        )
+        hint = "See uniforce --help."
+        for near in difflib.get_close_matches(name, VERBS, n=1):
+            hint = f"Did you mean {near}?"
+        verbs = " | ".join(VERBS)
+        print(f"uniforce: expected a verb ({verbs}), got {name}. {hint}", file=sys.stderr)
         return 2
     return importlib.import_module(f"uniforce_cli.{name}").main(rest) or 0
 

@@ -1,4 +1,4 @@
-"""Record equilibrium pairs for pretraining: a person leads grasps, slow and balanced frames are kept."""
+"""Record equilibrium pairs: a person leads grasps, slow and balanced frames are kept."""
 
 from __future__ import annotations
 
@@ -31,32 +31,37 @@ FrameRate = Annotated[float, Range(0, 1000)]
 
 @dataclass
 class RecordPairsConfig:
-    """Guide grasps of each indenter until enough pairs are kept; run it again to go on after any stop.
+    """Guide grasps of each indenter until enough pairs are kept; run it again after any stop.
 
     Example: uniforce pairs left_sensor=gelsight right_sensor=tactip out=outputs/pairs
     A short rehearsal: uniforce pairs pairs=60 indenters=sphere,line out=outputs/pairs_try
-    On a robot: uniforce pairs robot=franka rig=rig.yaml mass_kg=0.25 indenters=ball,bar out=outputs/pairs
-    ``robot.KEY=…`` and ``rig`` are as for ``uniforce record``; of its cameras only the two fingers are read.
+    On a robot: uniforce pairs robot=franka rig=rig.yaml mass_kg=0.25 indenters=ball,bar
+    ``robot.KEY=…`` and ``rig`` are as for ``uniforce record``; of its cameras only the two fingers
+    are read.
     """
 
-    # sim rehearses in the simulator | franka (never run on hardware)
+    # sim = a rehearsal in the simulator | franka = a Franka arm (never run on hardware)
     robot: Literal["sim", "franka"] = "sim"
-    left_sensor: Sensor = "gelsight"  # sim: of the left finger; a robot's rig says it there
-    right_sensor: Sensor = "tactip"  # sim: of the right one
+    # sim: sensor on the left finger; a robot's rig file names its sensors
+    left_sensor: Sensor = "gelsight"
+    # sim: sensor on the right finger; a robot's rig file names its sensors
+    right_sensor: Sensor = "tactip"
     # franka: YAML or JSON file with `robot: {address: …, guards: …, cameras: …}`
     rig: FilePath = ""
-    # names, in order; any words for a robot; empty = all that pretraining knows
+    # names of the objects, in order; for a robot any words; empty = all of pretraining
     indenters: Text = ""
-    pairs: Several = 1000  # per indenter, earlier sessions included
-    chunk: Several = 50  # pairs saved at once: what a kill may cost
-    speed_m_s: Positive = 0.15  # a faster hand's frames are not kept
-    acceleration_m_s2: Positive = 1.0  # nor those of a hand that is jerked
-    crowded: Share = 0.25  # largest share of an indenter's pairs in one cell of force
+    pairs: Several = 1000  # pairs of each indenter, earlier sessions included
+    chunk: Several = 50  # pairs saved at once; a kill loses at most so many
+    speed_m_s: Positive = 0.15  # frames of a faster hand are not kept
+    acceleration_m_s2: Positive = 1.0  # frames of a hand that accelerates more are not kept
+    # largest share of an indenter's pairs within one bin of force, 0 to 1
+    crowded: Share = 0.25
     seed: Seed = 0  # sim: units, grasps and noise; a resumed session takes the next one
-    mass_kg: Mass = 0.2  # franka: of the object and what moves of its holder; weigh it
-    grip_N: Grip = 6.0  # franka: the force the hand is asked to hold with
+    mass_kg: Mass = 0.2  # franka: of the object and the moving part of its holder; weigh them
+    grip_N: Grip = 6.0  # franka: the force that the hand is asked to hold with
     rate_hz: FrameRate = 0.0  # frames per second; 0 = 15 in simulation, 30 on a robot
-    out: OutFolder = "outputs/pairs"  # lerobot/, uniforce_pairs/, session.json
+    # folder for lerobot/, uniforce_pairs/ and session.json
+    out: OutFolder = "outputs/pairs"
 
 
 def record_pairs(
@@ -66,24 +71,28 @@ def record_pairs(
 
     ``robot_flags`` are ``--robot.KEY=…``, ``given`` the settings that were named.
 
-    Raises ContractError: an unknown robot or indenter, impossible numbers, a rig without two fingers, or settings that
-    would change nothing; DatasetError: see ``PairStore`` and ``PairRecorder``.
+    Raises ContractError: an unknown robot or indenter, impossible numbers, a rig without two
+    fingers, or settings that would change nothing; DatasetError: see ``PairStore`` and
+    ``PairRecorder``.
     """
     from uniforce_robots.pairs.storage import PairStore
 
     names = _check(config, robot_flags, given)
-    robot = _robot(config, robot_flags) if config.robot == "franka" else None
-    rate = config.rate_hz or (15.0 if config.robot == "sim" else 30.0)
+    robot = None
+    rate_hz = 15.0
+    if config.robot == "franka":
+        robot = _robot(config, robot_flags)
+        rate_hz = 30.0
+    rate_hz = config.rate_hz or rate_hz
     out = Path(config.out)
-    with PairStore(out, config.left_sensor, config.right_sensor, names, round(rate)) as store:
-        rig, report = _run(config, robot, store, rate)
+    with PairStore(out, config.left_sensor, config.right_sensor, names, round(rate_hz)) as store:
+        rig, report = _run(config, robot, store, rate_hz)
+        covered = [coverage.covered for coverage in store.coverage]
         content: dict[str, Any] = {
             "config": asdict(config),
             "pairs": dict(zip(store.indenters, store.counts.tolist(), strict=True)),
             "frames": dict(report.outcomes),
-            "covered": {
-                name: c.covered for name, c in zip(store.indenters, store.coverage, strict=True)
-            },
+            "covered": dict(zip(store.indenters, covered, strict=True)),
             "dataset": str(store.dataset),
             "layout": str(store.layout),
         }
@@ -124,8 +133,9 @@ def _rig(
     from uniforce_robots.pairs.rehearsal import Rehearsal, SimulatedRig
 
     seed = config.seed + store.next_session  # other grasps than those recorded before
-    sensors = config.left_sensor, config.right_sensor
-    return nullcontext(SimulatedRig(Rehearsal(*sensors, seed, GraspSettings(rate_hz=rate_hz))))
+    settings = GraspSettings(rate_hz=rate_hz)
+    rehearsal = Rehearsal(config.left_sensor, config.right_sensor, seed, settings)
+    return nullcontext(SimulatedRig(rehearsal))
 
 
 def _robot(config: RecordPairsConfig, flags: Sequence[str]) -> UniforceFrankaConfig:
@@ -135,22 +145,26 @@ def _robot(config: RecordPairsConfig, flags: Sequence[str]) -> UniforceFrankaCon
     from uniforce_vtla.contracts import FINGERS
 
     robot = cast("UniforceFrankaConfig", read_devices(flags, True, "hand_guide", config.rig)[0])
-    worn = {finger.finger: finger.sensor for finger in robot.fingers.values()}
-    if set(worn) != set(FINGERS) or len(robot.fingers) > len(worn):
-        came = [f"{name}: {finger.label}" for name, finger in robot.fingers.items()]
+    sensors = {}
+    cameras = {}
+    came = []
+    for name, finger in robot.fingers.items():
+        sensors[finger.finger] = finger.sensor
+        cameras[name] = replace(finger, reference_on_connect=True)
+        came.append(f"{name}: {finger.label}")
+    if sensors.keys() != set(FINGERS) or len(cameras) > len(sensors):
         do = "Name both among robot.cameras of rig=FILE, see docs/recording.md."
         raise ContractError(
             expected("tactile fingers of the rig", "a left and a right one", came, do)
         )
-    config.left_sensor, config.right_sensor = worn["left"], worn["right"]
-    robot.cameras = {
-        name: replace(finger, reference_on_connect=True) for name, finger in robot.fingers.items()
-    }
-    if robot.gripper.grip_force_N not in (HandSettings().grip_force_N, config.grip_N):
-        wanted, do = f"grip_N={config.grip_N:g}", "Leave the rig's out; grip_N is the force here."
-        raise ContractError(
-            expected("robot.gripper.grip_force_N", wanted, robot.gripper.grip_force_N, do)
-        )
+    config.left_sensor = sensors["left"]
+    config.right_sensor = sensors["right"]
+    robot.cameras = cameras
+    force_N = robot.gripper.grip_force_N
+    if force_N not in (HandSettings().grip_force_N, config.grip_N):
+        do = "Leave the rig's out; grip_N is the force here."
+        wanted = f"grip_N={config.grip_N:g}"
+        raise ContractError(expected("robot.gripper.grip_force_N", wanted, force_N, do))
     robot.gripper = replace(robot.gripper, grip_force_N=config.grip_N)
     return robot
 
@@ -161,7 +175,7 @@ def _robot_rig(
 ) -> Iterator[RobotRig]:
     """Connect keyboard, fingers and a soft Franka led by hand, and let go of them in the end.
 
-    Never run on hardware. The fingers' references are taken while connecting: keep them in free air.
+    Never run on hardware. The fingers' references are taken while connecting, in free air.
     """
     from uniforce_robots.pairs.rig import RobotRig
     from uniforce_robots.recorder.build import make_robot
@@ -183,30 +197,25 @@ def _robot_rig(
         robot.connect()
         stack.callback(robot.disconnect)
         guide.start_from(robot.measured())
-        fingers: dict[Any, TactileFinger] = {
-            camera.config.finger: camera
-            for camera in robot.cameras.values()
-            if isinstance(camera, TactileFinger)
-        }
-        sensors: dict[Any, str] = {
-            finger: camera.config.sensor for finger, camera in fingers.items()
-        }
+        fingers: dict[Any, TactileFinger] = {}
+        sensors: dict[Any, str] = {}
+        for camera in robot.cameras.values():
+            if isinstance(camera, TactileFinger):
+                fingers[camera.config.finger] = camera
+                sensors[camera.config.finger] = camera.config.sensor
         yield RobotRig(robot, fingers, sensors, rate_hz, config.mass_kg, config.grip_N, steer=steer)
 
 
 def _status_shown(bar: tqdm, store: PairStore, wanted: int) -> Callable[[Status], None]:
-    """Return what shows the live status beside the bar."""
+    """Return a function that shows the live status beside the bar."""
 
     def show(status: Status) -> None:
         bar.set_description_str(f"indenter {status.indenter}/{len(store.indenters)} {status.name}")
-        others = sum(
-            min(int(n), wanted) for i, n in enumerate(store.counts, 1) if i != status.indenter
-        )
-        bar.update(others + status.have - bar.n)
+        others = np.delete(store.counts, status.indenter - 1).clip(max=wanted)
+        bar.update(int(others.sum()) + status.have - bar.n)
         balance = f"{status.have}/{wanted}, off balance {status.error:.0%}"
-        bar.set_postfix_str(
-            f"{balance}, {status.reason or 'good'}; missing: {status.coverage.missing()}"
-        )
+        missing = status.coverage.missing()
+        bar.set_postfix_str(f"{balance}, {status.reason or 'good'}; missing: {missing}")
 
     return show
 
@@ -218,8 +227,11 @@ def _truth(rig: SimulatedRig, report: SessionReport) -> dict[str, Any]:
     error = np.array([rig.truths[grasp].error[k] for grasp, k in report.kept])
     if not len(error):
         return {"kept": 0}
-    bad, median = float((error > LIMIT).mean()), float(np.median(error))
-    return {"kept": len(error), "out_of_balance": bad, "median_error": median}
+    return {
+        "kept": len(error),
+        "out_of_balance": float((error > LIMIT).mean()),
+        "median_error": float(np.median(error)),
+    }
 
 
 IGNORED = {"sim": ("rig", "mass_kg", "grip_N"), "franka": ("left_sensor", "right_sensor", "seed")}
@@ -234,16 +246,16 @@ def _check(
     if config.robot == "sim":
         ignored += robot_flags
     if ignored:
-        settings, do = f"settings with robot={config.robot}", "Leave them out."
-        raise ContractError(expected(settings, "those it uses", ", ".join(ignored), do))
+        settings = f"settings with robot={config.robot}"
+        came = ", ".join(ignored)
+        raise ContractError(expected(settings, "those it uses", came, "Leave them out."))
     names = tuple(split(config.indenters)) or PRETRAIN
-    unknown = sorted(set(names) - set(HEIGHTS)) if config.robot == "sim" else []
+    unknown = set(names) - set(HEIGHTS)
+    if config.robot == "franka":
+        unknown = set()
     if unknown or len(set(names)) < len(names):
-        raise ContractError(
-            expected(
-                "indenters", " | ".join(HEIGHTS), unknown or config.indenters, "Name each once."
-            )
-        )
+        found = sorted(unknown) or config.indenters
+        raise ContractError(expected("indenters", " | ".join(HEIGHTS), found, "Name each once."))
     return names
 
 
@@ -253,9 +265,7 @@ def main(config: RecordPairsConfig, robot_flags: Sequence[str], given: Sequence[
     content = record_pairs(config, robot_flags, given)
     print(f"{sum(content['pairs'].values())} pairs in {content['dataset']} and {content['layout']}")
     if "truth" in content and content["truth"]["kept"]:
-        truth = content["truth"]
-        print(
-            f"rehearsal, by truth: {truth['out_of_balance']:.1%} of those kept now are out of balance"
-        )
+        bad = content["truth"]["out_of_balance"]
+        print(f"rehearsal, by truth: {bad:.1%} of those kept now are out of balance")
     print(f"next: uniforce pretrain preset=nano run.pairs={content['layout']}")
     print(f"session in {Path(config.out) / 'session.json'}")

@@ -1,4 +1,4 @@
-"""Train the tokenizer on equilibrium pairs, without any force label; then a head that reads newtons in its latents."""
+"""Train the tokenizer on equilibrium pairs without force labels, then heads that read newtons."""
 
 from __future__ import annotations
 
@@ -27,23 +27,26 @@ Heads = Annotated[str, Names((*list_sensors(), "none"), many=True)]
 
 @dataclass
 class PretrainCommand:
-    """Draw the pairs once, or read recorded ones, then train; a killed run continues when started again.
+    """Draw simulated pairs once, or read recorded ones, then train.
 
-    Without a preset the objective is the paper's but for the options' defaults named below.
+    A killed run continues when started again. Without a preset the objective is the paper's, except
+    for the defaults of the options below.
 
     Example: uniforce pretrain preset=nano out=outputs/mine run.steps=3000
-    On pairs of your own sensors: uniforce pretrain preset=nano run.pairs=outputs/pairs/uniforce_pairs out=outputs/mine
-    Then: uniforce view … tokenizer=outputs/mine/tokenizer and uniforce train … policy.touch.tokenizer_path=the same
+    On your own sensors: uniforce pretrain preset=nano run.pairs=outputs/pairs/uniforce_pairs
+    Then: uniforce view … tokenizer=outputs/mine/tokenizer
+    and: uniforce train … policy.touch.tokenizer_path=outputs/mine/tokenizer
     """
 
-    # nano | small_draw and then small: the shipped checkpoints; what else you give wins
+    # settings of a shipped checkpoint: nano | small_draw and then small; further options win
     preset: FileName = ""
     run: PretrainSettings = field(default_factory=PretrainSettings)  # model, loss, data, optimiser
-    cache: OutFolder = "outputs/pairs"  # drawn pairs, about 35 kB each; kept for the next run
-    # sensors of the policy's demonstrations, comma between them: for each a force head is fitted to 80 simulated units,
-    # in minutes
+    # folder for drawn pairs, about 35 kB each; they are kept for the next run
+    cache: OutFolder = "outputs/pairs"
+    # sensors of the policy's demonstrations, comma between them; for each a force head is fitted to
+    # 80 simulated units, in minutes
     heads: Heads = "tactip"
-    # state.safetensors to resume from, log.csv, tokenizer/ to load, force_head_SENSOR/ beside it
+    # folder for state.safetensors to resume from, log.csv, tokenizer/ and force_head_SENSOR/
     out: OutFolder = "outputs/pretrain"
     threads: Workers = 1  # torch threads; a small model gains little from more
 
@@ -60,13 +63,13 @@ def recorded_pairs(folder: str, side: int) -> RecordedPairs:
     recordings = read_uniforce_pairs(folder)
     first = next(recordings)  # a folder without pairs is refused before a bar is drawn
     for recording in tqdm(chain([first], recordings), desc="reading pairs", unit="grasp"):
-        references = (
-            shrink(i[None], side)[0] for i in (recording.left_reference, recording.right_reference)
+        images = (
+            shrink(recording.left_reference[None], side)[0],
+            shrink(recording.right_reference[None], side)[0],
+            shrink(recording.left_frames, side),
+            shrink(recording.right_frames, side),
         )
-        currents = (
-            shrink(images, side) for images in (recording.left_frames, recording.right_frames)
-        )
-        found.append(dict(zip(NAMES, (*references, *currents), strict=True)))
+        found.append(dict(zip(NAMES, images, strict=True)))
     return RecordedPairs(found)
 
 
@@ -85,20 +88,19 @@ def main(settings: PretrainCommand) -> None:
     data: PairCache | RecordedPairs
     if settings.run.pairs:
         data = recorded_pairs(settings.run.pairs, settings.run.model.side)
-        print(
-            f"training on pairs of {settings.run.pairs}: nothing is drawn, run.data and cache are not used"
-        )
+        unused = "nothing is drawn, run.data and cache are not used"
+        print(f"training on pairs of {settings.run.pairs}: {unused}")
     else:
         data = PairCache(Path(settings.cache), settings.run.data)  # drawn where it isn't yet
     with only_writer(Path(settings.out) / "log.csv"):
         tokenizer = Pretraining(settings.run, Path(settings.out), data).run()
-        for kind in (kind for kind in split(settings.heads) if kind != "none"):
-            folder = Path(settings.out) / f"force_head_{kind}"
-            if (
-                not folder.is_dir()
-                or ForceHead.from_pretrained(kind, folder).tokenizer_hash != tokenizer.hash
-            ):
-                fit_head(kind, tokenizer).save(folder)
+        for sensor in split(settings.heads):
+            folder = Path(settings.out) / f"force_head_{sensor}"
+            fitted_to = ""
+            if folder.is_dir():
+                fitted_to = ForceHead.from_pretrained(sensor, folder).tokenizer_hash
+            if sensor != "none" and fitted_to != tokenizer.hash:
+                fit_head(sensor, tokenizer).save(folder)
     peak_GB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # Linux counts in kB
     where = f"in {settings.out}/tokenizer, log in {settings.out}/log.csv"
     print(f"tokenizer {tokenizer.hash[:12]} {where}; peak memory {peak_GB:.1f} GB")

@@ -32,28 +32,32 @@ EpisodeSeconds = Annotated[float, options.Range(0, 3600, above=True)]
 
 @dataclass
 class RecordConfig:
-    """Record demos until the dataset holds ``episodes`` of them; run it again to go on after any stop.
+    """Record demos until the dataset holds ``episodes`` of them; run it again after any stop.
 
-    Simulation, scripted: uniforce record episodes=50 level=touch left_sensor=gelsight root=outputs/demos
+    Simulation, scripted: uniforce record episodes=50 level=touch left_sensor=gelsight
     Simulation, by hand:  uniforce record teleop=keyboard root=outputs/by_hand
-    Robot, for example:   uniforce record robot=franka rig=rig.yaml teleop=spacemouse root=outputs/real
-    ``robot.KEY=…`` and ``teleop.KEY=…`` are LeRobot's own settings of both; ``rig`` is a file with them. The keys to
-    press are in docs/recording.md. Exit codes: 0 done, 2 could not start, 3 a fault, 4 disk full, 130 interrupted: by
-    Ctrl-C, kill or a closed terminal, which end an episode in order.
+    Robot, for example:   uniforce record robot=franka rig=rig.yaml teleop=spacemouse
+    ``robot.KEY=…`` and ``teleop.KEY=…`` are LeRobot's own settings of both; ``rig`` is a file with
+    them. The keys to press are in docs/recording.md. Exit codes: 0 done, 2 could not start, 3 a
+    fault, 4 disk full, 130 interrupted: by Ctrl-C, kill or a closed terminal, which end an episode
+    in order.
     """
 
-    robot: Literal["sim", "franka"] = "sim"  # what records
-    # expert (simulation) | keyboard | spacemouse | gello | hand_guide
+    robot: Literal["sim", "franka"] = "sim"  # the simulated scene, or a Franka arm
+    # who steers: expert (a script, in simulation) | keyboard | spacemouse | gello | hand_guide
     teleop: options.FileName = "expert"
     # YAML or JSON file with `robot: {type: …, cameras: …}` and, if wanted, `teleop: {…}`
     rig: options.FilePath = ""
-    # wanted in the dataset, earlier sessions included; aborted ones don't count
+    # episodes that the dataset should hold, earlier sessions included; aborted ones don't count
     episodes: options.Count = 50
-    level: Level = "touch"  # simulation: locked in the environment package
-    # simulation, a robot's own config says it there: unit 1 of it, or uskin:7 | uskin:any | uskin:drawing
+    level: Level = "touch"  # simulation: level of the scene
+    # simulation: sensor on the left finger: uskin = unit 1 | uskin:7 | uskin:any = another in every
+    # scene | uskin:drawing = as drawn, no camera, fast; a robot's rig file names its sensors
     left_sensor: Worn = "gelsight"
-    right_sensor: Worn = "tactip"  # simulation: of the right finger, in the same words
-    # simulation: servo, the level's own, regulates grip finely | hand holds by force, as the robot's does
+    # simulation: sensor on the right finger, in the words of left_sensor
+    right_sensor: Worn = "tactip"
+    # simulation: servo = the scene's usual gripper, which regulates grip finely | hand = holds by
+    # force, as the robot's hand does
     gripper: Gripper = "servo"
     root: options.OutFolder = "outputs/demos"  # the dataset's folder
     resume: options.Dataset = ""  # the same as root, but refuses a folder without a dataset
@@ -63,21 +67,23 @@ class RecordConfig:
     keep_failures: bool = True
     # instructions, in turn; none = the scene's own
     prompts: options.Texts = field(default_factory=list)
-    episode_s: EpisodeSeconds = 60.0  # s, time limit of an episode
-    operator: Literal["keys", "unattended"] = "keys"  # what begins and judges an episode
-    # of every unattended episode
+    episode_s: EpisodeSeconds = 60.0  # time limit of an episode in s
+    # who begins and judges an episode: keys = a person | unattended = nobody
+    operator: Literal["keys", "unattended"] = "keys"
+    # operator=unattended: the label of every episode
     verdict: Literal["success", "residual", "failed_grasp"] = "success"
     quick_notes: options.Texts = field(default_factory=list)  # notes that the digits 1, 2, … add
-    drive_between: bool = True  # whether the teleoperator moves the robot between episodes
-    keep_aborted: bool = True  # whether what came before a fault is stored, labelled
-    # of its ticks that an episode may miss; one that missed more is aborted:late
+    drive_between: bool = True  # let the teleoperator move the robot between episodes
+    keep_aborted: bool = True  # store the part of an episode before a fault, labelled
+    # share of its ticks that an episode may miss; if it misses more, it is aborted as late
     late_share: options.Share = 0.1
-    keep_raw: bool = True  # robot: raw tactile frames beside the dataset
+    keep_raw: bool = True  # robot: store raw tactile frames beside the dataset
     window: options.Count = 17  # robot: taxel scans per tick; 17 are one tick at 500 Hz
-    # where the rig's settings (mounts, turns, cameras, gains, …) are others than the dataset was recorded with
+    # when mounts, turns, cameras, gains or other settings of the rig differ from those that the
+    # dataset was recorded with
     settings_changed: Literal["refuse", "accept"] = "refuse"
     reserve_MB: options.NotNegative = 500.0  # MB that have to stay free on the disk
-    # s, operator=unattended: how long to wait for a sensor to become well
+    # operator=unattended: seconds to wait for a sensor that isn't well
     unwell_s: options.NotNegative = 10.0
     real_time: bool = True  # simulation by hand: keep to the wall clock
 
@@ -87,11 +93,12 @@ def record(
 ) -> SessionEnd:
     """Record what is missing.
 
-    ``device_flags`` are ``--robot.KEY=…`` and ``--teleop.KEY=…``, ``given`` the settings that were named, also with the
-    value they have anyway.
+    ``device_flags`` are ``--robot.KEY=…`` and ``--teleop.KEY=…``, ``given`` the settings that were
+    named, also with the value they have anyway.
 
-    Raises ContractError: a robot, teleoperator, sensor, level or setting that is unknown; DatasetError: see
-    ``EpisodeRecorder``; RobotError, SensorError, TeleoperatorError: it can't be connected.
+    Raises ContractError: a robot, teleoperator, sensor, level or setting that is unknown;
+    DatasetError: see ``EpisodeRecorder``; RobotError, SensorError, TeleoperatorError: it can't be
+    connected.
     """
     _check(config)
     _refuse_ignored(config, device_flags, given)
@@ -107,7 +114,7 @@ def record(
     )
     teleop = make_teleoperator(steering)
     store = StoreSettings(Path(config.root), config.repo_id, config.reserve_MB)
-    limits = config.drive_between, config.unwell_s, config.keep_aborted, config.late_share
+    limits = (config.drive_between, config.unwell_s, config.keep_aborted, config.late_share)
     devices = _rig(config, robot, teleop), teleop, _operator(config, teleop)
     worn = _scene(config) if robot is None else _robot(config, robot)
     rig = worn | device_settings("teleop", steering)
@@ -130,16 +137,22 @@ def _record_expert(config: RecordConfig) -> SessionEnd:
     from uniforce_robots.recorder.expert_demos import record_expert
     from uniforce_robots.recorder.session import SessionEnd
 
-    drawn, settings = (config.episodes, config.seed, config.keep_failures), _scene(config)
+    settings = _scene(config)
     agreed_changes(options.absolute(config.root), settings, config.settings_changed == "accept")
-    with closing(
-        WipeEnv(config.level, config.left_sensor, config.right_sensor, gripper=config.gripper)
-    ) as env:
-        new = record_expert(env, Path(config.root), config.repo_id, *drawn, settings)
-    if not new:
-        return SessionEnd(
-            0, f"nothing new, {config.root} holds {config.episodes} or more; set episodes= or root="
+    env = WipeEnv(config.level, config.left_sensor, config.right_sensor, gripper=config.gripper)
+    with closing(env):
+        new = record_expert(
+            env,
+            Path(config.root),
+            config.repo_id,
+            config.episodes,
+            config.seed,
+            config.keep_failures,
+            settings,
         )
+    if not new:
+        held = f"{config.root} holds {config.episodes} or more"
+        return SessionEnd(0, f"nothing new, {held}; set episodes= or root=")
     return SessionEnd(0, f"{config.episodes} episodes, {new} of them new")
 
 
@@ -161,7 +174,9 @@ def _operator(config: RecordConfig, teleop: Teleoperator) -> Operator:
     if config.operator == "unattended":
         return Unattended(config.verdict)
     keys = getattr(teleop, "keys", None)
-    return KeyOperator(keys if isinstance(keys, TerminalKeys) else None, config.quick_notes)
+    if not isinstance(keys, TerminalKeys):
+        keys = None
+    return KeyOperator(keys, config.quick_notes)
 
 
 def _rig(config: RecordConfig, robot: RobotConfig | None, teleop: Teleoperator) -> Rig:
@@ -170,8 +185,13 @@ def _rig(config: RecordConfig, robot: RobotConfig | None, teleop: Teleoperator) 
         from uniforce_robots.recorder.sim_rig import SimRig
 
         max_steps = round(config.episode_s * WipeEnv.metadata["render_fps"])
-        worn = config.left_sensor, config.right_sensor
-        env = WipeEnv(config.level, *worn, max_steps=max_steps, gripper=config.gripper)
+        env = WipeEnv(
+            config.level,
+            config.left_sensor,
+            config.right_sensor,
+            max_steps=max_steps,
+            gripper=config.gripper,
+        )
         return SimRig(env, config.real_time)
     from uniforce_robots.recorder.build import make_robot
     from uniforce_robots.recorder.robot_rig import RobotRig
@@ -187,12 +207,12 @@ def _check(config: RecordConfig) -> None:
         do = 'Say what is done, e.g. prompts=["wipe the whiteboard with 6 N"].'
         raise ContractError(expected("prompts", "an instruction or more", "none", do))
     if config.resume:  # a damaged dataset is named before anything is logged
-        info = read_object(Path(config.resume) / "meta" / "info.json", DatasetError)
-        if missing := [key for key in INFO_KEYS if key not in info]:
+        file = Path(config.resume) / "meta" / "info.json"
+        info = read_object(file, DatasetError)
+        missing = [key for key in INFO_KEYS if key not in info]
+        if missing:
             do = "Restore it from a copy, or record into a new folder."
-            raise DatasetError(
-                expected(f"{config.resume}/meta/info.json", list(INFO_KEYS), f"no {missing}", do)
-            )
+            raise DatasetError(expected(str(file), list(INFO_KEYS), f"no {missing}", do))
     config.root = config.resume or config.root
 
 
@@ -228,15 +248,23 @@ def _refuse_ignored(
     config: RecordConfig, device_flags: Sequence[str], given: Collection[str]
 ) -> None:
     """Refuse what was set and would change nothing."""
-    parts: tuple[str, ...] = ()
-    scripted, mode = (config.robot, config.teleop) == ("sim", "expert"), "robot=franka"
-    if config.robot == "sim":
-        mode = "robot=sim teleop=expert" if scripted else "robot=sim, steered by hand"
-        parts = ("--robot.", "--teleop.") if scripted else ("--robot.",)
-    operator = "" if config.teleop == "expert" else f"operator={config.operator}"
-    plain, unused = RecordConfig(), (*IGNORED[mode], *IGNORED.get(operator, ()))
-    ignored = [n for n in unused if n in given or getattr(config, n) != getattr(plain, n)]
-    ignored += [flag for flag in device_flags if flag.startswith(parts)]
+    operator = f"operator={config.operator}"
+    if config.robot == "franka":
+        mode = "robot=franka"
+        devices: tuple[str, ...] = ()
+    elif config.teleop == "expert":
+        mode = "robot=sim teleop=expert"
+        devices = ("--robot.", "--teleop.")
+        operator = ""
+    else:
+        mode = "robot=sim, steered by hand"
+        devices = ("--robot.",)
+    usual = RecordConfig()
+    ignored = []
+    for name in (*IGNORED[mode], *IGNORED.get(operator, ())):
+        if name in given or getattr(config, name) != getattr(usual, name):
+            ignored.append(name)
+    ignored += [flag for flag in device_flags if flag.startswith(devices)]
     if ignored:
         settings = f"settings with {mode} {operator}".strip()
         raise ContractError(
@@ -254,14 +282,11 @@ def main(config: RecordConfig, flags: Sequence[str], given: Sequence[str]) -> in
         end = record(config, flags, given)
     except KeyboardInterrupt:
         stopped = "" if config.robot == "sim" else "; the robot has stopped"
-        print(
-            f"record: interrupted{stopped}. Saved episodes are whole: run the same command again to go on",
-            file=out,
-        )
+        saved = "Saved episodes are whole: run the same command again to go on"
+        print(f"record: interrupted{stopped}. {saved}", file=out)
         return INTERRUPTED
     print(f"record: {end.message}", file=out)
     print(f"demos in {config.root} (LeRobot v3 dataset {config.repo_id})", file=out)
-    print(
-        f"next: uniforce view roots={config.root} out={Path(config.root).parent / 'view'}", file=out
-    )
+    view = Path(config.root).parent / "view"
+    print(f"next: uniforce view roots={config.root} out={view}", file=out)
     return end.exit_code

@@ -11,7 +11,7 @@ LOOPBACK = "127.0.0.1"
 
 
 def import_rerun(wanted_by: str, instead: str) -> ModuleType:
-    """Return the package ``rerun``; ContractError: not installed, naming who wanted it and what to use instead."""
+    """Return the package ``rerun``; ContractError: not installed, use ``instead``."""
     try:
         return importlib.import_module("rerun")
     except ImportError as error:

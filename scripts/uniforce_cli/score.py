@@ -1,4 +1,4 @@
-"""Score a policy in the wiping scene: paired seeds, exclusive outcomes, events, intervals, a picture."""
+"""Score a policy in the wiping scene: paired seeds, outcomes, events, intervals, a picture."""
 
 from __future__ import annotations
 
@@ -32,17 +32,20 @@ def score(config: ScoreConfig) -> ArmReport:
 
 
 def check_policies(config: ScoreConfig) -> None:
-    """Refuse before processes start: unknown sensors or faults, another unit's calibration, damaged checkpoints."""
+    """Refuse unknown sensors or faults, another unit's calibration, and damaged checkpoints.
+
+    Called before processes start.
+    """
     from uniforce_vtla.tokenizer.weights import read_config
 
     _ = config.rig.kinds
     for finger, folder in config.rig.calibrations.items():
         fitted_to = str(read_config(Path(folder)).get("new", ""))
-        if _unit(fitted_to) != (worn := _unit(config.rig.mounted[finger])):
-            do = f"Calibrate it: uniforce calibrate new={worn}"
-            raise ContractError(
-                expected(f"{finger}_calibration", f"one of {worn}", f"one of {fitted_to}", do)
-            )
+        mounted = _unit(config.rig.mounted[finger])
+        if _unit(fitted_to) != mounted:
+            do = f"Calibrate it: uniforce calibrate new={mounted}"
+            option = f"{finger}_calibration"
+            raise ContractError(expected(option, f"one of {mounted}", f"one of {fitted_to}", do))
     from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint, stored_config
 
     for policy in {*config.policies} - {*SCRIPTS}:
@@ -58,20 +61,20 @@ def _unit(words: str) -> str:
 
 
 def score_arms(configs: Sequence[ScoreConfig], workers: int) -> list[ArmReport]:
-    """Score several arms in turns, seed by seed, so that a killed run has paired seeds of all of them.
+    """Score several arms in turns, seed by seed, so that a killed run has paired seeds of all.
 
-    Each episode is forced to disk when it ends; the next call goes on with what is missing. Rollouts run on joblib's
-    active backend, its own processes unless ``joblib.parallel_config`` names another.
+    Each episode is forced to disk when it ends; the next call goes on with what is missing.
+    Rollouts run on joblib's active backend, its own processes unless ``joblib.parallel_config``
+    names another.
 
-    Raises ContractError: a seed to be filmed isn't scored; ``out`` holds episodes of another policy or calibration; or
-    another process scores into it now.
+    Raises ContractError: a seed to be filmed isn't scored; ``out`` holds episodes of another policy
+    or calibration; or another process scores into it now.
     """
     for config in configs:
-        if unscored := sorted(set(config.film) - set(config.seeds)):
-            wanted, do = (
-                f"seeds {config.seeds[0]}…{config.seeds[-1]}",
-                "Film what is scored: set first_seed and rollouts.",
-            )
+        unscored = sorted(set(config.film) - set(config.seeds))
+        if unscored:
+            wanted = f"seeds {config.seeds[0]}…{config.seeds[-1]}"
+            do = "Film what is scored: set first_seed and rollouts."
             raise ContractError(expected("film", wanted, unscored, do))
     with ExitStack() as held:
         for folder in dict.fromkeys(config.folder for config in configs):
@@ -87,62 +90,66 @@ def _score_missing(configs: Sequence[ScoreConfig], workers: int) -> list[ArmRepo
     from uniforce_vtla.evaluation.arms import ArmReport
 
     done = [_start(config) for config in configs]
-    missing = [  # all arms' first seeds first
-        (seed, index)
-        for index, (config, rows) in enumerate(zip(configs, done, strict=True))
-        for seed in config.seeds
-        if seed not in rows or (seed in config.film and not config.video(seed).exists())
-    ]
-    jobs = [delayed(score_job)(index, configs[index], seed) for seed, index in sorted(missing)]
+    missing = []
+    for index, config in enumerate(configs):
+        for seed in config.seeds:
+            unfilmed = seed in config.film and not config.video(seed).exists()
+            if seed not in done[index] or unfilmed:
+                missing.append((seed, index))
+    missing.sort()  # all arms' first seeds first
+    jobs = [delayed(score_job)(index, configs[index], seed) for seed, index in missing]
     label = configs[0].arm if len(configs) == 1 else f"{len(configs)} arms"
     pool = Parallel(max(1, min(workers, len(jobs))), return_as="generator_unordered", batch_size=1)
-    bar, clean = tqdm(pool(jobs), total=len(jobs), desc=label, unit="episode"), 0
+    bar = tqdm(pool(jobs), total=len(jobs), desc=label, unit="episode")
+    clean = 0
     for index, row in bar:
         append_line(configs[index].folder / ROWS, asdict(row))
         done[index][row.seed] = row
         clean += row.clean
         bar.set_postfix_str(f"{clean} clean", refresh=False)
-    return [
-        ArmReport(c.arm, [rows[seed] for seed in c.seeds])
-        for c, rows in zip(configs, done, strict=True)
-    ]
+    reports = []
+    for config, rows in zip(configs, done, strict=True):
+        reports.append(ArmReport(config.arm, [rows[seed] for seed in config.seeds]))
+    return reports
 
 
 def _start(config: ScoreConfig) -> dict[int, EpisodeRow]:
     """Write the arm's settings and return the episodes it has already."""
     from uniforce_vtla.evaluation.arms import read_rows
 
-    settings, rows, acts = config.folder / "config.json", config.folder / ROWS, what_acts(config)
+    settings = config.folder / "config.json"
+    rows = config.folder / ROWS
+    acts = what_acts(config)
     if not config.resume:
         rows.unlink(missing_ok=True)
     if rows.exists():
         before = read_object(settings, ContractError).get("acts")
         if before != acts:
-            do = "resume=false drops them; out=… or arm=… keeps them."
+            where = f"episodes in {config.folder}"
             came = "of another one, or of an older version"
-            raise ContractError(
-                expected(f"episodes in {config.folder}", "of this policy and calibration", came, do)
-            )
+            do = "resume=false drops them; out=… or arm=… keeps them."
+            raise ContractError(expected(where, "of this policy and calibration", came, do))
     write_json(settings, asdict(config) | {"acts": acts, "provenance": provenance()})
     return read_rows(rows)
 
 
 def what_acts(config: ScoreConfig) -> dict[str, Any]:
-    """Return what an episode depends on beside the words in its folder's name: level, policies and calibrations."""
+    """Return level, policies and calibrations that an episode depends on.
+
+    The words in its folder's name say the rest.
+    """
     from lerobot_env_uniforce_wiping import LEVELS, level_hash
 
     return {
         "level": level_hash(LEVELS[config.level]),
-        "policies": [content_of(policy) for policy in config.policies],
+        "policies": list(map(content_of, config.policies)),
         "first_turn": config.first_seed % len(config.policies),
-        "calibrations": {
-            finger: content_of(folder) for finger, folder in config.rig.calibrations.items()
-        },
+        "calibrations": {f: content_of(folder) for f, folder in config.rig.calibrations.items()},
     }
 
 
 def content_of(policy: str) -> str:
-    """Return the hash of what is loaded from a checkpoint's or a calibration's folder; a script's own name."""
+    """Return the hash of a checkpoint's or calibration's loaded files; of a script its name."""
     from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
 
     folder = shipped_checkpoint() if policy == "shipped" else Path(policy)
@@ -150,10 +157,11 @@ def content_of(policy: str) -> str:
 
 
 def write_report(config: ScoreConfig) -> list[ArmReport]:
-    """Write ``wiping.json`` and ``wiping.png`` over all arms scored into ``config.out`` at its level; return them.
+    """Write ``wiping.json`` and ``wiping.png`` over all arms in ``config.out`` at its level.
 
-    Of each arm the scenes count that it was asked for last: other ones in its folder may be development scenes.
-    For every two arms: the exact McNemar test of clean success on the seeds they share.
+    Of each arm the scenes count that it was asked for last: other ones in its folder may be
+    development scenes. For every two arms: the exact McNemar test of clean success on the seeds
+    they share.
     """
     from lerobot_env_uniforce_wiping import LEVELS, level_hash
     from uniforce_vtla.evaluation.arms import ArmReport, read_rows
@@ -161,31 +169,33 @@ def write_report(config: ScoreConfig) -> list[ArmReport]:
     from uniforce_vtla.evaluation.pictures import draw_arms
     from uniforce_vtla.evaluation.statistics import mcnemar
 
-    out, reports, tests, arms = Path(config.out), [], [], {}
+    out = Path(config.out)
+    reports = []
+    arms = {}
     for file in sorted(out.glob("*/config.json")):
-        settings, rows = json.loads(file.read_text()), read_rows(file.parent / ROWS)
+        settings = json.loads(file.read_text())
+        rows = read_rows(file.parent / ROWS)
         asked = range(settings["first_seed"], settings["first_seed"] + settings["rollouts"])
-        if settings["level"] == config.level and (
-            found := [rows[seed] for seed in asked if seed in rows]
-        ):
-            reports.append(ArmReport(settings["arm"], found))
-            policies = settings.get("acts", {}).get("policies", [])
-            gripper = settings.get("gripper", "servo")
-            arms[settings["arm"]] = reports[-1].as_dict() | {
-                "policies": policies,
-                "gripper": gripper,
+        found = [rows[seed] for seed in asked if seed in rows]
+        if found and settings["level"] == config.level:
+            report = ArmReport(settings["arm"], found)
+            reports.append(report)
+            arms[report.arm] = report.as_dict() | {
+                "policies": settings.get("acts", {}).get("policies", []),
+                "gripper": settings.get("gripper", "servo"),
             }
+    tests = []
     for first, second in itertools.combinations(reports, 2):
         one, two = paired_clean(first.clean_by_seed, second.clean_by_seed)
         if one:
-            tests.append(
-                {"arms": [first.arm, second.arm], "n": len(one), **asdict(mcnemar(one, two))}
-            )
-    content: dict[str, Any] = {
+            pair = {"arms": [first.arm, second.arm], "n": len(one)}
+            tests.append(pair | asdict(mcnemar(one, two)))
+    content = {
         "level": config.level,
         "level_hash": level_hash(LEVELS[config.level]),
+        "arms": arms,
+        "tests": tests,
     }
-    content |= {"arms": arms, "tests": tests}
     write_json(out / "wiping.json", content | provenance())
     draw_arms(reports, out / "wiping.png", title=f"wiping, level {config.level}, simulated")
     return reports
@@ -199,6 +209,5 @@ def main(config: ScoreConfig) -> None:
     start = time.perf_counter()
     score(config)
     print(table(write_report(config)))
-    print(
-        f"{config.rollouts} rollouts in {time.perf_counter() - start:.0f} s; results in {config.out}"
-    )
+    duration_s = time.perf_counter() - start
+    print(f"{config.rollouts} rollouts in {duration_s:.0f} s; results in {config.out}")

@@ -1,4 +1,4 @@
-"""Options of ``uniforce score``: the policy, the rig and the scenes. Its processes read them, too."""
+"""Options of ``uniforce score`` and its processes: the policy, the rig and the scenes."""
 
 import re
 from dataclasses import dataclass, field, fields
@@ -9,13 +9,13 @@ from uniforce_cli.boundary import Gripper, Level, Worn
 from uniforce_vtla import options
 from uniforce_vtla.contracts import Finger
 
-SCRIPTS = ("expert",)  # the scene's own, who regulates by both pads' true wrench
+SCRIPTS = ("expert",)  # the scripted expert; uses the true wrench of both pads
 ArmName = Annotated[str, options.Pattern("a name", r"[^/\\]{1,100}", "V+T")]
 
 
 @dataclass(frozen=True)
 class Rig:
-    """A scene's level and what the fingers wear there; "" is the usual sensor, no swap and no calibration."""
+    """A scene's level and the fingers' sensors; "" is the usual sensor, no swap, no calibration."""
 
     level: str
     left_sensor: str = ""
@@ -29,7 +29,7 @@ class Rig:
 
     @property
     def mounted(self) -> dict[Finger, str]:
-        """Finger → what it wears, in words; the usual rig where none is named."""
+        """Finger → its sensor, in words; the usual one where none is named."""
         return {"left": self.left_sensor or "gelsight", "right": self.right_sensor or "tactip"}
 
     @property
@@ -41,9 +41,13 @@ class Rig:
 
     @property
     def calibrations(self) -> dict[Finger, str]:
-        """Finger → folder of the calibration it wears."""
-        worn: dict[Finger, str] = {"left": self.left_calibration, "right": self.right_calibration}
-        return {finger: folder for finger, folder in worn.items() if folder}
+        """Finger → folder of the calibration of its sensor."""
+        found: dict[Finger, str] = {}
+        if self.left_calibration:
+            found["left"] = self.left_calibration
+        if self.right_calibration:
+            found["right"] = self.right_calibration
+        return found
 
 
 @dataclass
@@ -53,51 +57,60 @@ class ScoreConfig:
     Example: uniforce score policy=outputs/train/checkpoints/last/pretrained_model swap=touch0:left
     """
 
-    # checkpoint folders (several, e.g. training seeds, take turns scene by scene)
+    # checkpoint folders; several, e.g. of training seeds, take turns scene by scene
     policy: options.Policies = "shipped"
-    arm: ArmName = ""  # name of this arm in the table; "" = V+T or the script, and what it wears
-    level: Level = "touch"
-    # "" = gelsight, and it must be what the policy knows. Naming a sensor allows it to differ from training: unit 1 of
-    # it, or uskin:7 | uskin:any (another in every scene) | uskin:drawing (as drawn, no camera: fast); faults stand
-    # behind it: tactip:1+flicker=0.2 (uniforce_vtla/contact/faults.py)
+    # name of this arm in the table; "" = V+T or the script, and how the rig differs from the usual
+    arm: ArmName = ""
+    level: Level = "touch"  # of the scene
+    # sensor on the left finger; "" = gelsight, if the policy was trained with it. A named sensor
+    # may differ from training: uskin = unit 1 | uskin:7 | uskin:any = another in every scene |
+    # uskin:drawing = as drawn, no camera, fast. Faults stand behind it: tactip:1+flicker=0.2
+    # (uniforce_vtla/contact/faults.py)
     left_sensor: Worn = ""
-    right_sensor: Worn = ""  # of the right finger, in the same words; "" = tactip
-    # of `uniforce calibrate`: what the left finger's sensor wears
+    # sensor on the right finger, in the words of left_sensor; "" = tactip
+    right_sensor: Worn = ""
+    # folder that uniforce calibrate wrote for the left finger's sensor; "" = none
     left_calibration: options.FolderPath = ""
-    # of `uniforce calibrate`, for the right finger's sensor
+    # folder that uniforce calibrate wrote for the right finger's sensor; "" = none
     right_calibration: options.FolderPath = ""
-    # stop: where a sensor gives what no healthy one of its kind does the episode is aborted | off: go on
+    # stop = abort the episode when a sensor looks unhealthy | off = go on
     monitor: Literal["stop", "off"] = "stop"
-    # read: as the finger reads it | held: once lifted, as the demonstrations read it | "": held where the calibration
-    # can't read grip under a tool
+    # grip that the policy feels: read = as the finger reads it | held = once lifted, as in the
+    # demonstrations | "" = held only if the calibration can't read grip under a tool
     grip: Literal["", "read", "held"] = ""
-    # servo: the level's own, which regulates grip finely | hand: one that holds by force, as the robot's does
+    # servo = the scene's usual gripper, which regulates grip finely | hand = holds by force, as the
+    # robot's hand does
     gripper: Gripper = "servo"
-    swap: options.Slots = ""  # e.g. touch0:left — which finger fills which slot
-    # touch taken away | another scene's touch of the same phase | frozen half a second into the wipe
+    swap: options.Slots = ""  # which finger fills which touch slot, e.g. touch0:left
+    # masked = touch is taken away | shuffled = touch of another scene in the same phase | frozen =
+    # touch stays as it was half a second into the wipe | "" = touch as it is
     control: Literal["", "masked", "shuffled", "frozen"] = ""
     rollouts: options.Count = 20  # 20 for parity with the paper, ≥ 200 for claims
-    # demos are recorded from seed 0 on: scored scenes are never trained on
+    # seed of the first scene; demos are recorded from seed 0 on, so these scenes weren't trained on
     first_seed: options.Seed = 10_000
     workers: options.Workers = 2  # processes, one torch thread each
-    videos: options.CountOrZero = 1  # episodes filmed, the first ones
-    # seeds filmed besides; rolled out again where scored unfilmed
+    videos: options.CountOrZero = 1  # how many of the first episodes are filmed
+    # seeds of further episodes to film; one that was scored unfilmed is rolled out again
     film: options.Seeds = field(default_factory=list)
     resume: bool = True  # keep episodes already scored in `out`
     out: options.OutFolder = "outputs/score"  # rows, table, picture and videos go here
 
     def __post_init__(self) -> None:
-        """Name the arm, after what differs from the usual rig: arms of one folder need different names."""
-        fingers = [(finger, getattr(self, f"{finger}_sensor")) for finger in ("left", "right")]
-        differs = [f"{finger} {words}" for finger, words in fingers if words]
-        differs += [f"{finger} calibrated" for finger in self.rig.calibrations]
-        usual = self.policy if self.policy in SCRIPTS else "V+T"
-        differs += [f"grip {self.grip}"] if self.grip else []
-        differs += ["hand"] if self.gripper == "hand" else []
-        differs += ["unwatched"] if self.monitor == "off" else []
-        self.arm = self.arm or ", ".join(
-            [usual, *differs, *filter(None, (self.swap, self.control))]
-        )
+        """Name the arm after its differences from the usual rig, so that arms' names differ."""
+        words = [self.policy if self.policy in SCRIPTS else "V+T"]
+        if self.left_sensor:
+            words.append(f"left {self.left_sensor}")
+        if self.right_sensor:
+            words.append(f"right {self.right_sensor}")
+        words += [f"{finger} calibrated" for finger in self.rig.calibrations]
+        if self.grip:
+            words.append(f"grip {self.grip}")
+        if self.gripper == "hand":
+            words.append("hand")
+        if self.monitor == "off":
+            words.append("unwatched")
+        words += filter(None, (self.swap, self.control))
+        self.arm = self.arm or ", ".join(words)
 
     @property
     def policies(self) -> list[str]:
@@ -117,22 +130,28 @@ class ScoreConfig:
 
     @property
     def rig(self) -> Rig:
-        """The scene's level and what the fingers wear."""
+        """The scene's level and the fingers' sensors."""
         return Rig(**{field.name: getattr(self, field.name) for field in fields(Rig)})
 
     @property
     def folder(self) -> Path:
         """Where this arm's rows, sheets and videos go."""
-        swap = f"_{self.swap.replace(':', '-')}" if self.swap else ""
-        swap += "".join(f"_{finger}-calibrated" for finger in self.rig.calibrations)
         arm = re.sub(r"\W+", "-", self.arm.replace("+", "")).strip("-")
-        control = f"_{self.control}" if self.control else ""
-        control += "_unwatched" if self.monitor == "off" else ""
-        rig = "+".join(self.rig.mounted.values()).replace(":", "-").replace("=", "-")
-        grip = f"_grip-{self.grip}" if self.grip else ""
-        hand = "_hand" if self.gripper == "hand" else ""
-        return Path(self.out) / f"{arm}_{rig}_{self.level}{hand}{grip}{swap}{control}"
+        sensors = re.sub("[:=]", "-", "+".join(self.rig.mounted.values()))
+        words = [arm, sensors, self.level]
+        if self.gripper == "hand":
+            words.append("hand")
+        if self.grip:
+            words.append(f"grip-{self.grip}")
+        if self.swap:
+            words.append(self.swap.replace(":", "-"))
+        words += [f"{finger}-calibrated" for finger in self.rig.calibrations]
+        if self.control:
+            words.append(self.control)
+        if self.monitor == "off":
+            words.append("unwatched")
+        return Path(self.out) / "_".join(words)
 
     def video(self, seed: int) -> Path:
-        """Return where an episode's video lies, once it is filmed."""
+        """Return the path of an episode's video."""
         return self.folder / f"seed_{seed}.mp4"

@@ -1,7 +1,7 @@
 """One process of the scorer: builds each arm's environment and controller once, then scores seeds.
 
-Two controls ask whether the policy uses touch: masked touch carries nothing, shuffled touch is plausible for the task's
-phase but of another scene.
+Controls ask whether the policy uses touch: masked touch carries nothing, shuffled touch is of
+another scene in the same phase, frozen touch stays as it was early in the wipe.
 """
 
 import functools
@@ -27,7 +27,7 @@ from uniforce_vtla.evaluation.arms import EpisodeRow, row_of
 from uniforce_vtla.evaluation.episode import WIPING_PHASE
 from uniforce_vtla.evaluation.pictures import write_trace_sheet
 from uniforce_vtla.evaluation.rollout import Controller, Rollout, roll_out
-from uniforce_vtla.keys import TACTILE_NAMES, tactile_name
+from uniforce_vtla.keys import TACTILE_NAMES
 from uniforce_vtla.results_file import write_json
 
 log = logging.getLogger(__name__)
@@ -84,9 +84,7 @@ def _build(policy: str, rig: Rig, control: str, out: Path) -> tuple[WipeEnv, Con
         if control:
             do = "Controls are for policies."
             raise ContractError(expected(f"control of the {policy}", "none", control, do))
-        worn = rig.mounted
-        # nothing is drawn: it reads the true wrench
-        env = WipeEnv(rig.level, worn["left"], worn["right"], drawn=(), gripper=rig.gripper)
+        env = _scene(rig, drawn=())  # nothing is drawn: it reads the true wrench
         controller = ScriptController(SCRIPTS[policy]())
     else:
         env, plain = policy_on_rig(policy, rig)
@@ -96,10 +94,9 @@ def _build(policy: str, rig: Rig, control: str, out: Path) -> tuple[WipeEnv, Con
 
 
 def controlled(controller: PolicyController, control: str, env: WipeEnv, rig: Rig) -> Controller:
-    """Return the controller under a control, ``masked``, ``shuffled`` or ``frozen``; "" leaves it as it is.
+    """Return the controller under a control, ``masked``, ``shuffled`` or ``frozen``; "" is none.
 
-    Scenes that lend their touch have the same ``rig``. Raises ContractError: an
-    unknown control.
+    Scenes that lend their touch have the same ``rig``. Raises ContractError: an unknown control.
     """
     if control == "shuffled":
         return ShuffledTouch(controller, donated_touch(rig, env.drawn))
@@ -117,18 +114,31 @@ def donated_touch(
     rig: Rig, fingers: tuple[Finger, ...] = FINGERS, donors: int = DONORS
 ) -> dict[int, list[Donated]]:
     """Return marker images of expert episodes on other scenes, by phase of the task."""
-    worn = rig.mounted
-    env = WipeEnv(rig.level, worn["left"], worn["right"], fingers, gripper=rig.gripper)
+    env = _scene(rig, drawn=fingers)
     expert = WipeExpert()
-    names = [tactile_name(finger, reference) for finger in fingers for reference in (False, True)]
     bank: dict[int, list[Donated]] = {}
     for seed in tqdm(range(DONOR_SEED, DONOR_SEED + donors), desc="donated touch"):
         for step, _ in enumerate(walk(env, expert, seed), start=1):
             if step % EVERY == 0 or env.phase not in bank:
                 pixels = env.observe()["pixels"]
-                packed = {name: np.packbits(pixels[name][..., 0] > 0, axis=-1) for name in names}
+                packed = {}
+                for name in TACTILE_NAMES:
+                    if name in pixels:
+                        packed[name] = np.packbits(pixels[name][..., 0] > 0, axis=-1)
                 bank.setdefault(env.phase, []).append(packed)
     return bank
+
+
+def _scene(rig: Rig, drawn: tuple[Finger, ...], expose_wrench: bool = False) -> WipeEnv:
+    sensors = rig.mounted
+    return WipeEnv(
+        rig.level,
+        sensors["left"],
+        sensors["right"],
+        drawn=drawn,
+        expose_wrench=expose_wrench,
+        gripper=rig.gripper,
+    )
 
 
 class OtherTouch:
@@ -147,7 +157,7 @@ class OtherTouch:
 
 
 class ShuffledTouch(OtherTouch):
-    """It gets, at every look, the touch of a random moment of another scene in the same phase, by the scene's seed."""
+    """It gets the touch of a random moment of another scene in the same phase, by the seed."""
 
     def __init__(self, inner: Controller, bank: dict[int, list[Donated]]) -> None:
         super().__init__(inner)
@@ -160,12 +170,11 @@ class ShuffledTouch(OtherTouch):
     def chunk(self, observation: dict[str, Any], task: str) -> np.ndarray:
         """Return the inner controller's chunk for this observation with touch exchanged."""
         bank = self._bank[max(phase for phase in self._bank if phase <= self._env.phase)]
-        donated = bank[int(self._rng.integers(len(bank)))]
-        grey = {
-            name: np.unpackbits(image, axis=-1) * np.uint8(255) for name, image in donated.items()
-        }
-        exchanged = {name: np.repeat(image[..., None], 3, axis=-1) for name, image in grey.items()}
-        return self._inner.chunk(observation | {"pixels": observation["pixels"] | exchanged}, task)
+        pixels = dict(observation["pixels"])
+        for name, packed in bank[int(self._rng.integers(len(bank)))].items():
+            image = np.unpackbits(packed, axis=-1) * np.uint8(255)
+            pixels[name] = np.repeat(image[..., None], 3, axis=-1)
+        return self._inner.chunk(observation | {"pixels": pixels}, task)
 
 
 class FrozenTouch(OtherTouch):
@@ -173,12 +182,14 @@ class FrozenTouch(OtherTouch):
 
     def reset(self, env: Any) -> None:
         super().reset(env)
-        self._wiping_from_s, self._kept = np.inf, dict[str, np.ndarray]()
+        self._wiping_from_s = np.inf
+        self._kept: dict[str, np.ndarray] = {}
 
     def chunk(self, observation: dict[str, Any], task: str) -> np.ndarray:
-        """Return the inner controller's chunk for this observation, or for one whose touch stands still."""
+        """Return the inner controller's chunk for this observation, its touch frozen in time."""
         pixels = observation["pixels"]
-        time_s = float(self._env.trace.time_s[-1]) if len(self._env.trace.time_s) else 0.0
+        times_s = self._env.trace.time_s
+        time_s = float(times_s[-1]) if len(times_s) else 0.0
         if self._env.phase == WIPING_PHASE:
             self._wiping_from_s = min(self._wiping_from_s, time_s)
         if time_s - self._wiping_from_s < FEELS_s:
@@ -189,16 +200,16 @@ class FrozenTouch(OtherTouch):
 def policy_on_rig(policy: str, rig: Rig) -> tuple[WipeEnv, PolicyController]:
     """Return a scene and the checkpoint that acts in it; "shipped" is the package's own."""
     path = shipped_checkpoint() if policy == "shipped" else Path(policy)
-    named: dict[Finger, str] = {"left": rig.left_sensor, "right": rig.right_sensor}
-    asked = {finger: rig.kinds[finger] for finger, words in named.items() if words}
+    asked: dict[Finger, str] = {}
+    if rig.left_sensor:
+        asked["left"] = rig.kinds["left"]
+    if rig.right_sensor:
+        asked["right"] = rig.kinds["right"]
     controller = PolicyController(
         path, rig.kinds, rig.swap, asked, rig.calibrations, rig.monitor, rig.grip
     )
-    worn, reads = (rig.mounted["left"], rig.mounted["right"]), controller.reads
-    exposes = controller.needs_true_wrench
-    return WipeEnv(
-        rig.level, *worn, drawn=reads, expose_wrench=exposes, gripper=rig.gripper
-    ), controller
+    env = _scene(rig, controller.reads, controller.needs_true_wrench)
+    return env, controller
 
 
 def _keep(rollout: Rollout, config: ScoreConfig) -> None:

@@ -1,4 +1,4 @@
-"""Check that a dataset or training view is what was saved; rewrite a dataset's hashes after LeRobot's own tools."""
+"""Check that a dataset or view is as it was saved; renew hashes after LeRobot's own tools."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,24 +11,25 @@ from uniforce_vtla.options import FolderPath
 
 @dataclass
 class VerifyConfig:
-    """Check every file, frame and number of a recorded dataset or training view; say what isn't as it was saved.
+    """Check files, frames and numbers of a recorded dataset or training view against its hashes.
 
     Example: uniforce verify root=outputs/demos verify=full
-    After lerobot-edit-dataset or other tools of LeRobot: uniforce verify root=outputs/demos verify=full rehash=true
+    After lerobot-edit-dataset and the like: uniforce verify root=outputs/demos rehash=true
     """
 
-    root: FolderPath = "outputs/demos"  # recorded dataset, or a training view
-    # every byte and frame | sizes, small files, some frames of every episode | nothing
+    root: FolderPath = "outputs/demos"  # folder of a recorded dataset or training view
+    # full = every byte and frame | quick = sizes, small files, some frames of every episode | off =
+    # nothing
     verify: Verify = "full"
-    # check the content only, then write the hashes of the files that are there now
+    # check the content only, then write the hashes of the files as they are
     rehash: bool = False
 
 
 def verify(config: VerifyConfig) -> str:
-    """Return a line about what was found whole.
+    """Return a line about a dataset or view that is whole.
 
-    Raises DatasetError: something isn't as it was saved, or its content can't be trusted; ContractError: another
-    ``verify``; a view, which is built again instead of hashed again.
+    Raises DatasetError: something isn't as it was saved, or its content can't be trusted;
+    ContractError: another ``verify``; a view, which is built again instead of hashed again.
     """
     from uniforce_datasets.hashes import check_hashes
     from uniforce_datasets.lossless import check_dataset, rehash
@@ -42,9 +43,14 @@ def verify(config: VerifyConfig) -> str:
         marker = read_marker(root)
         check_hashes(root)
         return f"{root}: view of {len(marker['episodes'])} episodes, as it was built"
-    source = (rehash if config.rehash else check_dataset)(root, config.verify)
-    done = "content checked, hashes written" if config.rehash else "as it was saved"
-    return f"{root}: {len(source.episodes)} episodes, {source.num_frames} frames, {done} ({config.verify})"
+    if config.rehash:
+        source = rehash(root, config.verify)
+        done = "content checked, hashes written"
+    else:
+        source = check_dataset(root, config.verify)
+        done = "as it was saved"
+    found = f"{len(source.episodes)} episodes, {source.num_frames} frames"
+    return f"{root}: {found}, {done} ({config.verify})"
 
 
 @command(VerifyConfig)

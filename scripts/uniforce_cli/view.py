@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from uniforce_cli.boundary import Verify, command, one_thread
+from uniforce_cli.boundary import Verify, by_name, command, one_thread
 from uniforce_vtla.options import (
     Datasets,
     OutFolder,
+    Pattern,
     Pixels,
     Range,
     Slots,
@@ -22,6 +23,10 @@ if TYPE_CHECKING:
     from uniforce_datasets.view_plan import EpisodeFacts
 
 LatentGrid = Annotated[int, Range(1, 8)]
+CameraNames = Annotated[
+    str,
+    Pattern("camera:recorded name pairs", r"\w+:[^,:]+(,\s*\w+:[^,:]+)*", "front:cam_high"),
+]
 
 
 @dataclass
@@ -37,6 +42,9 @@ class ViewConfig:
     latent_grid: LatentGrid = 4  # latents pooled to 4×4; the policy's latent_grid must match
     # default slot → finger; both fingers are stored anyway
     slots: Slots = "touch0:right,touch1:left"
+    # cameras that were recorded under other names than front and wrist, e.g.
+    # front:cam_high,wrist:cam_arm
+    cameras: CameraNames = ""
     tokenizer: TokenizerFolder = ""  # folder of a tokenizer; empty = the shipped one
     # take demos that wiped the board with an event, or outside the band, too
     keep_events: bool = True
@@ -54,11 +62,12 @@ def make_view(config: ViewConfig) -> Path:
         config.out,
         config.image_side,
         config.latent_grid,
-        dict(pair.split(":", 1) for pair in config.slots.split(",") if ":" in pair),
+        by_name(config.slots),
         config.tokenizer or None,
         keep=lambda facts: chosen(facts, config),
         workers=config.workers,
         verify=config.verify,
+        cameras=by_name(config.cameras),
     )
 
 

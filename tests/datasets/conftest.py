@@ -1,4 +1,5 @@
 import logging
+import shutil
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,12 @@ logging.getLogger("lerobot").setLevel(logging.ERROR)
 def demos(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three synthetic episodes of twenty frames; read only."""
     return record_synthetic(tmp_path_factory.mktemp("demos") / "data", EPISODES, FRAMES)
+
+
+@pytest.fixture
+def copy(demos: Path, tmp_path: Path) -> Path:
+    """Those three episodes in a folder to change."""
+    return Path(shutil.copytree(demos, tmp_path / "copy"))
 
 
 @pytest.fixture(scope="session")

@@ -3,7 +3,6 @@
 import hashlib
 import json
 import logging
-import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -51,11 +50,10 @@ def test_damage_is_refused_and_named(
 
 
 @pytest.fixture
-def unhashed(demos: Path, tmp_path: Path) -> Path:
+def unhashed(copy: Path) -> Path:
     """A dataset to spoil, without hashes: its content is all there is to judge it by."""
-    root = Path(shutil.copytree(demos, tmp_path / "copy"))
-    (root / HASHES).unlink()
-    return root
+    (copy / HASHES).unlink()
+    return copy
 
 
 def truncate(path: Path) -> None:
@@ -93,25 +91,18 @@ def test_dataset_without_reference_is_refused(unhashed: Path) -> None:
         open_dataset(unhashed)
 
 
-@pytest.fixture
-def copy(demos: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(demos, tmp_path / "copy"))
-
-
 def ours(root: Path, *more: str) -> int:
     return verify.main([f"root={root}", *more])
 
 
 def test_every_file_has_its_hash_and_episode(demos: Path) -> None:
     stored = json.loads((demos / HASHES).read_text())
-    assert set(stored) == set(files_of(demos)) and {name.split("/")[0] for name in stored} < set(
-        PARTS
-    )
+    assert stored.keys() == {*files_of(demos)}
+    assert {name.split("/")[0] for name in stored} < {*PARTS}
     for name, entry in stored.items():
         content = (demos / name).read_bytes()
-        assert entry["sha256"] == hashlib.sha256(content).hexdigest() and entry["bytes"] == len(
-            content
-        )
+        assert entry["sha256"] == hashlib.sha256(content).hexdigest()
+        assert entry["bytes"] == len(content)
         shared = name in ("meta/info.json", "meta/stats.json", "meta/tasks.parquet")
         assert entry.get("episode") == (None if shared else int(name.split(".")[-2][-3:]))
 

@@ -36,17 +36,12 @@ def edit(root: Path, kind: str, *words: str) -> list[str]:
 def test_what_delete_and_split_leave_is_whole(recording: Path, run, tmp_path: Path) -> None:
     to = [f"--new_root={tmp_path / 'fewer'}", "--new_repo_id=local/fewer"]
     run("edit_dataset", *edit(recording, "delete_episodes", "--operation.episode_indices=[0]", *to))
-    run(
-        "edit_dataset",
-        *edit(
-            recording, "split", '--operation.splits={"a": [0], "b": [1]}', f"--new_root={tmp_path}"
-        ),
-    )
+    parts = ['--operation.splits={"a": [0], "b": [1]}', f"--new_root={tmp_path}"]
+    run("edit_dataset", *edit(recording, "split", *parts))
     for name in ("fewer", "a", "b"):
         assert verify([f"root={tmp_path / name}", "rehash=true"]) == 0
-        assert [episode.length for episode in check_dataset(tmp_path / name, "full").episodes] == [
-            4
-        ]
+        (episode,) = check_dataset(tmp_path / name, "full").episodes
+        assert episode.length == 4
 
 
 def test_merge_feature_removal_and_new_tasks_keep_it_whole(
@@ -57,16 +52,14 @@ def test_merge_feature_removal_and_new_tasks_keep_it_whole(
     roots = f'--operation.roots=["{recording}", "{recording}"]'
     run("edit_dataset", "--new_repo_id=local/both", f"--new_root={both}", *merge, roots)
     columns = '--operation.feature_names=["truth.wrench.left", "truth.wrench.right"]'
-    run(
-        "edit_dataset",
-        *edit(both, "remove_feature", columns, f"--new_root={fewer}", "--new_repo_id=local/fewer"),
-    )
+    to = [f"--new_root={fewer}", "--new_repo_id=local/fewer"]
+    run("edit_dataset", *edit(both, "remove_feature", columns, *to))
     run("edit_dataset", *edit(fewer, "modify_tasks", "--operation.new_task=another"))
     assert verify([f"root={fewer}", "rehash=true"]) == 0
     source = check_dataset(fewer, "full")
-    assert [episode.task for episode in source.episodes] == [
-        "another"
-    ] * 4 and "truth.wrench.left" not in source.features
+    assert [episode.task for episode in source.episodes] == ["another"] * 4
+    assert set(source.instructions()) == {"another"}
+    assert "truth.wrench.left" not in source.features
 
 
 def test_info_tells_of_dataset_and_machine(recording: Path, run, capsys, caplog) -> None:

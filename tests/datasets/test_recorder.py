@@ -65,7 +65,7 @@ def add_frames(recorder: EpisodeRecorder, count: int = SHORT, seed: int = 0) -> 
 
 def save_one(recorder: EpisodeRecorder) -> None:
     add_frames(recorder)
-    recorder.save(success=True, outcome="success", seed=7)
+    recorder.save(success=True, outcome="success", seed=7, card={"label": "success"})
 
 
 @pytest.mark.parametrize("root", ["", " ", "/proc/nothing", "a\0b", "{file}"])
@@ -88,14 +88,10 @@ def test_a_root_leads_to_one_folder_wherever_the_program_goes(root, tmp_path, mo
     monkeypatch.chdir(home)
     source = check_dataset(root)
     monkeypatch.chdir(elsewhere)
-    assert source.columns((STATE,))[STATE].shape == (SHORT, 5) and source.root.samefile(
-        home / "demos"
-    )
-    assert (
-        [path.name for path in tmp_path.rglob("*") if "~" in path.name]
-        == []
-        == list(elsewhere.iterdir())
-    )
+    assert source.columns((STATE,))[STATE].shape == (SHORT, 5)
+    assert source.root.samefile(home / "demos")
+    assert not [path for path in tmp_path.rglob("*") if "~" in path.name]
+    assert not list(elsewhere.iterdir())
 
 
 def test_round_trip_with_stock_loader(tmp_path: Path) -> None:
@@ -144,12 +140,11 @@ def test_a_kill_between_any_two_steps_leaves_a_dataset_that_opens_verifies_and_g
 
     def before(step: Callable[..., object]) -> Callable[..., object]:
         def stepped(*given: object, **named: object) -> object:
-            files = [
-                path
-                for path in root.rglob("*")
-                if path.is_file() and staging.STAGING not in path.parts
-            ]
-            in_place = tuple(sorted((str(path), path.stat().st_mtime_ns) for path in files))
+            files = []
+            for path in sorted(root.rglob("*")):
+                if path.is_file() and staging.STAGING not in path.parts:
+                    files.append((path, path.stat().st_mtime_ns))
+            in_place = tuple(files)
             if in_place not in states:
                 copy = Path(shutil.copytree(root, tmp_path / f"state_{len(states)}"))
                 states[in_place] = (saved, copy)
@@ -174,10 +169,8 @@ def test_a_kill_between_any_two_steps_leaves_a_dataset_that_opens_verifies_and_g
         with open_recorder(state) as after:
             assert after.num_episodes >= kept
         assert (state / staging.HASHES).is_file() == bool(after.num_episodes)
-        assert (
-            not after.num_episodes
-            or len(check_dataset(state, "full").episodes) == after.num_episodes
-        )
+        if after.num_episodes:
+            assert len(check_dataset(state, "full").episodes) == after.num_episodes
 
 
 def test_dropped_frame_fails_the_episode_only(
@@ -242,8 +235,7 @@ def full_disk(monkeypatch: pytest.MonkeyPatch, number: int, writes: int) -> Iter
 def session(root: Path) -> None:
     """Open, record one episode, close."""
     with open_recorder(root) as recorder:
-        add_frames(recorder)
-        recorder.save(success=True, outcome="success", seed=1, card={"label": "success"})
+        save_one(recorder)
 
 
 @pytest.mark.slow
@@ -268,15 +260,10 @@ def test_a_disk_that_fills_up_at_any_moment_is_one_error_and_costs_no_saved_epis
 
 
 @pytest.mark.parametrize("limit", [0, 2_000, 20_000])
-def test_a_file_that_grows_too_large_is_a_full_disk_whoever_writes_it(
-    demos, tmp_path, limit: int
-) -> None:
+def test_a_file_that_grows_too_large_is_a_full_disk_whoever_writes_it(copy, limit: int) -> None:
     """A limit of this process: videos and tables are written by libraries, out of a test's reach."""
-    root, before = (
-        Path(shutil.copytree(demos, tmp_path / "data")),
-        resource.getrlimit(resource.RLIMIT_FSIZE),
-    )
-    with open_recorder(root) as recorder:
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    with open_recorder(copy) as recorder:
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
         try:
             with pytest.raises(DiskFullError, match=f"{EPISODES} saved episodes"):
@@ -285,23 +272,22 @@ def test_a_file_that_grows_too_large_is_a_full_disk_whoever_writes_it(
                 recorder.close()
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    session(root)
-    assert len(check_dataset(root, "full").episodes) == EPISODES + 1
+    session(copy)
+    assert len(check_dataset(copy, "full").episodes) == EPISODES + 1
 
 
 def test_what_operating_systems_leave_in_a_folder_is_none_of_a_dataset(
-    demos: Path, tmp_path: Path
+    copy: Path, tmp_path: Path
 ) -> None:
-    root = Path(shutil.copytree(demos, tmp_path / "data"))
-    for folder in (tmp_path / "new", *(path for path in (root, *root.rglob("*")) if path.is_dir())):
+    for folder in (tmp_path / "new", copy, *(p for p in copy.rglob("*") if p.is_dir())):
         folder.mkdir(exist_ok=True)
         for name in (".DS_Store", "._file-000.parquet", "Thumbs.db", "desktop.ini", ".nfs0001"):
             (folder / name).write_bytes(b"\0\5\x16\7")
     session(tmp_path / "new")
-    session(root)
-    assert len(check_dataset(root, "full").episodes) == EPISODES + 1
+    session(copy)
+    assert len(check_dataset(copy, "full").episodes) == EPISODES + 1
     with pytest.raises(DatasetError, match=r"\._file-000\.parquet.*Delete it"):
-        open_dataset(root)
+        open_dataset(copy)
 
 
 @pytest.mark.parametrize("number", [errno.EINVAL, errno.ENOTSUP])
@@ -337,8 +323,6 @@ def test_a_folder_that_cannot_be_locked_is_one_line_before_the_first_episode(
 def test_damaged_marker_video_is_caught_before_it_counts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import uniforce_datasets.video_encoder as video_encoder
-
     monkeypatch.setattr(video_encoder, "codec_of", lambda key: video_encoder.camera_codec())
     with open_recorder(tmp_path / "data") as recorder:
         rng = np.random.default_rng(0)

@@ -11,7 +11,14 @@ from torch.utils.data import DataLoader, Dataset, RandomSampler
 
 from benchmarks.timing import repeated
 from uniforce_datasets.lossless import open_dataset
-from uniforce_datasets.synthetic import FPS, BlockMeans, dots, record_synthetic
+from uniforce_datasets.recorder import EpisodeRecorder
+from uniforce_datasets.synthetic import (
+    FPS,
+    BlockMeans,
+    dots,
+    record_synthetic,
+    synthetic_frame,
+)
 from uniforce_datasets.training_view import TrainingView, build_view, make_training_dataset
 from uniforce_datasets.view_build import PROGRESS, resize
 from uniforce_datasets.view_plan import EpisodeFacts
@@ -177,6 +184,51 @@ def test_one_process_builds_a_view_at_a_time(demos: Path, tmp_path: Path) -> Non
     ):
         build_view(demos, tmp_path / "view", encoder=BlockMeans())
     assert TrainingView(build_view(demos, tmp_path / "view", encoder=BlockMeans()))
+
+
+def test_cameras_of_other_names_are_renamed_in_a_view(tmp_path: Path) -> None:
+    root, pictures = tmp_path / "demos", {"front": 40, "wrist": 200}
+    recorded = {"front": "cam_high", "wrist": "cam_wrist"}
+    shapes = dict.fromkeys(recorded.values(), (64, 64, 3))
+    with EpisodeRecorder(root, "local/x", "gelsight", "tactip", FPS, cameras=shapes) as recorder:
+        for step in range(3):
+            frame = synthetic_frame(step, np.random.default_rng(0))
+            for camera, name in recorded.items():
+                del frame[camera_key(camera)]
+                frame[camera_key(name)] = np.full((64, 64, 3), pictures[camera], np.uint8)
+            recorder.add(frame, "wipe")
+        recorder.save(success=True, outcome="success", seed=0)
+    refused = r"without .*images\.front.* Rename its cameras \(cam_high, cam_wrist\) with cameras="
+    with pytest.raises(DatasetError, match=refused):
+        build_view(root, tmp_path / "none", encoder=BlockMeans())
+    with pytest.raises(ContractError, match=r"camera: expected front \| wrist"):
+        build_view(root, tmp_path / "none", encoder=BlockMeans(), cameras={"cam_high": "front"})
+    built = build_view(root, tmp_path / "view", encoder=BlockMeans(), cameras=recorded)
+    sample = TrainingView(built)[2]
+    for camera, grey in pictures.items():
+        assert abs(sample[camera_key(camera)].float().mean() - grey) < 3
+    swapped = {"front": "cam_wrist", "wrist": "cam_high"}
+    build_view(root, tmp_path / "view", encoder=BlockMeans(), cameras=swapped)  # built anew
+    assert TrainingView(built)[2][camera_key("front")].float().mean() > 190
+
+
+def test_each_frame_keeps_its_own_instruction(tmp_path: Path) -> None:
+    said = ["grasp the eraser"] * 3 + ["wipe the board"] * 4
+    root, rng = tmp_path / "demos", np.random.default_rng(0)
+    with EpisodeRecorder(root, "local/x", "gelsight", "tactip", FPS) as recorder:
+        for words in (said, said[:3], said[::-1]):
+            for step, task in enumerate(words):
+                recorder.add(synthetic_frame(step, rng), task)
+            recorder.save(success=True, outcome="success", seed=0)
+    made = TrainingView(build_view(root, tmp_path / "view", encoder=BlockMeans()))
+    assert [made[i]["task"] for i in range(len(made))] == [*said, *said[:3], *said[::-1]]
+    numbers = [int(made[i]["task_index"]) for i in range(len(made))]
+    assert numbers == [0] * 3 + [1] * 4 + [0] * 3 + [1] * 4 + [0] * 3
+    assert made.meta.episodes["tasks"] == [sorted(set(said)), said[:1], sorted(set(said))]
+    assert [e["task"] for e in made.marker["episodes"]] == [said[0], said[0], said[-1]]
+    np.save(tmp_path / "view" / "task_index.npy", np.full(len(made), 2))
+    with pytest.raises(DatasetError, match="task_index"):
+        TrainingView(tmp_path / "view", verify="off")
 
 
 def test_sensors_are_those_of_the_episodes_sampled_from(view: Path, tmp_path: Path) -> None:

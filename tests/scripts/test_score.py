@@ -55,12 +55,39 @@ def rolled_out(monkeypatch: pytest.MonkeyPatch) -> RolledOut:
 
 
 def test_a_script_is_not_taken_for_a_policy() -> None:
-    arms = [ScoreConfig(policy=policy).arm for policy in ("shipped", "expert")]
-    assert arms == ["V+T", "expert"] and ScoreConfig(policy="expert", arm="me").arm == "me"
-    assert (
-        ScoreConfig(right_sensor="uskin:7+lag=100", control="masked").arm
-        == "V+T, right uskin:7+lag=100, masked"
-    )
+    assert ScoreConfig().arm == "V+T"
+    assert ScoreConfig(policy="expert").arm == "expert"
+    assert ScoreConfig(policy="expert", arm="me").arm == "me"
+
+
+@pytest.mark.parametrize(
+    ("options", "arm", "folder"),
+    [
+        ({}, "V+T", "VT_gelsight+tactip_touch"),
+        (
+            {"right_sensor": "uskin:7+lag=100", "control": "masked"},
+            "V+T, right uskin:7+lag=100, masked",
+            "VT-right-uskin-7lag-100-masked_gelsight+uskin-7+lag-100_touch_masked",
+        ),
+        (
+            {
+                "left_sensor": "tactip",
+                "right_calibration": "map",
+                "gripper": "hand",
+                "grip": "held",
+                "swap": "touch0:left",
+                "monitor": "off",
+                "level": "easy",
+            },
+            "V+T, left tactip, right calibrated, grip held, hand, unwatched, touch0:left",
+            "VT-left-tactip-right-calibrated-grip-held-hand-unwatched-touch0-left"
+            "_tactip+tactip_easy_hand_grip-held_touch0-left_right-calibrated_unwatched",
+        ),
+    ],
+)
+def test_an_arm_and_its_folder_are_named_after_the_rig(options, arm: str, folder: str) -> None:
+    config = ScoreConfig(**options)
+    assert (config.arm, config.folder) == (arm, Path("outputs/score") / folder)
 
 
 def test_training_seeds_take_turns_from_scene_to_scene(
@@ -77,17 +104,12 @@ def test_arms_take_turns_and_a_second_run_does_nothing(
     tmp_path: Path, rolled_out: RolledOut
 ) -> None:
     jobs = rolled_out(lambda *_: True)
-    arms = [
-        ScoreConfig(arm=name, rollouts=2, first_seed=5, out=str(tmp_path)) for name in ("V", "V+T")
-    ]
+    vision = ScoreConfig(arm="V", rollouts=2, first_seed=5, out=str(tmp_path))
+    arms = [vision, dataclasses.replace(vision, arm="V+T")]
+    turns = [(5, "V"), (5, "V+T"), (6, "V"), (6, "V+T")]
     for _ in range(2):
         reports = score_arms(arms, workers=1)
-        assert [(seed, config.arm) for seed, config in jobs] == [
-            (5, "V"),
-            (5, "V+T"),
-            (6, "V"),
-            (6, "V+T"),
-        ]
+        assert [(seed, config.arm) for seed, config in jobs] == turns
     assert [r.count("clean") for r in reports] == [2, 2]
 
 

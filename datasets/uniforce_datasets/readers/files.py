@@ -1,6 +1,6 @@
-"""Opening what users bring: only inside the folder they named, never unpickled, whole or not at all."""
+"""Open files of users: inside the folder they named, never unpickled, whole or not at all."""
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -26,38 +26,46 @@ def existing_folder(folder: str | Path) -> Path:
 
 
 def find(root: Path, pattern: str) -> list[Path]:
-    """Return what fits ``pattern`` in ``root`` or up to three levels below, none of it leading outside."""
-    levels = ("", "*/", "*/*/", "*/*/*/")
-    return sorted(inside(root, path) for level in levels for path in root.glob(level + pattern))
+    """Return the paths that fit ``pattern`` up to three levels below ``root``, none outside it."""
+    found: list[Path] = []
+    for level in ("", "*/", "*/*/", "*/*/*/"):
+        for path in root.glob(level + pattern):
+            found.append(inside(root, path))
+    return sorted(found)
 
 
 def subfolders(folder: Path, root: Path) -> list[Path]:
-    """Return the sorted folders in ``folder``, hidden ones left out, none leading outside ``root``."""
-    if not folder.is_dir():
-        return []
-    return [
-        inside(root, p)
-        for p in sorted(folder.iterdir())
-        if p.is_dir() and not p.name.startswith((".", "__"))
-    ]
+    """Return the sorted folders in ``folder``, without hidden ones, none outside ``root``."""
+    found = []
+    for path in sorted(folder.glob("*")):
+        if path.is_dir() and not path.name.startswith((".", "__")):
+            found.append(inside(root, path))
+    return found
 
 
-def numbered_images(folder: Path, root: Path, endings: Iterable[str]) -> list[Path]:
-    """Return images called by a number, in its order.
+def numbered_images(folder: Path, root: Path, endings: Sequence[str]) -> dict[int, Path]:
+    """Return images called by a number, by this number in its order.
 
-    Raises DatasetError: none, several kinds of file, the same number twice, or one leading outside ``root``.
+    Raises DatasetError: none, several kinds of file, the same number twice, or one leading outside
+    ``root``.
     """
-    kinds = tuple(endings)
-    found = [p for p in folder.iterdir() if p.suffix.lower() in kinds and p.stem.isdecimal()]
-    wanted = f"images like 000000{' or 000000'.join(kinds)}"
-    if not found:
+    images: dict[int, Path] = {}
+    names = []
+    suffixes = set()
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() in endings and path.stem.isdecimal():
+            images[int(path.stem)] = inside(root, path)
+            names.append(path.name)
+            suffixes.add(path.suffix)
+    wanted = f"images like 000000{' or 000000'.join(endings)}"
+    if not images:
         raise DatasetError(expected(str(folder), wanted, "none", "Is the data set complete?"))
-    if len({p.suffix for p in found}) > 1 or len({int(p.stem) for p in found}) < len(found):
-        came = ", ".join(sorted(p.name for p in found)[:4]) + " …"
+    if len(suffixes) > 1 or len(images) < len(names):
+        came = ", ".join(names[:4]) + " …"
         raise DatasetError(
             expected(str(folder), f"one kind of {wanted}", came, "Which belong together?")
         )
-    return [inside(root, p) for p in sorted(found, key=lambda p: int(p.stem))]
+    return dict(sorted(images.items()))
 
 
 def read_marker_picture(path: Path, threshold: int) -> np.ndarray:
@@ -65,12 +73,13 @@ def read_marker_picture(path: Path, threshold: int) -> np.ndarray:
 
     Raises DatasetError: unreadable, truncated, of another size, or not a black-and-white picture.
     """
-    picture = decode_picture(read_bytes(path), str(path), colour=False)
+    picture = decode_picture(read_bytes(path), str(path))
     if picture.shape != MARKER_IMAGE_SHAPE:
         raise DatasetError(
             expected(str(path), MARKER_IMAGE_SHAPE, picture.shape, "Rows × columns of it?")
         )
-    middle = float(((picture >= MIDDLE[0]) & (picture <= MIDDLE[1])).mean())
+    lowest, highest = MIDDLE
+    middle = float(((picture >= lowest) & (picture <= highest)).mean())
     if middle > MAX_MIDDLE_SHARE:
         do = "This is no marker image: raw camera frames need another reader."
         raise DatasetError(expected(str(path), "black and white", f"{middle:.0%} grey pixels", do))
@@ -87,23 +96,23 @@ def read_bytes(path: Path) -> bytes:
         ) from error
 
 
-def decode_picture(data: bytes, where: str, colour: bool) -> np.ndarray:
-    """Return (H, W, 3) RGB or (H, W) grey uint8 of an encoded picture.
+def decode_picture(data: bytes, where: str) -> np.ndarray:
+    """Return (H, W) grey uint8 of an encoded picture.
 
     Raises DatasetError: no picture, or a truncated one, which decoders fill with grey in silence.
     """
-    tail = _ENDS.get(data[:2])
-    whole = bool(data) and (tail is None or data.rstrip(b"\0")[-len(tail) :] == tail)
-    flag = cv2.IMREAD_COLOR if colour else cv2.IMREAD_GRAYSCALE
-    picture = cv2.imdecode(np.frombuffer(data, np.uint8), flag) if whole else None
+    came = "an empty or truncated one"
+    picture = None
+    if data and data.rstrip(b"\0").endswith(_ENDS.get(data[:2], b"")):
+        came = "something else"
+        picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
     if picture is None:
-        came = "something else" if whole else "an empty or truncated one"
         raise DatasetError(expected(where, "a whole JPEG or PNG", came, "Restore it from a copy."))
-    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB) if colour else picture
+    return picture
 
 
 def read_table(path: Path) -> pd.DataFrame:
-    """Return a csv table, its numbers exactly as written; raise DatasetError where there is none."""
+    """Return a csv table, its numbers exactly as written; DatasetError: there is none."""
     if not path.is_file():
         raise DatasetError(expected(str(path), "a csv file", "none", "Is the data set complete?"))
     try:

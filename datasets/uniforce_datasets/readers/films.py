@@ -18,16 +18,18 @@ ENDINGS = (".avi", ".mp4", ".npy")
 def find_films(folder: str | Path) -> dict[Path, str]:
     """Return path → object of every film at or up to three levels below ``folder``, sorted.
 
-    The first folder below ``folder`` names the object; a film that lies in none is an object of its own.
+    The first folder below ``folder`` names the object; a film outside any is an object of its own.
 
     Raises DatasetError: no folder, no film in it, or a path that leads outside.
     """
     root = existing_folder(folder)
-    paths = sorted(path for ending in ENDINGS for path in find(root, f"*{ending}"))
+    paths: list[Path] = []
+    for ending in ENDINGS:
+        paths += find(root, f"*{ending}")
     if not paths:
         wanted = f"films ({', '.join(ENDINGS)}), each in a folder named after the object"
         raise DatasetError(expected(str(root), wanted, "none", "Name the folder of one session."))
-    return {path: path.relative_to(root).with_suffix("").parts[0] for path in paths}
+    return {path: path.relative_to(root).with_suffix("").parts[0] for path in sorted(paths)}
 
 
 def film_frames(path: Path) -> Iterator[np.ndarray]:
@@ -59,5 +61,4 @@ def _stacked_frames(path: Path) -> Iterator[np.ndarray]:
         raise DatasetError(
             expected(str(path), "(T, H, W, 3) uint8 RGB", came, "Save the camera's own frames.")
         )
-    for frame in stack:
-        yield np.array(frame)
+    yield from map(np.array, stack)

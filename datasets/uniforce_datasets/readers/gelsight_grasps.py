@@ -1,9 +1,10 @@
-"""Grasps of two GelSight Minis on a Franka hand, as amitparag/Incipient-Slip-Detection stores them (BSD-2).
+"""Grasps of two GelSight Minis, as amitparag/Incipient-Slip-Detection stores them (BSD-2).
 
-``docs/franka-servo/datasets`` holds ``[SET/]OBJECT/exp_num_N/{camera_0,camera_2}.avi``: one film a finger, 320×240 at
-25 Hz. The robot grasps, lifts and shakes an object. The hand closes by width; force isn't recorded. Many trials are
-stored in several folders, so duplicates are found by the hash of their films. Two campaigns used different crops: all
-films of the wide one have 450 frames, and no film of the close one has.
+``docs/franka-servo/datasets`` holds ``[SET/]OBJECT/exp_num_N/{camera_0,camera_2}.avi``: one film a
+finger, 320×240 at 25 Hz. The robot grasps, lifts and shakes an object. The hand closes by width;
+force isn't recorded. Many trials are stored in several folders, so duplicates are found by the hash
+of their films. Two campaigns used different crops: all films of the wide one have 450 frames, and
+no film of the close one has.
 """
 
 import hashlib
@@ -42,28 +43,26 @@ class GraspTrial:
 def read_grasps(folder: str | Path) -> list[GraspTrial]:
     """Return every trial once, sorted by name.
 
-    Raises DatasetError: no trial in the folder, a trial of which a film is missing, or one that can't be opened.
+    Raises DatasetError: no trial in the folder, a trial of which a film is missing, or one that
+    can't be opened.
     """
     root = existing_folder(folder)
-    kept: dict[str, Path] = {}
-    for path in sorted(_trials(root), key=lambda path: _rank(path.relative_to(root))):
-        kept.setdefault(_content(path, root), path)
+    first: set[Path] = set()
+    others: set[Path] = set()
+    for name in FILMS.values():
+        for film in find(root, f"*/*/{name}"):
+            is_first = str(film.relative_to(root)).startswith(FIRST_CHOICE)
+            (first if is_first else others).add(film.parent)
+    kept: dict[str, GraspTrial] = {}
+    for path in [*sorted(first), *sorted(others)]:
+        content = _content(path, root)
+        if content not in kept:
+            kept[content] = _trial(path, root)
     if not kept:
         wanted = f"OBJECT/exp_num_N/{FILMS['left']}"
-        raise DatasetError(
-            expected(
-                str(root), wanted, "none", "Give docs/franka-servo/datasets of the repository."
-            )
-        )
-    return sorted((_trial(path, root) for path in kept.values()), key=str)
-
-
-def _trials(root: Path) -> set[Path]:
-    return {path.parent for name in FILMS.values() for path in find(root, f"*/*/{name}")}
-
-
-def _rank(path: Path) -> tuple[bool, str]:
-    return not str(path).startswith(FIRST_CHOICE), str(path)
+        do = "Give docs/franka-servo/datasets of the repository."
+        raise DatasetError(expected(str(root), wanted, "none", do))
+    return sorted(kept.values(), key=str)
 
 
 def _content(trial: Path, root: Path) -> str:
@@ -81,12 +80,12 @@ def _content(trial: Path, root: Path) -> str:
 
 def _trial(path: Path, root: Path) -> GraspTrial:
     films = {finger: path / name for finger, name in FILMS.items()}
-    campaign: Campaign = "wide" if _length(films["left"]) == WIDE_FRAMES else "close"
+    with opened_film(films["left"]) as film:
+        frames = sum(packet.size > 0 for packet in film.demux(video=0))
     return GraspTrial(
-        path.parent.name, str(path.relative_to(root)), campaign, films, (path / SLIPPED).is_file()
+        object_name=path.parent.name,
+        name=str(path.relative_to(root)),
+        campaign="wide" if frames == WIDE_FRAMES else "close",
+        films=films,
+        slipped=(path / SLIPPED).is_file(),
     )
-
-
-def _length(path: Path) -> int:
-    with opened_film(path) as film:
-        return sum(packet.size > 0 for packet in film.demux(video=0))

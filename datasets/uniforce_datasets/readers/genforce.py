@@ -1,11 +1,12 @@
-"""GenForce-Hetero: ``{img,force,depth}/<sensor>/<indenter>/<trial>/`` with packed marker images and ft.csv.
+"""GenForce-Hetero: ``{img,force,depth}/<sensor>/<indenter>/<trial>/``, marker images and ft.csv.
 
-Images: ``0000.npy`` of packed bits (480·640/8 = 38,400 bytes) or plain (480, 640) arrays, or ``0000.jpg`` (uSkin),
-white above 50. Forces: first three columns of ft.csv, N; Fz is negative in compression. Only the format was looked
-up; none of the authors' code is used.
+Images: ``0000.npy`` of packed bits (480·640/8 = 38,400 bytes) or plain (480, 640) arrays, or
+``0000.jpg`` (uSkin), white above 50. Forces: first three columns of ft.csv, N; Fz is negative in
+compression. Only the format was looked up; none of the authors' code is used.
 """
 
 import logging
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -39,11 +40,12 @@ MISSING_DO = "Give the folder that holds img/ and force/ (dataset/training/heter
 
 @dataclass(frozen=True)
 class ForceAxes:
-    """Which recorded axis, with which sign, is each of ours.
+    """Name the recorded axis, with its sign, that is each of ours.
 
-    The default is GenForce's: Fz is negative in compression (its labels are normalised from −20 N to 5 N), Fx and
-    Fy are taken as image right and image down. How a rig's shear axes lie in the image is documented for no
-    public set: ``shear_agreement`` (benchmarks) tells from the data whether the signs are right.
+    The default is GenForce's: Fz is negative in compression (its labels are normalised from −20 N
+    to 5 N), Fx and Fy are taken as image right and image down. No public set documents how a rig's
+    shear axes lie in the image: ``shear_agreement`` (benchmarks) finds out whether the signs are
+    right.
     """
 
     x: str = "+x"  # recorded axis that points to the right in the image, e.g. "+x" or "-y"
@@ -53,25 +55,30 @@ class ForceAxes:
     def __post_init__(self) -> None:
         """Raise ContractError unless the three are signed and different."""
         names = (self.x, self.y, self.z)
-        if any(len(n) != 2 or n[0] not in "+-" for n in names) or {n[1] for n in names} != set(
-            "xyz"
-        ):
+        text = " ".join(names)
+        signed = re.fullmatch("[+-][xyz] [+-][xyz] [+-][xyz]", text)
+        if not signed or not {*"xyz"} <= {*text}:
             do = 'Give each recorded axis once, with its sign, e.g. ForceAxes("+x", "-y", "-z").'
             raise ContractError(expected("force axes", "±x, ±y, ±z in some order", names, do))
 
     def to_image(self, recorded_N: np.ndarray) -> np.ndarray:
-        """Return (T, 3) float32 forces in our axes from (T, 3 or more) recorded ones; moments are left aside."""
-        names = (self.x, self.y, self.z)
-        columns = ["xyz".index(name[1]) for name in names]
-        signs = np.array([1.0 if name[0] == "+" else -1.0 for name in names])
-        return (recorded_N[:, columns] * signs).astype(np.float32)  # (T, 3)
+        """Return (T, 3) float32 forces in our axes from (T, 3 or more) recorded ones.
+
+        Moments are left aside.
+        """
+        columns = []
+        for axis in (self.x, self.y, self.z):
+            column = recorded_N[:, "xyz".index(axis[1])]
+            columns.append(-column if axis[0] == "-" else column)
+        return np.stack(columns, axis=1).astype(np.float32)  # (T, 3)
 
 
 def check_compression(force_N: np.ndarray, where: str) -> None:
-    """Raise DatasetError where a trial's strongest normal force is a clear pull: then z has the wrong sign."""
-    strongest_pull, strongest_push = -float(force_N[:, 2].min()), float(force_N[:, 2].max())
-    if strongest_pull > max(strongest_push, CLEAR_PULL_N):
-        came = f"{strongest_pull:.1f} N of pull, {max(strongest_push, 0):.1f} N of compression"
+    """Raise DatasetError where the strongest normal force is a pull: z has the wrong sign then."""
+    pull_N = -float(force_N[:, 2].min())
+    push_N = float(force_N[:, 2].max())
+    if pull_N > max(push_N, CLEAR_PULL_N):
+        came = f"{pull_N:.1f} N of pull, {max(push_N, 0):.1f} N of compression"
         do = "Turn the sign of z in ForceAxes, or is another axis the normal?"
         raise DatasetError(expected(f"{where}, force", "compression positive in z", came, do))
 
@@ -101,17 +108,21 @@ class GenForceConfig:
 
 def genforce_root(folder: str | Path) -> Path | None:
     """Return the folder that holds ``img/`` and ``force/`` in one of the known places, or None."""
-    places = [Path(folder) / layout for layout in LAYOUTS]
-    return next((p for p in places if (p / "img").is_dir() and (p / "force").is_dir()), None)
+    for layout in LAYOUTS:
+        place = Path(folder) / layout
+        if (place / "img").is_dir() and (place / "force").is_dir():
+            return place
+    return None
 
 
 def read_genforce(
     folder: str | Path, config: GenForceConfig | None = None
 ) -> Iterator[LabelledRecording]:
-    """Yield every trial of a GenForce folder, sensor by sensor; about one trial is in memory at a time.
+    """Yield every trial of a GenForce folder, sensor by sensor; about one at a time is in memory.
 
-    Raises DatasetError: another layout, an asked sensor that isn't there, a trial without forces or with another number
-    of them, a broken image, NaN, a pressed reference, or a path that leads outside.
+    Raises DatasetError: another layout, an asked sensor that isn't there, a trial without forces or
+    with another number of them, a broken image, NaN, a pressed reference, or a path that leads
+    outside.
     """
     config = config or GenForceConfig()
     require_one_of("split", config.split, SPLITS)
@@ -129,23 +140,21 @@ def read_genforce(
 
 def _sensors(root: Path, config: GenForceConfig) -> list[Path]:
     found = {path.name: path for path in subfolders(root / "img", root)}
-    wanted = config.sensors or tuple(found)
-    unknown = [name for name in wanted if name not in found]
+    unknown = [name for name in config.sensors if name not in found]
     if unknown or not found:
-        came = unknown or "none"
+        wanted = " | ".join(found) or "at least one"
         raise DatasetError(
-            expected(
-                f"sensors in {root / 'img'}", " | ".join(found) or "at least one", came, MISSING_DO
-            )
+            expected(f"sensors in {root / 'img'}", wanted, unknown or "none", MISSING_DO)
         )
-    return [found[name] for name in wanted]
+    return [found[name] for name in config.sensors or found]
 
 
 def _recordings(root: Path, folder: Path, config: GenForceConfig) -> Iterator[LabelledRecording]:
     """Yield a trial's recordings, at most ``config.options.max_frames`` frames each."""
     sensor, indenter, name = folder.relative_to(root / "img").parts
-    where, most = f"{sensor}/{indenter}/{name}", config.options.max_frames
-    images = numbered_images(folder, root, (".npy", ".jpg", ".jpeg"))
+    where = f"{sensor}/{indenter}/{name}"
+    most = config.options.max_frames
+    images = list(numbered_images(folder, root, (".npy", ".jpg", ".jpeg")).values())
     forces = inside(root, root / "force" / sensor / indenter / name / "ft.csv")
     force_N = config.axes.to_image(read_forces(forces))
     if len(force_N) != len(images):
@@ -167,13 +176,16 @@ def _recordings(root: Path, folder: Path, config: GenForceConfig) -> Iterator[La
 def _free_air(force_N: np.ndarray, where: str, options: ReadOptions) -> int | None:
     """Return the index of a trial's reference; None where the trial is to be left out."""
     strength = np.linalg.norm(force_N, axis=1)  # (T,)
-    index = int(strength.argmin()) if options.reference == "quietest" else 0
+    index = 0
+    if options.reference == "quietest":
+        index = int(strength.argmin())
     if strength[index] <= options.max_reference_force_N:
         return index
     wanted = f"a free-air frame, |F| ≤ {options.max_reference_force_N:g} N"
     came = f"{strength[index]:.2f} N in the {options.reference} frame"
     if options.pressed_reference == "refuse":
-        do = 'Leave it out with ReadOptions(pressed_reference="skip"), or raise max_reference_force_N.'
+        do = 'Leave it out with ReadOptions(pressed_reference="skip"), '
+        do += "or raise max_reference_force_N."
         raise DatasetError(expected(where, wanted, came, do))
     log.warning("%s left out: expected %s, got %s", where, wanted, came)
     return None
@@ -186,8 +198,8 @@ def read_forces(path: Path) -> np.ndarray:
     """
     table = read_table(path)
     values = table.iloc[:, :3]
-    numeric = values.shape[1] == 3 and all(np.issubdtype(kind, np.number) for kind in values.dtypes)
-    if not numeric or len(values) == 0 or not np.isfinite(values.to_numpy(np.float64)).all():
+    numeric = values.select_dtypes("number").shape == (len(table), 3)
+    if not numeric or len(table) == 0 or not np.isfinite(values.to_numpy(np.float64)).all():
         came = f"{len(table)} rows of {list(table.columns)[:6]}, or NaN and text between"
         do = "Leave this trial out, or restore the file."
         raise DatasetError(
@@ -201,15 +213,17 @@ def _image(path: Path) -> np.ndarray:
 
 
 def read_packed(path: Path) -> np.ndarray:
-    """Return the (480, 640) uint8 marker image of a .npy file: packed bits, or a plain 0/1 or 0/255 array.
+    """Return the (480, 640) uint8 marker image of a .npy file.
+
+    It holds packed bits, or a plain 0/1 or 0/255 array.
 
     Raises DatasetError: truncated, pickled, or of another size or content.
     """
     array = read_array(path)
     if array.dtype == np.uint8 and array.shape == (PACKED_BYTES,):
         return np.unpackbits(array).reshape(MARKER_IMAGE_SHAPE) * np.uint8(255)
-    values = set(np.unique(array)) if array.shape == MARKER_IMAGE_SHAPE else None
-    if values is None or not (values <= {0, 1} or values <= {0, 255}):
+    whole = array.shape == MARKER_IMAGE_SHAPE
+    if not whole or not (np.isin(array, (0, 1)).all() or np.isin(array, (0, 255)).all()):
         wanted = f"{PACKED_BYTES} packed bytes, or {MARKER_IMAGE_SHAPE} of 0 and 1 or of 0 and 255"
         raise DatasetError(
             expected(str(path), wanted, f"{array.dtype} {array.shape}", "Another image size?")

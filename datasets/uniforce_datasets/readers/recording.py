@@ -1,7 +1,8 @@
-"""The one form all tactile data sets are read into: marker images with forces, and pairs of marker images.
+"""Form that all tactile data sets are read into: marker images with forces, or pairs of images.
 
-Images are as the sensor saw them, never flipped; only {0, 255}. Forces follow the project's contract: x = columns to
-the right, y = rows down, z = compression positive, the force of the object on the pad.
+Images are as the sensor saw them, never flipped; only {0, 255}. Forces follow the project's
+contract: x = columns to the right, y = rows down, z = compression positive, the force of the object
+on the pad.
 """
 
 from dataclasses import dataclass
@@ -36,7 +37,7 @@ class LabelledRecording:
 
 @dataclass(frozen=True, eq=False)
 class PairRecording:
-    """Contacts that two fingers measure at once: frame k of the left and frame k of the right are a pair."""
+    """Contacts that two fingers measure at once: left frame k and right frame k are a pair."""
 
     sensors: tuple[str, str]  # names of the left and the right sensor
     indenter: str  # what was held
@@ -59,7 +60,10 @@ class PairRecording:
 
     @property
     def kinds(self) -> tuple[str, str]:
-        """Kinds of the left and the right sensor: two of one kind are named apart by _l and _r, as folders need it."""
+        """Kinds of the left and the right sensor.
+
+        Two of one kind are named apart by _l and _r, as folders need it.
+        """
         return self.sensors[0].removesuffix("_l"), self.sensors[1].removesuffix("_r")
 
     def __str__(self) -> str:
@@ -67,15 +71,12 @@ class PairRecording:
 
 
 def check_images(reference: np.ndarray, frames: np.ndarray, where: str) -> None:
-    """Raise DatasetError unless ``reference`` is a marker image and ``frames`` a stack of its size."""
+    """Raise DatasetError unless these are a marker image and a stack of frames of its size."""
     if getattr(frames, "ndim", 0) != 3 or len(frames) == 0 or frames.shape[1:] != reference.shape:
         wanted = f"(T, {', '.join(map(str, reference.shape))}) with T > 0"
         came = getattr(frames, "shape", type(frames).__name__)
-        raise DatasetError(
-            expected(
-                f"{where}, frames", wanted, came, "One image size per trial, at least one frame."
-            )
-        )
+        do = "One image size per trial, at least one frame."
+        raise DatasetError(expected(f"{where}, frames", wanted, came, do))
     try:
         check_marker_image(reference, f"{where}, reference")
         check_marker_image(frames.reshape(-1, frames.shape[-1]), f"{where}, frames")

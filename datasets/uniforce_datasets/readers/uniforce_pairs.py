@@ -1,13 +1,15 @@
-"""UniForce-style pairs: ``<root>/<pattern>/<date>/<left>_<right>/marker/<sensor>/<indenter>/000000.jpg``.
+"""UniForce-style pairs: ``<pattern>/<date>/<left>_<right>/marker/<sensor>/<indenter>/000000.jpg``.
 
-640×480 JPEGs of quality 100 with a black border of 4 px; the same index on both sides is a pair. A folder counts by
-its ``collection_log.txt``. The layout names no free-air reference. This project's is ``reference.jpg`` beside the
-frames, or one for the whole sensor a level higher; where there is none, the caller names the frame.
+640×480 JPEGs of quality 100 with a black border of 4 px; the same index on both sides is a pair. A
+folder counts by its ``collection_log.txt``. The layout names no free-air reference. This project's
+is ``reference.jpg`` beside the frames, or one for the whole sensor a level higher; where there is
+none, the caller names the frame.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import permutations
 from pathlib import Path
 
 import cv2
@@ -25,7 +27,9 @@ from uniforce_datasets.readers.recording import PairRecording
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 
-LOG_FILE, REFERENCE_FILE = "collection_log.txt", "reference.jpg"
+LOG_FILE = "collection_log.txt"
+REFERENCE_FILE = "reference.jpg"
+ENDINGS = (".jpg", ".jpeg", ".png")
 BORDER_PX = 4  # black on all sides, as the format has it
 HALF_WAY = 127  # grey level: a quality-100 JPEG of a binary image stays far on its side
 
@@ -40,38 +44,36 @@ class PairConfig:
     max_frames: int = 256  # pairs per recording: two stacks of 79 MB; more come in parts
 
 
-def pair_folders(folder: str | Path) -> list[Path]:
-    """Return the ``<left>_<right>`` folders at or up to three levels below ``folder``, by their log file."""
-    return [path.parent for path in find(Path(folder), LOG_FILE)]
-
-
 def read_uniforce_pairs(
     folder: str | Path, config: PairConfig | None = None
 ) -> Iterator[PairRecording]:
     """Yield the pairs of every indenter, at most ``config.max_frames`` at a time.
 
-    Raises DatasetError: no collection_log.txt, folders that don't name two sensors, indices on one side only, no
-    reference, a broken image, or a path that leads outside.
+    Raises DatasetError: no collection_log.txt, folders that don't name two sensors, indices on one
+    side only, no reference, a broken image, or a path that leads outside.
     """
     config = config or PairConfig()
     root = existing_folder(folder)
-    found = pair_folders(root)
-    if not found:
+    logs = find(root, LOG_FILE)
+    if not logs:
         wanted = f"<pattern>/<date>/<left>_<right>/{LOG_FILE}"
         raise DatasetError(expected(str(root), wanted, "none", "Is this a folder of pairs?"))
-    for pairs in found:
-        sensors = pair_sensors(pairs, root)
+    for log in logs:
+        pairs = log.parent
+        sensors = _sensors(pairs, root)
         for indenter in _indenters(pairs, sensors, root, config):
             yield from _recordings(root, pairs, sensors, indenter, config)
 
 
-def pair_sensors(folder: Path, root: Path) -> tuple[str, str]:
-    """Return (left, right) of a ``<left>_<right>`` folder: names may hold "_", so its marker/ folders decide.
+def _sensors(folder: Path, root: Path) -> tuple[str, str]:
+    """Return (left, right) of a ``<left>_<right>`` folder.
+
+    Names may hold "_", so the folders in marker/ decide.
 
     Raises DatasetError: its name isn't made of two of the sensors in marker/.
     """
     names = [path.name for path in subfolders(folder / "marker", root)]
-    fitting = [(a, b) for a in names for b in names if a != b and f"{a}_{b}" == folder.name]
+    fitting = [pair for pair in permutations(names, 2) if "_".join(pair) == folder.name]
     if len(fitting) != 1:
         wanted = f"marker/ with the two sensors of {folder.name}, of different names"
         raise DatasetError(
@@ -81,7 +83,10 @@ def pair_sensors(folder: Path, root: Path) -> tuple[str, str]:
 
 
 def _indenters(pairs: Path, sensors: tuple[str, str], root: Path, config: PairConfig) -> list[str]:
-    left, right = ([p.name for p in subfolders(pairs / "marker" / s, root)] for s in sensors)
+    sides = []
+    for sensor in sensors:
+        sides.append([path.name for path in subfolders(pairs / "marker" / sensor, root)])
+    left, right = sides
     if left != right or not left:
         came = f"{left} on the left, {right} on the right"
         raise DatasetError(
@@ -92,56 +97,67 @@ def _indenters(pairs: Path, sensors: tuple[str, str], root: Path, config: PairCo
         raise DatasetError(
             expected(f"indenters in {pairs}", " | ".join(left), unknown, "Check the names.")
         )
-    return [name for name in left if not config.indenters or name in config.indenters]
+    return [name for name in left if name in (config.indenters or left)]
 
 
 def _recordings(
     root: Path, pairs: Path, sensors: tuple[str, str], indenter: str, config: PairConfig
 ) -> Iterator[PairRecording]:
-    folders = [inside(root, pairs / "marker" / sensor / indenter) for sensor in sensors]
-    images = [numbered_images(folder, root, (".jpg", ".jpeg", ".png")) for folder in folders]
-    left, right = ({int(path.stem) for path in side} for side in images)
-    if left != right:
-        alone = sorted(left ^ right)
+    left_folder = inside(root, pairs / "marker" / sensors[0] / indenter)
+    right_folder = inside(root, pairs / "marker" / sensors[1] / indenter)
+    left = numbered_images(left_folder, root, ENDINGS)
+    right = numbered_images(right_folder, root, ENDINGS)
+    alone = sorted(left.keys() ^ right.keys())
+    if alone:
         came = f"{len(alone)} on one side only, e.g. {alone[0]:06d}"
         raise DatasetError(
             expected(f"{pairs}, {indenter}", "the same indices", came, "Same index = pair.")
         )
-    references = [
-        _reference(folder, side, root, config) for folder, side in zip(folders, images, strict=True)
-    ]
+    left_reference = _reference(left_folder, left, root, config)
+    right_reference = _reference(right_folder, right, root, config)
     name = "/".join(pairs.relative_to(root).parts) or pairs.name
-    for start in range(0, len(images[0]), config.max_frames):
-        parts = (side[start : start + config.max_frames] for side in images)
-        left_frames, right_frames = (
-            np.stack([read_marker_picture(p, HALF_WAY) for p in part]) for part in parts
-        )
+    paired = list(zip(left.values(), right.values(), strict=True))
+    for start in range(0, len(paired), config.max_frames):
+        left_frames = []
+        right_frames = []
+        for left_path, right_path in paired[start : start + config.max_frames]:
+            left_frames.append(read_marker_picture(left_path, HALF_WAY))
+            right_frames.append(read_marker_picture(right_path, HALF_WAY))
         yield PairRecording(
-            sensors, indenter, name, references[0], references[1], left_frames, right_frames, start
+            sensors=sensors,
+            indenter=indenter,
+            name=name,
+            left_reference=left_reference,
+            right_reference=right_reference,
+            left_frames=np.stack(left_frames),
+            right_frames=np.stack(right_frames),
+            first_frame=start,
         )
 
 
-def _reference(folder: Path, images: list[Path], root: Path, config: PairConfig) -> np.ndarray:
+def _reference(folder: Path, images: dict[int, Path], root: Path, config: PairConfig) -> np.ndarray:
     for place in (folder / REFERENCE_FILE, folder.parent / REFERENCE_FILE):
         if place.is_file():
             return read_marker_picture(inside(root, place), HALF_WAY)
     if config.reference_index is None:
-        do = "If one of the frames was taken without contact, name it: PairConfig(reference_index=0)."
+        do = "If one of the frames was taken without contact, "
+        do += "name it: PairConfig(reference_index=0)."
         raise DatasetError(expected(str(folder), REFERENCE_FILE, "none", do))
-    chosen = [path for path in images if int(path.stem) == config.reference_index]
-    if not chosen:
+    if config.reference_index not in images:
         wanted = f"frame {config.reference_index:06d} as reference"
-        raise DatasetError(expected(str(folder), wanted, f"{len(images)} others", "Name another."))
-    return read_marker_picture(chosen[0], HALF_WAY)
+        came = f"{len(images)} others"
+        raise DatasetError(expected(str(folder), wanted, came, "Name another."))
+    return read_marker_picture(images[config.reference_index], HALF_WAY)
 
 
 def write_uniforce_pairs(
     root: str | Path, recording: PairRecording, pattern: str, date: str | None = None
 ) -> Path:
-    """Append pairs to the layout and return the ``<left>_<right>`` folder; reading gives the same images back.
+    """Append pairs to the layout and return the ``<left>_<right>`` folder.
 
-    Frames go on from the last index of their indenter. The outermost 4 px become black, as the format has it. The
-    left image of a pair is written last: a killed writer leaves at most one right image without its partner.
+    Reading gives the same images back. Frames go on from the last index of their indenter. The
+    outermost 4 px become black, as the format has it. The left image of a pair is written last: a
+    killed writer leaves at most one right image without its partner.
 
     Args:
         root: folder of the data set; created where missing.
@@ -149,25 +165,24 @@ def write_uniforce_pairs(
         pattern: marker pattern, the first level below ``root``.
         date: second level, e.g. "20260131"; None for today (UTC).
 
-    Raises ContractError: names that are no plain folder names, sensors of one name, or another image size;
-    DatasetError: the indenter is there with another reference.
+    Raises ContractError: names that are no plain folder names, sensors of one name, or another
+    image size; DatasetError: the indenter is there with another reference.
     """
     _check_writable(recording, pattern, date)
     date = date or datetime.now(UTC).strftime("%Y%m%d")
     pairs = Path(root) / pattern / date / "_".join(recording.sensors)
-    folders = [pairs / "marker" / sensor / recording.indenter for sensor in recording.sensors]
-    references = (recording.left_reference, recording.right_reference)
-    for folder, reference in zip(folders, references, strict=True):
-        folder.mkdir(parents=True, exist_ok=True)
-        _write_reference(folder / REFERENCE_FILE, reference)
-    there = [int(path.stem) for path in folders[0].glob("*.jpg") if path.stem.isdecimal()]
+    left_folder = pairs / "marker" / recording.sensors[0] / recording.indenter
+    right_folder = pairs / "marker" / recording.sensors[1] / recording.indenter
+    _write_reference(left_folder, recording.left_reference)
+    _write_reference(right_folder, recording.right_reference)
+    there = [int(path.stem) for path in left_folder.glob("*.jpg") if path.stem.isdecimal()]
     start = max(there, default=-1) + 1  # the left side counts: it is written last
     _log(pairs, recording.indenter, f"{len(recording.left_frames)} pairs from {start:06d}")
     for index, (left, right) in enumerate(
         zip(recording.left_frames, recording.right_frames, strict=True), start
     ):
-        _write_picture(folders[1] / f"{index:06d}.jpg", right)
-        _write_picture(folders[0] / f"{index:06d}.jpg", left)
+        _write_picture(right_folder / f"{index:06d}.jpg", right)
+        _write_picture(left_folder / f"{index:06d}.jpg", left)
     return pairs
 
 
@@ -180,10 +195,10 @@ def _check_writable(recording: PairRecording, pattern: str, date: str | None) ->
     if recording.sensors[0] == recording.sensors[1]:
         do = "Both fingers' images would share a folder: name them apart, e.g. with _l and _r."
         raise ContractError(expected("sensors", "two different names", recording.sensors, do))
-    if {recording.left_reference.shape, recording.right_reference.shape} != {MARKER_IMAGE_SHAPE}:
-        came = recording.left_reference.shape, recording.right_reference.shape
+    shapes = (recording.left_reference.shape, recording.right_reference.shape)
+    if set(shapes) != {MARKER_IMAGE_SHAPE}:
         raise ContractError(
-            expected("pair images", MARKER_IMAGE_SHAPE, came, "Use the canonical size.")
+            expected("pair images", MARKER_IMAGE_SHAPE, shapes, "Use the canonical size.")
         )
 
 
@@ -195,7 +210,9 @@ def bordered(image: np.ndarray) -> np.ndarray:
     return framed
 
 
-def _write_reference(path: Path, reference: np.ndarray) -> None:
+def _write_reference(folder: Path, reference: np.ndarray) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / REFERENCE_FILE
     if not path.exists():
         _write_picture(path, reference)
     elif not np.array_equal(read_marker_picture(path, HALF_WAY), bordered(reference)):

@@ -27,7 +27,15 @@ RECORDERS_OWN = {
 
 
 def further_columns(facts: RigFacts) -> dict[str, dict[str, Any]]:
-    """Return the features of all columns a rig needs beside ``dataset_features``' own."""
+    """Return the features of all columns a rig needs beside ``dataset_features``' own.
+
+    Raises ContractError: a scene camera whose columns would be those of a finger.
+    """
+    taken = {*FINGERS, *keys.TACTILE_NAMES} & facts.cameras.keys()
+    if taken:
+        came = ", ".join(sorted(taken))
+        do = "These name the fingers' columns: rename the scene camera, e.g. left_side."
+        raise ContractError(expected("cameras", "other names", came, do))
     columns: dict[str, dict[str, Any]] = {
         keys.REQUESTED: vector_column(keys.AXES),
         keys.STAMPS: vector_column(keys.STAMP_NAMES, "float64"),

@@ -44,6 +44,12 @@ def store(tmp_path: Path) -> Iterator[StoreProcess]:
         yield store
 
 
+@pytest.mark.parametrize("name", ["left", "right", "tactile_left", "tactile_right_ref"])
+def test_no_scene_camera_shares_a_fingers_columns(name: str) -> None:
+    with pytest.raises(ContractError, match=f"cameras: .*, got {name}"):
+        rig_features(RigFacts("test", 30, WORN, {"front": (48, 64, 3), name: (48, 64, 3)}))
+
+
 def record(store: Store, steps: int = 4) -> None:
     memory = {key: value.copy() for key, value in row(0).items()}
     for step in range(steps):
