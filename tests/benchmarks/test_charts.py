@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.charts import __main__ as charts
-from benchmarks.charts import contact, data, policy, scene
+from benchmarks.charts import policy
 from benchmarks.charts.front import TIE, Point, front
 from benchmarks.charts.tokenizer import PRECISIONS, running_in
 from benchmarks.probes.labelled_set import FROZEN, SENSORS, draw_labelled
@@ -93,77 +93,3 @@ def test_a_copied_checkpoint_executes_other_steps_and_is_whole(tmp_path: Path) -
     folder = policy.executing(shipped_checkpoint(), 3, tmp_path / "three")
     assert stored_config(folder).n_action_steps == 3
     assert policy.executing(tmp_path / "absent", 3, folder) == folder  # kept from an earlier run
-
-
-def test_a_part_of_the_demonstrations_takes_as_many_of_each_source() -> None:
-    episodes = [{"source": source} for source in "aaabbb"]
-    assert data.chosen(episodes, 4) == [0, 1, 3, 4]
-    assert data.chosen(episodes, 3) == [0, 1, 3]
-    assert data.chosen(episodes, 9) == list(range(6))
-
-
-def test_the_data_chart_at_toy_size_holds_what_ran_last(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(data, "pretrained", lambda run, name, seed: run.units)
-    row = {"fz_r2_worst": -0.1}
-    monkeypatch.setattr(
-        data, "measure", lambda run, units, seed, real, facts: row | {"fz_r2": units / 1000}
-    )
-    for units in ("64,128", "256"):
-        assert data.main(["part=pairs", f"units={units}", f"out={tmp_path}"]) == 0
-    found = json.loads((tmp_path / "chart_data.json").read_text())["pairs"]
-    assert [(one["name"], one["cost"], one["score"]) for one in found["points"]] == [
-        ("256 units", 8192, 0.256)
-    ]
-    assert (
-        found["pareto_front"] == ["256 units"]
-        and (tmp_path / "chart_data_pairs.png").stat().st_size > 5000
-    )
-
-
-def test_demonstrations_need_a_view(capsys: pytest.CaptureFixture[str]) -> None:
-    assert data.main([]) == 2
-    assert "expected a training view's folder, got none" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_the_contact_chart_at_toy_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(contact, "SENSORS", ("tactip",))
-    monkeypatch.setattr(contact, "CELLS_mm", (2.5, 5.0))
-    assert contact.main(["contacts=2", "rounds=1", f"out={tmp_path}"]) == 0
-    found = json.loads((tmp_path / "chart_contact.json").read_text())["sensors"]["tactip"]
-    fine, coarse = found["points"]
-    assert fine["default"] and not coarse["default"] and fine["score"] > coarse["score"] > 0
-    assert (tmp_path / "chart_contact_tactip.png").stat().st_size > 5000
-
-
-def test_the_scenes_points_are_what_was_rolled_out_and_presses_are_over_the_finest() -> None:
-    times = {2: 20.0, 4: 10.0, 32: 1.0}
-    settings = [
-        {"substeps": n, "times_real_time": x, "press_N": [6.0 + 3 / n, 6.0]}
-        for n, x in times.items()
-    ]
-    clean = {
-        "V+T, 480 Hz": {"k": 3, "n": 4, "low": 0.3, "high": 0.9},
-        "expert, 240 Hz": {"k": 0, "n": 4},
-    }
-    assert scene.points(settings, clean) == [Point("480 Hz", 100.0, 0.75, 0.3, 0.9, True)]
-    coarse, usual, finest = scene.pressed(settings).values()
-    assert coarse[0] > usual[0] > finest[0] == 1 and coarse[1] == 1
-
-
-@pytest.mark.slow
-def test_the_scene_chart_at_toy_size_goes_on_where_it_was(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    settings = [{"substeps": n, "times_real_time": 64 / n, "press_N": [6 + 1 / n]} for n in (4, 32)]
-    monkeypatch.setattr(scene, "solvers", lambda asked, repeats: {"settings": settings})
-    asked = ["substeps=4", "rollouts=1", "workers=1", f"out={tmp_path}"]
-    assert scene.main(asked) == 0
-    rows = (tmp_path / "chart_scene_20000.jsonl").read_text()
-    assert scene.main(asked) == 0 and (tmp_path / "chart_scene_20000.jsonl").read_text() == rows
-    clean = json.loads((tmp_path / "chart_scene.json").read_text())["clean"]
-    assert {cell: share["n"] for cell, share in clean.items()} == dict.fromkeys(
-        ("expert, 480 Hz", "V+T, 480 Hz", "V, 480 Hz"), 1
-    )
