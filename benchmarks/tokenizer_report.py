@@ -1,7 +1,5 @@
 """Score a tokenizer's zero-shot force on a frozen set; freeze a set; train the shipped heads."""
 
-from __future__ import annotations
-
 import json
 import logging
 import sys
