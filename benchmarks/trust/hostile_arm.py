@@ -20,6 +20,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -47,7 +48,9 @@ NO_STATE_BYTES = (0, 1, 8, HAND_STATE_BYTES - 1, STATE_BYTES - 1, STATE_BYTES + 
 SOURCE = random.Random(0)
 KEPT = 200  # states sent, for faults that send them again
 MIDWAY_s = 0.05  # a command of the hand is under way for
-MOVING_m_s, MOVING_rad_s = 0.002, 0.02  # of the tool; below both the arm is at rest
+MOVING_m_s = 0.002  # of the tool; below both the arm is at rest
+MOVING_rad_s = 0.02
+LOOK_s = 1 / 30  # between two looks
 
 
 class Babble(p.Header):
@@ -414,6 +417,13 @@ class HostileStandIn(StandIn):
     """A running ``HostileServer``; ``do("fault", name=…)`` breaks it."""
 
     module = "benchmarks.trust.hostile_arm"
+
+    def look_after(self, for_s: float) -> dict[str, Any]:
+        """Return what it shows once its own clock, slow on a busy machine, went on by ``for_s``."""
+        end_ms = self.do("look")["arm"]["milliseconds"] + 1e3 * for_s
+        while (look := self.do("look"))["arm"]["milliseconds"] < end_ms:
+            time.sleep(LOOK_s)
+        return look
 
 
 if __name__ == "__main__":

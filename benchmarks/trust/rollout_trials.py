@@ -27,8 +27,9 @@ from lerobot.scripts.lerobot_rollout import rollout
 
 from benchmarks.ledger import Ledger
 from benchmarks.recorder.rig import new_address
+from benchmarks.trust.attempts import begun
 from benchmarks.trust.hostile_arm import HostileStandIn
-from benchmarks.trust.hostile_trials import STARTS, AFTER_s, HOLD_s, Sleeper, STARVED_s
+from benchmarks.trust.hostile_trials import AFTER_s, HOLD_s
 from lerobot_policy_pi05_uniforce.action import NetworkUnits
 from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
@@ -297,34 +298,10 @@ def trial(name: str, rig: Rig) -> Trial:
 
 def hold_s(fci: HostileStandIn, broken_ms: int) -> float:
     """Return how long the arm moved on, by its own clock; infinity while it moves."""
-    end_ms = fci.do("look")["arm"]["milliseconds"] + 1e3 * AFTER_s
-    while (look := fci.do("look")["arm"])["milliseconds"] < end_ms:
-        time.sleep(STEP_s)
-    if look["held_since_ms"] is None:
+    arm = fci.look_after(AFTER_s)["arm"]
+    if arm["held_since_ms"] is None:
         return float("inf")
-    return max(look["last_moving_ms"] - broken_ms, 0) / 1e3
-
-
-def begun_trial(name: str, rig: Rig) -> Trial:
-    """Return a trial; what a starved machine stopped, before the fault or for another reason, is tried again, counted.
-
-    The last of ``STARTS`` counts, whatever came of it; RuntimeError, RobotError: it never began.
-    """
-    for starved in range(STARTS):
-        with Sleeper() as sleeper:
-            try:
-                found = replace(trial(name, rig), starved=starved)
-            except (RuntimeError, FaultError) as error:
-                print(f"not begun: {error}", file=sys.stderr)
-                if starved == STARTS - 1:
-                    raise
-                continue
-        if found.is_right or sleeper.late_s < STARVED_s:
-            break
-        print(
-            f"{name}: a starved machine, late by {sleeper.late_s:.2f} s: {found}", file=sys.stderr
-        )
-    return found
+    return max(arm["last_moving_ms"] - broken_ms, 0) / 1e3
 
 
 def main() -> None:
@@ -335,7 +312,8 @@ def main() -> None:
     rows = Ledger(folder)
     with Rig(folder) as rig:
         for _ in range(len(rows.read(name)), times):
-            rows.add(name, asdict(begun_trial(name, rig)))
+            found, starved, _ = begun(name, lambda: trial(name, rig), lambda row: row.is_right)
+            rows.add(name, asdict(replace(found, starved=starved)))
 
 
 if __name__ == "__main__":
