@@ -1,6 +1,5 @@
-"""How long calls take: several in turns, so that a busy machine slows all alike, or one for some seconds."""
+"""How long calls take: several in turns, so that a busy machine slows all alike."""
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from statistics import median
 
@@ -21,13 +20,3 @@ def in_turns[Call: Callable, Taken](
 def ratio(times: Sequence[float], base: Sequence[float]) -> float:
     """Return the median over rounds of a time over another one of the same round."""
     return median(a / b for a, b in zip(times, base, strict=True))
-
-
-def repeated(call: Callable[[], object], seconds: float) -> tuple[int, float]:
-    """Call for so long; return how often, and the seconds that took; a first call, which fills caches, is not in it."""
-    call()
-    start, calls = time.perf_counter(), 0
-    while (spent := time.perf_counter() - start) < seconds or not calls:
-        call()
-        calls += 1
-    return calls, spent
