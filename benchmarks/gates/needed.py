@@ -1,14 +1,15 @@
-"""Was noise added until touch was needed?  Clean wipes against the pull and the unevenness of level `touch`.
+"""Was noise added until touch was needed?  Clean wipes against pull and unevenness of `touch`.
 
-One of the two is changed at a time, the other stays as in the level. Scripts keep what they learnt at the level itself.
+One of the two is changed at a time, the other stays as in the level. Scripts keep what they learnt
+at the level itself.
 """
 
-import itertools
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from joblib import delayed
 from matplotlib.figure import Figure
 
@@ -28,8 +29,10 @@ from uniforce_vtla.options import Count, OutFile, OutFolder, Seed, Text, Workers
 from uniforce_vtla.results_file import provenance, write_json
 
 LEVEL = "touch"
-PULL, BOARD = "P3 stronger pull", "B1 rougher board"
-LEVEL_PULL_N, LEVEL_UNEVEN_mm = PullSettings().sd_N, 1000 * UnevenSettings().sd_m
+PULL = "P3 stronger pull"
+BOARD = "B1 rougher board"
+LEVEL_PULL_N = PullSettings().sd_N
+LEVEL_UNEVEN_mm = 1000 * UnevenSettings().sd_m
 # axis → operator that changes it, its value in the level, values shown
 AXES: dict[str, tuple[str, float, tuple[float, ...]]] = {
     "pull, sd per axis, N": (PULL, LEVEL_PULL_N, (0, 1, 2, 3, 4)),
@@ -60,11 +63,15 @@ class NeededCommand:
 
 def cells() -> list[tuple[str, float]]:
     """Return operator and factor of each cell; the level itself is in both axes."""
-    return [
-        (operator, round(value / usual, 4))
-        for operator, usual, values in AXES.values()
-        for value in values
-    ]
+    found = []
+    for operator, usual, values in AXES.values():
+        for value in values:
+            found.append((operator, round(value / usual, 4)))
+    return found
+
+
+def _cell(name: str, operator: str, factor: float) -> str:
+    return f"{name}, {operator} {factor:g}"
 
 
 def _script(
@@ -72,39 +79,30 @@ def _script(
 ) -> Row:
     worker_process()
     env = DisturbedEnv(SCENE_OPERATORS[operator].disturb(factor), level=LEVEL, drawn=())
-    return row_of(
-        _cell(name, operator, factor), env, run_script(env, GATES[name].make(fitted, folder), seed)
-    )
-
-
-def _cell(name: str, operator: str, factor: float) -> str:
-    return f"{name}, {operator} {factor:g}"
+    result = run_script(env, GATES[name].make(fitted, folder), seed)
+    return row_of(_cell(name, operator, factor), env, result)
 
 
 def roll(config: NeededCommand, fitted: Fitted) -> list[dict[str, Any]]:
     """Return a row per actor, cell and scene; those of an earlier run are kept."""
-    folder, first = Path(config.work), config.first_seed
-    arms = [
-        Arm(n, policies=tuple(split(given)))
-        for n, given in (("V+T", config.policy), ("V", config.blind))
-        if given
-    ]
+    folder = Path(config.work)
+    first = config.first_seed
+    arms = []
+    if config.policy:
+        arms.append(Arm("V+T", policies=tuple(split(config.policy))))
+    if config.blind:
+        arms.append(Arm("V", policies=tuple(split(config.blind))))
     episodes = []
-    for seed, (operator, factor) in itertools.product(
-        range(first, first + config.episodes), cells()
-    ):
-        for name in SCRIPTS:
-            job = delayed(_script)(name, operator, factor, seed, fitted, folder)
-            episodes.append((_cell(name, operator, factor), seed, job))
-        for arm in arms:
-            cell = _cell(arm.name, operator, factor)
-            episodes.append(
-                (
-                    cell,
-                    seed,
-                    delayed(play)(arm, LEVEL, arm.sensor, operator, factor, cell, seed, first),
-                )
-            )
+    for seed in range(first, first + config.episodes):
+        for operator, factor in cells():
+            for name in SCRIPTS:
+                cell = _cell(name, operator, factor)
+                job = delayed(_script)(name, operator, factor, seed, fitted, folder)
+                episodes.append((cell, seed, job))
+            for arm in arms:
+                cell = _cell(arm.name, operator, factor)
+                job = delayed(play)(arm, LEVEL, arm.sensor, operator, factor, cell, seed, first)
+                episodes.append((cell, seed, job))
     return played(folder / f"needed_{first}.jsonl", episodes, config.workers)
 
 
@@ -116,15 +114,15 @@ def curves(rows: list[dict[str, Any]], seeds: range) -> dict[str, dict[str, dict
             counted.setdefault(row["cell"], []).append(row["clean"])
     found: dict[str, dict[str, dict[str, Any]]] = {}
     for axis, (operator, usual, values) in AXES.items():
-        names = [_cell("", operator, round(value / usual, 4)) for value in values]
         for actor in (*SCRIPTS, "V+T", "V"):
-            own = [counted.get(actor + name, []) for name in names]
-            if any(own):
-                line = {
-                    "values": list(values),
-                    "clean": [sum(c) for c in own],
-                    "n": [len(c) for c in own],
-                }
+            clean = []
+            n = []
+            for value in values:
+                own = counted.get(_cell(actor, operator, round(value / usual, 4)), [])
+                clean.append(sum(own))
+                n.append(len(own))
+            if any(n):
+                line = {"values": list(values), "clean": clean, "n": n}
                 found.setdefault(axis, {})[actor] = line
     return found
 
@@ -135,7 +133,7 @@ def draw(found: dict[str, dict[str, dict[str, Any]]], path: Path) -> Path:
     panels = figure.subplots(1, len(found), sharey=True, squeeze=False)[0]
     for panel, (axis, lines) in zip(panels, found.items(), strict=True):
         for actor, line in lines.items():
-            share = [k / max(n, 1) for k, n in zip(line["clean"], line["n"], strict=True)]
+            share = np.array(line["clean"]) / np.maximum(line["n"], 1)
             panel.plot(line["values"], share, marker="o", markersize=3, label=actor)
         panel.axvline(AXES[axis][1], color="0.5", linestyle=":")
         panel.set(xlabel=f"{axis} (dotted: the level)", ylim=(-0.03, 1.03))

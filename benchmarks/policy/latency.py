@@ -1,8 +1,8 @@
-"""Latency of one action chunk: LeRobot's own loop and the fast sampler in turns, in one process, with random weights.
+"""Latency of one action chunk: LeRobot's own loop and the fast sampler in turns, random weights.
 
-Time depends on shapes alone, so no checkpoint is needed. ``tiny`` is the CPU policy; ``mid`` has π0.5's depth,
-cameras, prompt and flow steps at small widths, so that neither launches nor products of matrices are all of it;
-``base`` is the real size, for a GPU.
+Time depends on shapes alone, so no checkpoint is needed. ``tiny`` is the CPU policy; ``mid`` has
+π0.5's depth, cameras, prompt and flow steps at small widths, so that neither launches nor products
+of matrices are all of it; ``base`` is the real size, for a GPU.
 """
 
 import copy
@@ -16,10 +16,9 @@ from unittest import mock
 
 import torch
 from lerobot.configs import FeatureType, PolicyFeature
-from lerobot.policies.pi05 import modeling_pi05 as stock
+from lerobot.policies.pi05.modeling_pi05 import PI05Pytorch
 
 from benchmarks.policy.counts import count_flops, count_operations
-from benchmarks.timing import ratio
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import (
     PI05UniforceConfig,
     SamplerSettings,
@@ -120,7 +119,7 @@ def samplers(
     def slow() -> torch.Tensor:
         with lerobots_layers(network):
             *seen, _ = given
-            return stock.PI05Pytorch.sample_actions(network, *seen, noise=noise, num_steps=steps)
+            return PI05Pytorch.sample_actions(network, *seen, noise=noise, num_steps=steps)
 
     return {
         "stock": slow,
@@ -161,7 +160,8 @@ def bench_case(case: BenchCase, device: str, rounds: int, steps: int) -> dict[st
     for name, values in times.items():
         report[f"{name}_ms"] = statistics.median(values)
         report[f"{name}_p95_ms"] = sorted(values)[min(len(values) - 1, round(0.95 * len(values)))]
-    report["ratio"] = ratio(times["stock"], times["fast"])
+    pairs = zip(times["stock"], times["fast"], strict=True)
+    report["ratio"] = statistics.median(stock / fast for stock, fast in pairs)
     return report
 
 
