@@ -4,12 +4,11 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import torch
 from tqdm import tqdm
 
-from benchmarks.policy.counts import bench_memory
 from benchmarks.policy.latency import CASES, bench_case
 from benchmarks.policy.touch import bench_training
 from uniforce_cli.boundary import command
@@ -35,7 +34,6 @@ class BenchPolicyConfig:
     """Time a chunk with random weights, stock and fast in turns; write policy_latency.json.
 
     Example: python -m benchmarks.policy_speed rounds=9
-    With what loading takes: python -m benchmarks.policy_speed memory=base
     On a GPU: python -m benchmarks.policy_speed device=cuda rounds=30 training=base_3_cameras
     """
 
@@ -46,8 +44,6 @@ class BenchPolicyConfig:
     steps: FlowSteps = 10  # flow steps
     # case of which 20 training steps are timed, gradient and tokenizer checked; "" = not
     training: Case = ""
-    # "base" loads a synthetic checkpoint of the real size (9 GB of RAM, no disk); "" = not
-    memory: Literal["", "base"] = ""
     out: OutFolder = "outputs/bench_policy"  # policy_latency.json
 
 
@@ -72,8 +68,6 @@ def measure(config: BenchPolicyConfig) -> dict[str, Any]:
     if config.training:
         case = choose(CASES, config.training)[config.training]
         found["training"] = bench_training(case, config.device, TRAINING_STEPS)
-    if config.memory:
-        found["memory"] = {config.memory: bench_memory(size=config.memory, dtype="bfloat16")}
     return found
 
 
@@ -88,9 +82,8 @@ def main(config: BenchPolicyConfig) -> None:
             f"({r['ratio']:.2f}×), floor {r['floor_ms']:.1f} ms; "
             f"operations {r['operations']['fast']} of {r['operations']['stock']}"
         )
-    for name in ("training", "memory"):
-        if name in content:
-            print(f"{name}: {json.dumps(content[name])}")
+    if "training" in content:
+        print(f"training: {json.dumps(content['training'])}")
     print(f"written to {path}")
 
 

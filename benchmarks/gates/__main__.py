@@ -131,7 +131,7 @@ def play(level: str, gripper: str, name: str, seed: int, fitted: Fitted, folder:
 def run_all(config: GatesCommand, fitted: Fitted) -> list[dict[str, Any]]:
     """Return a row per script and scene; those of an earlier run are kept."""
     folder = Path(config.work)
-    rig = config.level
+    rig: str = config.level
     if config.gripper == "hand":
         rig += "_hand"
     path = folder / f"{rig}_{level_hash(get_level(config.level))}_{config.first_seed}_rows.jsonl"

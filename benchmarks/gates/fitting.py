@@ -84,10 +84,9 @@ def fit(
             data.append((looked, one.press_N))
         model, r2[name] = train_observer(data)
         torch.save(model.state_dict(), folder / f"{name}.pt")
-    laws = []
-    for k in (0, 1):
-        laws.append(_law([(one.lag_s[k], one.scale[k]) for one in found if one.lag_s[k]]))
-    fitted = Fitted(set_points, *laws, stiffness, rest, r2["observer"], r2["observer_ink"])
+    arm = _law([(one.lag_s[0], one.scale[0]) for one in found if one.lag_s[0]])
+    hand = _law([(one.lag_s[1], one.scale[1]) for one in found if one.lag_s[1]])
+    fitted = Fitted(set_points, arm, hand, stiffness, rest, r2["observer"], r2["observer_ink"])
     path.write_text(json.dumps(asdict(fitted)))
     return fitted
 

@@ -23,7 +23,6 @@ BANDS = (
     (0.20, 0.50),
     (0.50, 9.0),
 )
-THRESHOLDS = (0.06, 0.08, 0.10, 0.12, 0.14, 0.17, 0.20, 0.30)
 DRAWS = 1000  # of the bootstrap
 QUANTILES = (0.025, 0.975)
 
@@ -32,12 +31,10 @@ QUANTILES = (0.025, 0.975)
 class ScoredPairs:
     """N pairs, in the order in which they were scored."""
 
-    estimated: np.ndarray  # (N,) error as scored
     error: np.ndarray  # (N,) true error
     flagged: np.ndarray  # (N,) bool
     gate_open: np.ndarray  # (N,) bool, whether the hand was slow
     fault: np.ndarray  # (N,) what went wrong in their grasp
-    indenter: np.ndarray  # (N,) names
     grasp: np.ndarray  # (N,) number of the grasp, of all sessions
     rig: np.ndarray  # (N,) left and right sensor
 
@@ -61,7 +58,7 @@ def score_session(
     for indenter in indenters:
         frames = rig.frames(indenter)
         for _ in range(grasps):
-            parts.append(_score_grasp(rig, judge, readers, frames, indenter, session))
+            parts.append(_score_grasp(rig, judge, readers, frames, session))
     return ScoredPairs.joined(parts)
 
 
@@ -70,7 +67,6 @@ def _score_grasp(
     judge: PairJudge,
     readers: FingerReaders,
     frames: Iterator[RigFrame],
-    indenter: str,
     session: int,
 ) -> ScoredPairs:
     n = rig.rehearsal.grasps.frames
@@ -82,12 +78,10 @@ def _score_grasp(
     number = track.frames[0].grasp
     truth = rig.truths[number]
     return ScoredPairs(
-        quality.error,
         truth.error,
         quality.flagged,
         track.gate(rig.rate_hz, MotionLimits()) == "",
         np.repeat(truth.fault, n),
-        np.repeat(indenter, n),
         np.repeat(number + 10_000 * session, n),
         np.repeat("_".join(rig.sensors.values()), n),
     )
@@ -111,16 +105,12 @@ def precision_recall(flagged: np.ndarray, bad: np.ndarray) -> dict[str, float]:
 def report(scored: ScoredPairs) -> dict[str, Any]:
     flagged = scored.flagged
     bad = scored.error > LIMIT
-    every = np.ones(len(bad), bool)
     goal = scored.fault != BEYOND_THE_GOAL
     by_true_error = {}
     for low, high in BANDS:
         band = flagged[(scored.error > low) & (scored.error <= high) & goal]
         share = float(band.mean()) if len(band) else float("nan")
         by_true_error[f"{low:g}-{high:g}"] = {"pairs": len(band), "flagged": share}
-    by_threshold = {}
-    for limit in THRESHOLDS:
-        by_threshold[f"{limit:g}"] = precision_recall(scored.estimated[goal] > limit, bad[goal])
     # what a recorder would keep, gate and score together, all faults in play
     kept = scored.gate_open & ~flagged
     return {
@@ -135,21 +125,16 @@ def report(scored: ScoredPairs) -> dict[str, Any]:
             "good_kept": float(kept[~bad].mean()),
             "median_error_among_kept": float(np.median(scored.error[kept])),
         },
-        "by_rig": _by(scored.rig, flagged, bad, goal),
-        "by_rig_all_faults": _by(scored.rig, flagged, bad, every),
-        "by_indenter": _by(scored.indenter, flagged, bad, goal),
-        "by_fault": _by(scored.fault, flagged, bad, every),
+        "by_rig": _by(scored.rig[goal], flagged[goal], bad[goal]),
+        "by_fault": _by(scored.fault, flagged, bad),
         "by_true_error": by_true_error,
-        "by_threshold": by_threshold,
     }
 
 
-def _by(
-    label: np.ndarray, flagged: np.ndarray, bad: np.ndarray, rows: np.ndarray
-) -> dict[str, dict[str, float]]:
+def _by(label: np.ndarray, flagged: np.ndarray, bad: np.ndarray) -> dict[str, dict[str, float]]:
     found = {}
     for name in np.unique(label):
-        here = (label == name) & rows
+        here = label == name
         found[str(name)] = precision_recall(flagged[here], bad[here])
     return found
 

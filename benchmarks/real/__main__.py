@@ -12,6 +12,7 @@ from benchmarks.real.grasp_readers import grasp_readers
 from benchmarks.real.grasps import SEALED, SEEN, by_group, find_grasps, read_grasps_by
 from benchmarks.real.readouts import (
     RIDGES,
+    Features,
     descriptor_features,
     head_reading,
     labels_mm,
@@ -72,13 +73,14 @@ class RealCommand:
 
 def tactip_rows(config: RealCommand, tokenizer: Tokenizer, sets: list[TactipSet]) -> dict[str, Any]:
     """Return target → row → ridge → scores, of readouts fitted on the first set."""
-    rows = {
+    untrained = []
+    for seed in range(config.seeds):
+        untrained.append(latent_features(Tokenizer.random(tokenizer.config, seed)))
+    rows: dict[str, list[Features]] = {
         "tokenizer": [latent_features(tokenizer)],
-        "untrained": [],
+        "untrained": untrained,
         "descriptor": [descriptor_features],
     }
-    for seed in range(config.seeds):
-        rows["untrained"].append(latent_features(Tokenizer.random(tokenizer.config, seed)))
     found: dict[str, Any] = {}
     for one in sets:
         found[one.name] = {"reference": one.reference_from, "frames": len(one.current)}

@@ -17,8 +17,8 @@ class ForceCorrection:
     """Turn the shear plane, then gain · force + offset per axis; canonical frame."""
 
     turn_rad: float  # x towards y
-    gain: tuple[float, float, float]  # x, y, z
-    offset_N: tuple[float, float, float]
+    gain: np.ndarray  # (3,) x, y, z
+    offset_N: np.ndarray  # (3,)
 
     @classmethod
     def fit(cls, read_N: np.ndarray, known_N: np.ndarray) -> ForceCorrection:
@@ -48,11 +48,9 @@ class ForceCorrection:
             )
         turn = in_plane_turn_rad(read_N[:, :2], known_N[:, :2])
         mounted_N = turned(read_N, turn)
-        gain = np.zeros(3)
-        offset_N = np.zeros(3)
-        for k in range(3):
-            gain[k], offset_N[k] = np.polyfit(mounted_N[:, k], known_N[:, k], 1)
-        return cls(turn, tuple(gain.tolist()), tuple(offset_N.tolist()))
+        lines = [np.polyfit(mounted_N[:, k], known_N[:, k], 1) for k in range(3)]
+        gain, offset_N = np.transpose(lines)
+        return cls(turn, gain, offset_N)
 
     def __call__(self, read_N: np.ndarray) -> np.ndarray:
         """Return corrected forces (n, 3) in N."""

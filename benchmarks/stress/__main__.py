@@ -228,7 +228,10 @@ def check_used(config: StressCommand) -> None:
 @command(StressCommand)
 def main(config: StressCommand) -> None:
     check_used(config)
-    content = {"level": config.level, "level_hash": level_hash(LEVELS[config.level])}
+    content: dict[str, Any] = {
+        "level": config.level,
+        "level_hash": level_hash(LEVELS[config.level]),
+    }
     if config.part == "rollouts":
         content |= roll_out(config)
         _print_arms(content["arms"])

@@ -29,16 +29,19 @@ from uniforce_vtla.hand import LOST_s
 from uniforce_vtla.keys import AXES
 
 PERIOD_s = 1 / 30
-UNDER_WAY_s, NOTICE_s = 0.6, 15.0
+UNDER_WAY_s = 0.6
+NOTICE_s = 15.0
 AFTER_s = 0.7  # of the robot's own time, in which the arm is looked at
 STUCK_s = 45.0  # no trial takes so long
 HOLD_s = LEARN_s = 0.5  # the bars
 STILL_m = 0.001  # how far the fingers may go from then on
-SWAY_m, SWAY_s = 0.015, 1.0  # up to 0.09 m/s
+SWAY_m = 0.015
+SWAY_s = 1.0  # up to 0.09 m/s
 BOX = GuardLimits(low=(0.2, -0.3, 0.1, -np.pi, 0.0), high=(0.7, 0.3, 0.6, np.pi, 0.08))
 HELD_m = 0.03  # the object
 
-CONNECTION, BROKEN = ("connection",), ("bad_state", "jump", "speed", "connection", "force")
+CONNECTION = ("connection",)
+BROKEN = ("bad_state", "jump", "speed", "connection", "force")
 RIGHT_NAMES: dict[str, tuple[str, ...]] = {
     "nan_state": ("bad_state",),
     "inf_state": ("bad_state",),
@@ -73,7 +76,6 @@ RIGHT_NAMES: dict[str, tuple[str, ...]] = {
     "slip_out": ("grasp_lost",),
 }
 GRASPING = ("slip_out",)
-MIDWAY = ("hung_hand", "hand_dropped_midway", "hand_garbage_reply")  # need a command of the hand
 # No state arrives that a client could answer: a real arm ends the motion after 20 lost packets, and so does this one.
 STARVING = ("stopped_clock", "state_flood_old", "silent_arm", "garbage_state", "wrong_length_state")
 # The client reads these only when it expects an answer: the trial stops the arm, then asks for recovery.
