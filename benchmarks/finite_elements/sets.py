@@ -112,8 +112,13 @@ def draw_elements(settings: ElementSettings, sensor: VirtualSensor, side: int) -
             frames.append(shrink(pressed, side))
             descriptor.append(describe(free[0], pressed))
             forces.append(force)
-    arrays = [np.stack(rows) for rows in (reference, frames, descriptor, forces)]
-    return LabelledSet(*arrays, digest.hexdigest())
+    return LabelledSet(
+        np.stack(reference),
+        np.stack(frames),
+        np.stack(descriptor),
+        np.stack(forces),
+        digest.hexdigest(),
+    )
 
 
 def pictures(

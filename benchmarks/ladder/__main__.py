@@ -101,7 +101,11 @@ def configured(config: LadderCommand, entry: Entry) -> list[ScoreConfig]:
     first = config.first_seed or BLOCKS[entry.block].start
     parts = []
     for worn in entry.worn:
-        scenes = {"level": config.level, "first_seed": first, "rollouts": share}
+        scenes: dict[str, Any] = {
+            "level": config.level,
+            "first_seed": first,
+            "rollouts": share,
+        }
         if entry.calibrated:
             folder = Path(config.calibrations, entry.tokenizer, worn.replace(":", "-"))
             if not config.calibrations or not folder.is_dir():
@@ -262,8 +266,8 @@ def main(config: LadderCommand) -> None:
     content = judged(content)
     print(table(reports))
     for name, row in rows.items():
-        seeds = " ".join(row["clean_by_training_seed"])
-        share = f"share {row['in_band_share']:.2f}  training seeds {seeds}"
+        by_seed = " ".join(row["clean_by_training_seed"])
+        share = f"share {row['in_band_share']:.2f}  training seeds {by_seed}"
         print(f"{name:28} {wilson(row['clean'], row['n'])}  {share}")
     for claim in content["within"]:
         said = f"{100 * claim['difference']:+.0f} points, bound {100 * claim['lower']:+.0f}"

@@ -71,7 +71,7 @@ def bad_settings() -> Iterator[tuple[type, dict[str, Any], str]]:
     for kind, needed in NEEDS.items():
         for name, allowed in HARD_LIMITS[kind.__name__].items():
             sound = getattr(kind(**needed), name)
-            if not isinstance(sound, tuple):
+            if isinstance(allowed, Range):
                 for value in bad_values(allowed):
                     yield kind, needed | {name: value}, name
                 continue

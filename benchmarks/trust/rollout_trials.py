@@ -145,7 +145,7 @@ class Rig:
 
     def rollout(self) -> None:
         """Run LeRobot's program; it raises what ends it."""
-        capture = {"capture_width": 640, "capture_height": 480}
+        capture: dict[str, Any] = {"capture_width": 640, "capture_height": 480}
         cameras: dict[str, Any] = {}
         for name, stand_in in self.cameras.items():
             cameras[name] = UniforceSceneCameraConfig(
