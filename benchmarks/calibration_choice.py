@@ -43,7 +43,7 @@ NORMAL = (2,)  # axis
 class ChoiceCommand:
     """Compare the forms of a calibration on left-out grasps.
 
-    Example: python -m benchmarks.calibration_choice real=Incipient-Slip-Detection/docs/franka-servo/datasets
+    Example: python -m benchmarks.calibration_choice real=…/docs/franka-servo/datasets
     """
 
     # simulated units; those numbered 2 and 3 were used to choose the rule

@@ -57,7 +57,7 @@ def measure(command: PhysicsCommand) -> dict[str, Any]:
 
 
 def indentation() -> dict[str, Any]:
-    """Return force and depth of both pads over grips, and the largest error of force / stiffness."""
+    """Return force and depth of both pads over grips, and the largest error of stiffness."""
     measured = [rig.squeeze(width) for width in tqdm(WIDTHS_m, desc="grips")]
     force, depth = np.stack(measured, axis=1)  # (widths, 2) each
     error = np.abs(depth * np.array([PadSettings().flat_N_mm, PadSettings().dome_N_mm]) / force - 1)
@@ -89,7 +89,7 @@ def creep() -> dict[str, Any]:
 
 
 def wear(boards: int) -> dict[str, Any]:
-    """Return ink left over press, for several words and adhesions, and the limits around the good window."""
+    """Return ink left over press, of several words and adhesions, and the good window's limits."""
     limits = ScoreLimits()
     left = [[rig.residual_after(press, seed=seed) for press in PRESSES_N] for seed in range(boards)]
     return {

@@ -1,4 +1,4 @@
-"""Measure how long the policy takes from an observation to a chunk, LeRobot's own loop beside ours."""
+"""Measure the policy from an observation to a chunk, LeRobot's own loop beside ours."""
 
 import json
 import sys

@@ -58,7 +58,8 @@ class TokenizerReportCommand:
     Example: python -m benchmarks.tokenizer_report set=hetero_hard_v2 seeds=3
     """
 
-    # folder of your own force-labelled recordings in place of a simulated set (docs/data_readers.md)
+    # folder of your own force-labelled recordings in place of a simulated set
+    # (docs/data_readers.md)
     data: FolderPath = ""
     # zero_shot_v2 | hetero_hard_v2 | fe_dev_v1 (for choosing) | fe_contacts_v1 (for scoring)
     set: ReportSetName = "zero_shot_v2"

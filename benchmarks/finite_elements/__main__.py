@@ -1,4 +1,4 @@
-"""Is the contact model right?  Finite elements against theory, and the fast model against finite elements."""
+"""Finite elements against theory, and the fast contact model against finite elements."""
 
 import sys
 from collections.abc import Callable

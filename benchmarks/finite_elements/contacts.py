@@ -60,7 +60,7 @@ def solve_contacts(
     flat_share: float = 0.3,
     friction: float = 1.0,
 ) -> list[Contact]:
-    """Return ``n`` contacts of all 18 indenters and held flat tools, 1 to 14 N, sheared up to slip."""
+    """Return ``n`` contacts of all indenters and held flat tools, 1 to 14 N, sheared up to slip."""
     gel = fine_gel(sensor)
     position = cell_centres_mm(gel)
     dome = np.zeros(len(position))

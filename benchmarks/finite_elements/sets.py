@@ -40,7 +40,8 @@ class ElementSettings:
 FE_DEV = ElementSettings("fe_dev_v1", seed=41_001, contacts=36)
 FE_CONTACTS = ElementSettings("fe_contacts_v1", seed=41_002, contacts=78)
 
-# (thickness, Young's modulus, Poisson's ratio, readout) over the nominal ones; a dome's of skin and filling
+# (thickness, Young's modulus, Poisson's ratio, readout) over the nominal ones; a dome's of skin and
+# filling
 _SPREAD = ((0.8, 0.9, 1.02, 1.3), (1.0, 1.0, 1.0, 1.0), (1.2, 1.1, 0.98, 0.75))
 
 

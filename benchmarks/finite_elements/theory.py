@@ -12,7 +12,7 @@ _POISSON = 0.48
 
 
 def cell_centres_mm(gel: Gel) -> np.ndarray:
-    """Return (C, 2) centres of the cells of a gel's skin, in the order of its influence matrices."""
+    """Return (C, 2) centres of the cells of a gel's skin, ordered as its influence matrices."""
     x = cell_edges(gel.size_mm[0], gel.cell_mm)
     y = cell_edges(gel.size_mm[1], gel.cell_mm)
     grid = np.meshgrid((x[1:] + x[:-1]) / 2, (y[1:] + y[:-1]) / 2)
@@ -106,7 +106,7 @@ def reciprocity() -> float:
 
 
 def force_balance() -> float:
-    """Return the largest difference between a cell's load and what reaches the mount, per newton."""
+    """Return the largest difference of a cell's load and what reaches the mount, per newton."""
     mesh = PadMesh(Gel((12.0, 12.0), (Layer(4.0, 1.0),), 0.5))
     cells = ((5, 5), (2, 7), (0, 4))
     return float(max(np.abs(mesh.reaction(*cell) - np.eye(3)).max() for cell in cells))
@@ -135,7 +135,7 @@ def _hertz_radius_mm(press_N: float, radius_mm: float) -> float:
 
 
 def _marker_motion(cell_mm: float) -> np.ndarray:
-    """Return displacements at a grid of points .5 mm deep, of a sphere and of a flat punch, 6 N each."""
+    """Return displacements .5 mm deep, of a sphere and of a flat punch, 6 N each."""
     gel = Gel((25.0, 25.0), (Layer(4.0, 0.5),), 0.5, cell_mm=cell_mm)
     moved = compute_influence(gel, progress=False)
     position = cell_centres_mm(gel)

@@ -124,7 +124,7 @@ def _try(
 
 @dataclass(frozen=True)
 class Observation:
-    """One scene: what an expert's episode showed step by step, and the lags of a script in free air."""
+    """One scene: an expert's episode step by step, and the lags of a script in free air."""
 
     seen: np.ndarray  # (T, 11)
     press_N: np.ndarray  # (T,)

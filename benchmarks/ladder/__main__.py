@@ -228,7 +228,7 @@ def clean_by_seed(found: dict[str, Any]) -> dict[str, dict[int, bool]]:
 
 
 def judged(found: dict[str, Any]) -> dict[str, Any]:
-    """Return the report with the plan's claims and tests, each of the scenes that both of its rows share."""
+    """Return the report with the plan's claims and tests, of scenes that both rows share."""
     arms = clean_by_seed(found)
     return found | {"within": claims(arms), "tests": better(arms, BETTER)}
 

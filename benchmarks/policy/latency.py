@@ -65,7 +65,7 @@ CASES = {
 
 
 def build(case: BenchCase, device: str, touch: TouchSettings | None = None) -> PI05UniforcePytorch:
-    """Return a network of random weights, its adaptive norms included; without touch unless asked for."""
+    """Return a network of random weights, adaptive norms included; without touch by default."""
     torch.manual_seed(0)
     touch = touch or TouchSettings(slots={}, input="none")
     settings = copy.deepcopy(case.settings)
@@ -101,7 +101,7 @@ def observe(
 
 
 def lerobots_layers(network: PI05UniforcePytorch) -> Any:
-    """Run LeRobot's own layers in the tiny network, whose training path is ours; base has no others."""
+    """Run LeRobot's own layers in the tiny network; base has no others."""
     return mock.patch.object(network.paligemma_with_expert, "fused", False, create=True)
 
 
@@ -129,7 +129,7 @@ def samplers(
 
 @torch.no_grad()
 def bench_case(case: BenchCase, device: str, rounds: int, steps: int) -> dict[str, Any]:
-    """Return latencies [ms], operations, FLOPs, the floor they imply, and how far the two results are apart."""
+    """Return latencies [ms], operations, FLOPs, their floor, and how far the results are apart."""
     network = build(case, device)
     given, noise = observe(case, network, device)
     both = samplers(network, given, noise, steps)

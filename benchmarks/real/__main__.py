@@ -46,7 +46,7 @@ Objects = Annotated[str, Names(SETS, many=True)]
 class RealCommand:
     """Read real recordings as their authors store them; the recordings stay where they are.
 
-    TacTips with depth and shear labels: the first folder fits a linear readout, every other one is read with it.
+    TacTips with depth and shear labels: the first folder fits a readout, others are read by it.
     Example: python -m benchmarks.real data=cr_tactip/…/train_data,cr_tactip/…/val_data
     Grasps of two GelSight Minis: how well the normal forces of both fingers agree.
     Example: python -m benchmarks.real grasps=Incipient-Slip-Detection/docs/franka-servo/datasets

@@ -37,7 +37,8 @@ PITCH_mm = 7.0
 TURN_rad = np.array([-np.pi / 2, -np.pi / 2, np.pi, np.pi / 2, 0.0])
 EFLESH = SensorSpec(
     name="eflesh",
-    # worth: of half, once and twice this half, the one that read a second unit best in the open shear run
+    # worth: of half, once and twice this half, the one that read a second unit best in the open
+    # shear run
     taxels=TaxelSignal(pitch_mm=(PITCH_mm, PITCH_mm), worth=(1.0, 1.0, 4.0), tared=True),
     raw_shape=(CHIPS, 3),
     layout_mm=PITCH_mm * np.array([(0, 0), (-1, 0), (1, 0), (0, -1), (0, 1)], np.float32),

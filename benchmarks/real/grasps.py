@@ -125,7 +125,8 @@ def _light(frame: np.ndarray) -> np.ndarray:
 def read_films(trials: Sequence[GraspTrial], finger: Finger, borrow: bool = False) -> Films:
     """Return each trial's frames of a finger, every fifth once exposure holds, and its free air.
 
-    Raises SensorError: a frame whose markers can't be read; the fingers' frames are paired by number.
+    Raises SensorError: a frame whose markers can't be read; the fingers' frames are paired by
+    number.
     """
     frames: list[list[np.ndarray]] = []
     films: list[Film] = []
@@ -167,7 +168,7 @@ def drawn_grasp(
     references: Mapping[Finger, np.ndarray],
     chosen: Sequence[int],
 ) -> Grasp:
-    """Return the marker images of the chosen raw signals of both fingers, against their references."""
+    """Return the marker images of the chosen raw signals of both fingers, against references."""
     reference: dict[Finger, np.ndarray] = {}
     current: dict[Finger, np.ndarray] = {}
     for finger in FINGERS:
@@ -233,7 +234,7 @@ def summary(scores: Sequence[Score], seed: int = 0) -> dict[str, object]:
 
 
 def find_grasps(trials: Sequence[GraspTrial], borrow: bool = False) -> Iterator[Grasp]:
-    """Yield the trials of which both fingers have a reference and enough contact, a campaign at a time.
+    """Yield the trials with references and enough contact on both fingers, campaign by campaign.
 
     Args:
         trials: all that one rig recorded; those of other objects show which markers are free.
@@ -265,7 +266,7 @@ def find_grasps(trials: Sequence[GraspTrial], borrow: bool = False) -> Iterator[
 def read_grasps_by(
     grasps: Iterable[Grasp], readers: Mapping[str, Reader]
 ) -> dict[str, list[Reading]]:
-    """Return reader → readings; ``CHANCE``: the first reader's, of fingers that held two objects."""
+    """Return reader → readings; ``CHANCE``: the first's, of fingers that held two objects."""
     found: dict[str, list[Reading]] = {name: [] for name in readers}
     for grasp in tqdm(grasps, desc="grasps", unit="grasp"):
         for name, read in readers.items():

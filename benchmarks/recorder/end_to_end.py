@@ -141,7 +141,7 @@ def observe_p95_ms(stamps_s: np.ndarray) -> float:
 
 
 def lateness_ms(tick_s: np.ndarray, fps: int) -> tuple[np.ndarray, int]:
-    """Return how late each of (N,) ticks came, ms, and the deadlines missed, as the ticker counts."""
+    """Return how late each of (N,) ticks came, ms, and the missed deadlines."""
     period_s = 1 / fps
     due_s = float(tick_s[0])
     missed = 0

@@ -1,4 +1,4 @@
-"""kill -9 at random moments: what was saved stays, what runs may be lost, the next session goes on."""
+"""kill -9 at random moments: what was saved stays, and the next session goes on."""
 
 import random
 import signal

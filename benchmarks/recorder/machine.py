@@ -17,7 +17,7 @@ END_s = 60.0
 
 
 def tick(rate_hz: float, pipe: Connection) -> None:
-    """Tick until something comes through the pipe; send when each beat came, s, and its delay, ms."""
+    """Tick until something comes through the pipe; send each beat's time, s, and delay, ms."""
     ticker = Ticker(rate_hz)
     time_s = []
     late_ms = []
@@ -28,7 +28,7 @@ def tick(rate_hz: float, pipe: Connection) -> None:
 
 
 class IdleLoop:
-    """A loop that does nothing, on the recorder's own ticker; beside a session, in a process of its own."""
+    """An idle loop on the recorder's own ticker, in a process of its own."""
 
     def __init__(self, rate_hz: float) -> None:
         spawn = multiprocessing.get_context("spawn")

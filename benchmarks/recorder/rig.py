@@ -1,4 +1,4 @@
-"""A rig of stand-ins: arm and hand, a GelSight on the left finger, a uSkin on the right one, two scene cameras."""
+"""A rig of stand-ins: an arm, a GelSight on the left finger, a uSkin right, two scene cameras."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ class Rig:
         self.arm = ArmStandIn(new_address(), log=self._log)
 
     def session(self, root: Path, **settings: object) -> Session:
-        """Begin ``uniforce record`` into a folder; the program it is forked from is loaded at the first."""
+        """Begin ``uniforce record`` into a folder; the first loads the program behind it."""
         patience = self.plan.patience
         if self._program is None:
             log = self.plan.folder / "sessions.log"
@@ -158,9 +158,10 @@ class Rig:
         return self._log.stat().st_size
 
     def rest(self, mark: int, fault_s: float) -> dict[str, Any]:
-        """Wait until the arm rests; return when it was held, if ever, and how well its own clock ran.
+        """Wait until the arm rests; return when it was held, if ever, and how well its clock ran.
 
-        ``mark`` is where its log stood before the fault, which came at ``fault_s``, ``time.monotonic``.
+        ``mark`` is where its log stood before the fault, which came at ``fault_s``,
+        ``time.monotonic``.
         """
         deadline_s = time.monotonic() + REST_MAX_s * self.plan.patience
         hold = None

@@ -1,7 +1,8 @@
-"""Roll faults out: paired scenes, each dose beside one that must not matter, and what the counts say.
+"""Roll faults out: paired scenes, a dose that must not matter beside each, and the counts.
 
-All cells act in the same scenes. Each arm has its expert beside it: for a sensor's faults the one that reads the faulty
-sensor, for the scene's faults the one with the true wrench, so that an impossible cell isn't blamed on the policy.
+All cells act in the same scenes. Each arm has its expert beside it: for a sensor's faults the one
+that reads the faulty sensor, for the scene's faults the one with the true wrench, so that an
+impossible cell isn't blamed on the policy.
 """
 
 import math
@@ -97,7 +98,7 @@ def of_the_scene(most: int = 3) -> Doses:
 
 
 def cells_of(arm: Arm, doses: Mapping[str, Sequence[float]]) -> list[Cell]:
-    """Return an arm's cells: without a fault, each operator's benign dose, the doses to roll out."""
+    """Return an arm's cells: no fault, each operator's benign dose, the doses to roll out."""
     cells = [Cell(arm)]
     for name, wanted in doses.items():
         benign = ALL_OPERATORS[name].benign

@@ -103,7 +103,7 @@ def attack(frames: int) -> dict[str, Any]:
 
 @command(DamageConfig)
 def main(config: DamageConfig) -> int:
-    """Do all damage, write the table, print what was accepted; 1 where the full check accepted any."""
+    """Do all damage, write the table, print what was accepted; 1 if a full check accepted any."""
     logging.disable(logging.WARNING)  # copies without hashes say so
     found = attack(config.frames)
     path = update(Path(config.out), "damage", found)

@@ -1,4 +1,4 @@
-"""Rules of the guards, written a second time. Axes: x, y, z m, yaw rad, of an action width m; base frame."""
+"""Rules of the guards, written a second time. Axes: x, y, z, width m, yaw rad; base frame."""
 
 import math
 from typing import Any

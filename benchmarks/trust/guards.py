@@ -25,7 +25,7 @@ CHUNK = 100
 
 @dataclass
 class GuardsConfig:
-    """Count bad settings refused and bad poses sent; a newly found violation is printed with its seed.
+    """Count bad settings refused and bad poses sent; a new violation is printed with its seed.
 
     Example: python -m benchmarks.trust.guards episodes=2000 out=docs/results/trust.json
     """

@@ -76,9 +76,11 @@ RIGHT_NAMES: dict[str, tuple[str, ...]] = {
     "slip_out": ("grasp_lost",),
 }
 GRASPING = ("slip_out",)
-# No state arrives that a client could answer: a real arm ends the motion after 20 lost packets, and so does this one.
+# No state arrives that a client could answer: a real arm ends the motion after 20 lost packets, and
+# so does this one.
 STARVING = ("stopped_clock", "state_flood_old", "silent_arm", "garbage_state", "wrong_length_state")
-# The client reads these only when it expects an answer: the trial stops the arm, then asks for recovery.
+# The client reads these only when it expects an answer: the trial stops the arm, then asks for
+# recovery.
 AT_NEXT_ANSWER = ("arm_garbage_reply",)
 
 
@@ -132,7 +134,7 @@ def drive(
 
 
 def trial(fault: str, address: str, folder: Path) -> Trial:
-    """Begin a fault while the arm moves, go on until the caller learns, then look at what the arm did."""
+    """Begin a fault while the arm moves, go on until the caller learns, then look at the arm."""
     with HostileStandIn(address) as fci:
         robot = connect(fci, folder)
         try:
@@ -224,7 +226,7 @@ def _order(fci: HostileStandIn, fault: str) -> None:
 
 
 def knowable_s(robot: UniforceFranka, fci: HostileStandIn, fault: str, ordered_s: float) -> float:
-    """Return the first moment at which the fault could be known: at once, at a deadline, when a reading is too old."""
+    """Return when the fault could first be known: at once, or when a reading is too old."""
     hand, struck_s = robot._hand, fci.do("look")["hand"]["struck_s"]
     assert hand is not None
     if fault in ("hung_hand", "hand_garbage_reply"):  # the client waits for the rest of an answer
@@ -245,7 +247,7 @@ def _sends(robot: UniforceFranka, start: dict[str, float]) -> int:
 
 
 def _hold_s(fci: HostileStandIn, known_s: float) -> tuple[float, float]:
-    """Return how long the arm moved after ``known_s`` in its own time, infinity while it moves, and its rate."""
+    """Return how long the arm moved after ``known_s``, infinity while it moves, and its rate."""
     look = fci.look_after(AFTER_s)
     arm = look["arm"]
     fault = look["fault"]

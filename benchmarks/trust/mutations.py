@@ -132,7 +132,7 @@ class MutationsConfig:
 
 
 def notice(name: str) -> str:
-    """Return the first violation found with this mutation, "" for a survivor; in a fresh process."""
+    """Return the first violation found with this mutation, "" for a survivor; a fresh process."""
     with broken(name, MUTATIONS[name]):
         from benchmarks.trust.guard_cases import drive
 

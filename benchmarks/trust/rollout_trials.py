@@ -61,7 +61,7 @@ FREE = ("rest_s=2", "press_s=0")  # nothing is touched
 
 @dataclass(frozen=True)
 class Kind:
-    """A fault, and the names it may be reported by: an exception's class or a RobotError's fault."""
+    """A fault, and the names it may be reported by: an exception's or a RobotError's."""
 
     breaks: Callable[["Rig"], object]
     names: tuple[str, ...]

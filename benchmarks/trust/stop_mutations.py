@@ -1,4 +1,4 @@
-"""Would the sessions notice a broken stop? Each mutation breaks one place of a copy of the robot."""
+"""Would the sessions notice a broken stop? Each mutation breaks one place of a copy."""
 
 import sys
 from dataclasses import dataclass
@@ -17,9 +17,10 @@ BASE = "uniforce_robots/teleop/base.py"
 INTEGRATOR = "uniforce_robots/teleop/integrator.py"
 SESSION = "uniforce_robots/recorder/session.py"
 EPISODE = "uniforce_robots/recorder/episode.py"
-# Left out, since another layer does the same and nothing moves either way: keys that are not forgotten at a start (a
-# deflected device is refused there), letters of a note that steer (a note holds, and its end is a start), and a hand
-# that is levelled at once (what is sent is checked for its speed).
+# Left out, since another layer does the same and nothing moves either way: keys that are not
+# forgotten at a start (a deflected device is refused there), letters of a note that steer (a note
+# holds, and its end is a start), and a hand that is levelled at once (what is sent is checked for
+# its speed).
 MUTATIONS: dict[str, Mutation] = {
     "hand: goes on after a stop": (HAND, "self._stop_wanted = True", "pass"),
     "hand: keeps the wish over a stop": (
@@ -70,7 +71,8 @@ MUTATIONS: dict[str, Mutation] = {
     "teleop: the last target goes on": (
         INTEGRATOR,
         "self._target = np.array(measured, dtype=np.float64)\n        self._low",
-        'self._target = getattr(self, "_target", np.array(measured, dtype=np.float64))\n        self._low',
+        'self._target = getattr(self, "_target", np.array(measured, dtype=np.float64))\n'
+        "        self._low",
     ),
     "session: a fault is forgotten at once": (SESSION, "        self._is_off = True\n", ""),
     "session: begins without a hold": (

@@ -184,7 +184,7 @@ class Store:
 
 
 class Person(KeyOperator):
-    """Gives the other thread the word at each tick, holds keys down, and notes when the phase changes."""
+    """Gives the other thread the word at each tick, holds keys down, notes changes of phase."""
 
     def __init__(self, world: World, keys: TerminalKeys) -> None:
         super().__init__(keys)
@@ -395,7 +395,7 @@ class StopMachine(RuleBasedStateMachine):
         robot = self.robot
         return robot._stream is not None and robot._fault is None and robot._stream.fault is None
 
-    # --- a person at the keys and the cap --------------------------------------------------------------------------
+    # --- a person at the keys and the cap ---
 
     @precondition(lambda self: self.session)
     @rule(key=st.sampled_from(sorted(KEYS)), down=st.integers(1, 40), ticks=TICKS)
@@ -476,7 +476,7 @@ class StopMachine(RuleBasedStateMachine):
         if self.session is not None and not self.session.is_over:
             self.replug(0, 20)
 
-    # --- the robot, its sensors and its computer ---------------------------------------------------------------------
+    # --- the robot, its sensors and its computer ---
 
     @rule(data=st.data(), ticks=TICKS)
     def break_or_mend(self, data: st.DataObject, ticks: int) -> None:
@@ -580,7 +580,7 @@ class StopMachine(RuleBasedStateMachine):
     @precondition(lambda self: self.session)
     @rule(ticks=TICKS)
     def revive(self, ticks: int) -> None:
-        """Mend all that is broken and bring the session back to where it runs, without a new wish."""
+        """Mend all that is broken and bring the session back to where it runs, with no new wish."""
         session = self._live
         self._mend()
         session.rig.fault = None
@@ -597,7 +597,7 @@ class StopMachine(RuleBasedStateMachine):
             session.keys.press("space")
             self._wait(ticks)
 
-    # --- between sessions: a policy's loop ---------------------------------------------------------------------------
+    # --- between sessions: a policy's loop ---
 
     @precondition(lambda self: self.session)
     @rule()
