@@ -1,8 +1,9 @@
-"""The chosen calibration beside none, one gain and the map, on grasps that had no part in fit and choice.
+"""The chosen calibration beside none, one gain and the map, on grasps without part in the choice.
 
-Simulated units grasp beside a TacTip. Real grasps are of two GelSight Minis, either finger read against the other: by
-normal force alone, since a freely pinched object shears the fingers opposite ways. They judge in five parts: once by
-trial, and once by object, which is harder, since trials of one object resemble each other.
+Simulated units grasp beside a TacTip. Real grasps are of two GelSight Minis, either finger read
+against the other: by normal force alone, since a freely pinched object shears the fingers opposite
+ways. They judge in five parts: once by trial, and once by object, which is harder, since trials of
+one object resemble each other.
 """
 
 import sys
@@ -15,8 +16,8 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from benchmarks.real.grasp_readers import BATCH
-from benchmarks.real.grasps import SEALED, SEEN, Grasp, find_grasps
+from benchmarks.real.grasp_readers import encode_in_batches
+from benchmarks.real.grasps import SEALED, SEEN, find_grasps
 from uniforce_cli.boundary import command, one_thread
 from uniforce_cli.calibrate import Unit
 from uniforce_cli.paired_grasps import simulated_grasps
@@ -42,7 +43,7 @@ NORMAL = (2,)  # axis
 class ChoiceCommand:
     """Compare the forms of a calibration on left-out grasps.
 
-    Example: python -m benchmarks.calibration_choice real=Incipient-Slip-Detection/docs/franka-servo/datasets
+    Example: python -m benchmarks.calibration_choice real=…/docs/franka-servo/datasets
     """
 
     # simulated units; those numbered 2 and 3 were used to choose the rule
@@ -59,7 +60,8 @@ class ChoiceCommand:
 class Case:
     """Latents (n, P, L) of both fingers on the same grasps, and which of them judge.
 
-    Rows with the same part, 0 or above, judge together and are calibrated by all others; rows of part -1 never judge.
+    Rows with the same part, 0 or above, judge together and are calibrated by all others; rows of
+    part -1 never judge.
     """
 
     new: torch.Tensor
@@ -71,12 +73,13 @@ class Case:
 
 
 def compare(case: Case) -> dict[str, Any]:
-    """Return the error of each form and of the chosen one on grasps that judge, and the choice for each part."""
+    """Return the error of each form and of the chosen one, and the choice for each part."""
     known = newtons(case.head, case.anchor)
     read = {form: np.zeros_like(known) for form in (*FORMS, "chosen")}
     choices = []
     for part in range(case.parts.max() + 1):
-        judge, fit = np.flatnonzero(case.parts == part), np.flatnonzero(case.parts != part)
+        judge = np.flatnonzero(case.parts == part)
+        fit = np.flatnonzero(case.parts != part)
         paired = case.new[fit], case.anchor[fit], case.head, case.grasps[fit]
         for form in FORMS:
             read[form][judge] = fit_form(form, *paired).newtons(case.head, case.new[judge])
@@ -84,10 +87,10 @@ def compare(case: Case) -> dict[str, Any]:
         read["chosen"][judge] = read[choices[-1].form][judge]
     rows = np.flatnonzero(case.parts >= 0)
     grasps = grasp_numbers(case.grasps[rows], len(rows))
-    errors = {
-        form: error_of_grasps(of[rows], known[rows], grasps, case.axes) for form, of in read.items()
-    }
-    error = {form: float(of.mean()) for form, of in errors.items()}
+    error = {}
+    for form, of_form in read.items():
+        of_grasps = error_of_grasps(of_form[rows], known[rows], grasps, case.axes)
+        error[form] = float(of_grasps.mean())
     return {
         "grasps": int(grasps.max()) + 1,
         "error": error,
@@ -99,70 +102,67 @@ def compare(case: Case) -> dict[str, Any]:
 def simulated_case(config: ChoiceCommand, new: str, tokenizer: Tokenizer, head: ForceHead) -> Case:
     """Return simulated grasps of a unit beside the anchor: the second half judges."""
     found = simulated_grasps(new, config.anchor, 2 * config.grasps, config.seed, tokenizer.pooled)
-    of_new, of_anchor = (z.as_subclass(torch.Tensor) for z in (found.new, found.anchor))
+    of_new = found.new.as_subclass(torch.Tensor)
+    of_anchor = found.anchor.as_subclass(torch.Tensor)
     numbers = np.array(found.numbers)
     return Case(of_new, of_anchor, numbers, np.where(numbers < config.grasps, -1, 0), head, AXES)
 
 
 def real_cases(folder: str, tokenizer: Tokenizer, head: ForceHead) -> dict[str, Case]:
     """Return the development objects' grasps, by campaign, finger and what is left out together."""
-    found: dict[str, list[tuple[str, dict[Finger, torch.Tensor]]]] = {}
+    encode = encode_in_batches(tokenizer)
+    campaigns: dict[str, list[tuple[str, dict[Finger, torch.Tensor]]]] = {}
     for grasp in tqdm(find_grasps(read_grasps(folder)), desc="grasps", unit="grasp"):
         if grasp.held not in {*SEEN, *SEALED}:
-            latents = {finger: _latents(tokenizer, grasp, finger) for finger in FINGERS}
-            found.setdefault(grasp.group, []).append((grasp.held, latents))
+            latents = {}
+            for finger in FINGERS:
+                latents[finger] = encode(grasp.reference[finger], grasp.current[finger], finger)
+            campaigns.setdefault(grasp.group, []).append((grasp.held, latents))
     cases = {}
-    for campaign, trials in found.items():
-        if len(trials) < FOLDS:
-            print(f"GelSight Mini {campaign}: left out, {len(trials)} grasps are too few")
+    for campaign, grasps in campaigns.items():
+        if len(grasps) < FOLDS:
+            print(f"GelSight Mini {campaign}: left out, {len(grasps)} grasps are too few")
             continue
-        both = {finger: torch.cat([latents[finger] for _, latents in trials]) for finger in FINGERS}
-        frames = [len(latents["left"]) for _, latents in trials]
-        held = [name for name, _ in trials]
-        alike = {"trial": np.arange(len(trials)), "object": np.unique(held, return_inverse=True)[1]}
+        held = [name for name, _ in grasps]
+        frames = [len(latents["left"]) for _, latents in grasps]
+        left = torch.cat([latents["left"] for _, latents in grasps])
+        right = torch.cat([latents["right"] for _, latents in grasps])
+        alike = {"trial": np.arange(len(held)), "object": np.unique(held, return_inverse=True)[1]}
         for unit, numbers in alike.items():
             rows = np.repeat(numbers, frames)
-            for finger in FINGERS:
-                other: Finger = "right" if finger == "left" else "left"
+            for finger, new, anchor in (("left", left, right), ("right", right, left)):
                 name = f"GelSight Mini {campaign}, {finger} finger, a left-out {unit}"
-                cases[name] = Case(both[finger], both[other], rows, folds(rows), head, NORMAL)
+                cases[name] = Case(new, anchor, rows, folds(rows), head, NORMAL)
     return cases
-
-
-def _latents(tokenizer: Tokenizer, grasp: Grasp, finger: Finger) -> torch.Tensor:
-    encode = tokenizer.pooled
-    current = grasp.current[finger]
-    parts = [current[first : first + BATCH] for first in range(0, len(current), BATCH)]
-    encoded = [
-        encode(grasp.reference[finger], part, finger).as_subclass(torch.Tensor) for part in parts
-    ]
-    return torch.cat(encoded)  # (T, P, L)
 
 
 @command(ChoiceCommand)
 def main(config: ChoiceCommand) -> None:
     one_thread()
-    tokenizer = Tokenizer.from_pretrained(config.tokenizer or None)
-    tokenizer_folder = config.tokenizer or None
-    anchor_head = ForceHead.from_pretrained(config.anchor.partition(":")[0], tokenizer_folder)
+    folder = config.tokenizer or None
+    tokenizer = Tokenizer.from_pretrained(folder)
+    anchor_head = ForceHead.from_pretrained(config.anchor.partition(":")[0], folder)
     found = {}
     for new in split(config.new):
         found[f"simulated {new}"] = compare(simulated_case(config, new, tokenizer, anchor_head))
         print(line(f"simulated {new}", found[f"simulated {new}"]), flush=True)
     if config.real:
-        for name, case in real_cases(
-            config.real, tokenizer, ForceHead.from_pretrained("gelsight", tokenizer_folder)
-        ).items():
+        head = ForceHead.from_pretrained("gelsight", folder)
+        for name, case in real_cases(config.real, tokenizer, head).items():
             found[name] = compare(case)
             print(line(name, found[name]), flush=True)
     else:
         print("real grasps: left out, real= names no folder")
     never = sum(row["never_worse"] for row in found.values())
-    what = "squared difference of newtons in units of the anchor's variance, on grasps without part in fit and choice"
-    content = {"what": what, "cases": found, "never_worse_than_none": never, "of": len(found)}
-    where = write_json(
-        Path(config.out), content | {"tokenizer_hash": tokenizer.hash} | provenance()
-    )
+    content = {
+        "what": "squared difference of newtons in units of the anchor's variance, "
+        "on grasps without part in fit and choice",
+        "cases": found,
+        "never_worse_than_none": never,
+        "of": len(found),
+        "tokenizer_hash": tokenizer.hash,
+    }
+    where = write_json(Path(config.out), content | provenance())
     print(f"never worse than none: {never} of {len(found)}; written to {where}")
 
 

@@ -1,4 +1,4 @@
-"""Lets the API reference show a dataclass's fields: their comments are their documentation, as in ``--help``."""
+"""Lets the API reference show a dataclass's fields, documented by their comments."""
 
 import ast
 import io

@@ -1,4 +1,4 @@
-"""Findings of trials, a line each, so that a stopped run goes on; and result files that several of them fill."""
+"""Findings of trials, a line each, so that a stopped run goes on; and shared result files."""
 
 import json
 from collections.abc import Callable, Iterable
@@ -15,7 +15,8 @@ from uniforce_vtla.results_file import append_line, only_writer, provenance, rea
 class Ledger:
     """Append-only lists of findings by name, each ``NAME.jsonl`` in a folder.
 
-    ``shows`` is called with each finding as it comes: its list's name, its number in it from 1, itself.
+    ``shows`` is called with each finding as it comes: its list's name, its number in it from 1,
+    itself.
     """
 
     def __init__(
@@ -35,9 +36,10 @@ class Ledger:
 def played(
     path: Path, episodes: Iterable[tuple[str, int, Any]], workers: int
 ) -> list[dict[str, Any]]:
-    """Return the rows of the ledger ``path`` once it holds these episodes: cell, scene, and joblib's call for its Row.
+    """Return the rows of the ledger ``path`` once it holds these episodes.
 
-    What it holds is not played again. Raises ContractError: another process adds to it now.
+    An episode is its cell, its scene, and joblib's call for its Row. What the ledger holds is not
+    played again. Raises ContractError: another process adds to it now.
     """
     ledger = Ledger(path.parent)
     with only_writer(path):
@@ -54,7 +56,7 @@ def played(
 
 
 def update(path: Path, key: str, content: dict[str, Any]) -> Path:
-    """Replace one key of a result file, and under ``made_by`` the command that made it; the others stay."""
+    """Replace one key of a result file, and the command under ``made_by``; the others stay."""
     whole = json.loads(path.read_text()) if path.is_file() else {}
     origin = whole.get("made_by", {}) | {key: provenance()}
     return write_json(path, whole | {key: content, "made_by": origin})

@@ -1,4 +1,4 @@
-"""Measure the pair recorder's score against the simulator's truth: does it find the pairs out of balance?"""
+"""Measure the pair recorder's score against the simulator's truth."""
 
 import sys
 from dataclasses import asdict, dataclass
@@ -7,7 +7,6 @@ from typing import Annotated, Any
 
 from tqdm import tqdm
 
-from benchmarks.pairs.evaluation import ScoredPairs
 from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.contact.indenters import PRETRAIN, SEEN
 from uniforce_vtla.options import Count, Names, OutFile, Pattern, Seed, split
@@ -26,9 +25,9 @@ Rigs = Annotated[str, Pattern("left+right sensors", r"\w+\+\w+(,\s*\w+\+\w+)*", 
 
 @dataclass
 class PairQualityConfig:
-    """Rehearse sessions with known truth and count right and wrong flags; or train the force readers.
+    """Rehearse sessions with known truth and count right and wrong flags; or train the readers.
 
-    Example: python -m benchmarks.pair_quality rigs=gelsight+tactip,uskin+tactip sessions=1 grasps=2
+    Example: python -m benchmarks.pair_quality rigs=gelsight+tactip sessions=1 grasps=2
     Readers of the shipped sensors: python -m benchmarks.pair_quality train=true
     """
 
@@ -38,31 +37,29 @@ class PairQualityConfig:
     indenters: Indenters = ALL_INDENTERS  # names
     seed: Seed = SEEN_SEEDS  # of the first session; the next ones count up
     train: bool = False  # train the force readers of the rigs' sensors first, into the package
-    out: OutFile = "outputs/pair_quality/pair_recorder.json"  # the figure lies beside it
+    out: OutFile = "outputs/pair_quality/pair_recorder.json"
 
 
 def measure(config: PairQualityConfig) -> dict[str, Any]:
-    """Return precision and recall over all rehearsed pairs, and by fault, rig, indenter and gate."""
-    from benchmarks.pairs.evaluation import draw_scores, report, score_session
+    """Return precision and recall over all rehearsed pairs, and by fault, rig, indenter."""
+    from benchmarks.pairs.evaluation import ScoredPairs, report, score_session
     from uniforce_robots.pairs import pair_judge
     from uniforce_robots.pairs.rehearsal import Rehearsal
 
-    rigs = [
-        tuple(get_sensor(name.strip()).name for name in rig.split("+"))
-        for rig in split(config.rigs)
-    ]
-    indenters = tuple(split(config.indenters))
+    rigs = []
+    for rig in split(config.rigs):
+        left, right = rig.split("+")
+        rigs.append((get_sensor(left.strip()).name, get_sensor(right.strip()).name))
     if config.train:
         _train(sorted({sensor for rig in rigs for sensor in rig}))
-    scored: list[ScoredPairs] = []
-    jobs = [(rig, k) for k in range(config.sessions) for rig in rigs]
-    for number, ((left, right), _) in enumerate(tqdm(jobs, desc="sessions", unit="session")):
+    scored = []
+    for number, (left, right) in enumerate(tqdm(config.sessions * rigs, desc="sessions")):
         rehearsal = Rehearsal(left, right, config.seed + number)
-        scored.append(score_session(rehearsal, indenters, config.grasps))
+        indenters = tuple(split(config.indenters))
+        scored.append(score_session(rehearsal, indenters, config.grasps, number))
     settings = {"limit": pair_judge.LIMIT, "trust": pair_judge.TRUST}
-    content = report(scored) | {"settings": settings, "config": asdict(config), "bar": BAR}
-    draw_scores(scored, content, Path(config.out).with_suffix(".png"))
-    return content
+    found = report(ScoredPairs.joined(scored))
+    return found | {"settings": settings, "config": asdict(config), "bar": BAR}
 
 
 def _train(sensors: list[str]) -> None:
@@ -95,7 +92,7 @@ def main(config: PairQualityConfig) -> None:
     for name in ("goal_faults", "all_faults"):
         row = content[name]
         print(f"{name}: {_line(row)}, {row['bad']} of {row['pairs']} pairs out of balance")
-    print(f"written to {path} and {path.with_suffix('.png')}")
+    print(f"written to {path}")
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 import itertools
 import sys
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -21,14 +20,18 @@ from uniforce_vtla.figure_file import save_figure
 from uniforce_vtla.options import Count, OutFolder
 from uniforce_vtla.results_file import provenance, write_json
 
-WIDTHS_m = (0.028, 0.026, 0.024, 0.022, 0.020, 0.018, 0.016)  # commanded, around an eraser of 30 mm
+# commanded, around an eraser of 30 mm
+WIDTHS_m = (0.028, 0.026, 0.024, 0.022, 0.020, 0.018, 0.016)
 FRICTIONS = (0.3, 0.5, 0.65, 0.8)
 GRIPS_m = (0.024, 0.020)  # commanded widths of the slip test
 LOAD_SHARES = (0.2, 0.4, 0.6, 0.8, 0.9)  # of the slip load
 PRESSES_N = tuple(np.arange(0.0, 12.01, 0.5).tolist())
 DEPTHS_m = (0.008, 0.012, 0.014)  # target below first contact
 SUBSTEPS = (2, 3, 4, 8, 16, 32)  # the last one is the reference
-GREY, BLUE, ORANGE, RED = "0.45", "#1f6fb2", "#d9822b", "#c23b3b"
+GREY = "0.45"
+BLUE = "#1f6fb2"
+ORANGE = "#d9822b"
+RED = "#c23b3b"
 
 
 @dataclass
@@ -44,21 +47,19 @@ class PhysicsCommand:
 
 
 def measure(command: PhysicsCommand) -> dict[str, Any]:
-    panels: dict[str, Callable[[], Any]] = {
-        "indentation": indentation,
-        "slip": slip,
-        "creep": creep,
-        "wear": lambda: wear(command.boards),
-        "time_step": lambda: solvers(
-            [SolverSettings(substeps=n) for n in SUBSTEPS], command.repeats
-        ),
+    return {
+        "indentation": indentation(),
+        "slip": slip(),
+        "creep": creep(),
+        "wear": wear(command.boards),
+        "time_step": time_step(command.repeats),
     }
-    return {name: panel() for name, panel in tqdm(panels.items(), desc="physics")}
 
 
 def indentation() -> dict[str, Any]:
-    """Return force and depth of both pads over grips, and the largest error against force over stiffness."""
-    force, depth = np.stack([rig.squeeze(width) for width in WIDTHS_m], axis=1)  # (widths, 2) each
+    """Return force and depth of both pads over grips, and the largest error of stiffness."""
+    measured = [rig.squeeze(width) for width in tqdm(WIDTHS_m, desc="grips")]
+    force, depth = np.stack(measured, axis=1)  # (widths, 2) each
     error = np.abs(depth * np.array([PadSettings().flat_N_mm, PadSettings().dome_N_mm]) / force - 1)
     return {
         "force_N": force.tolist(),
@@ -68,13 +69,17 @@ def indentation() -> dict[str, Any]:
 
 
 def slip() -> dict[str, Any]:
-    loads = [rig.slip_load(mu, width) for mu, width in itertools.product(FRICTIONS, GRIPS_m)]
-    worst = max(abs(load["measured_N"] / load["coulomb_N"] - 1) for load in loads)
+    loads = []
+    worst = 0.0
+    for friction, width in tqdm(list(itertools.product(FRICTIONS, GRIPS_m)), desc="slip loads"):
+        load = rig.slip_load(friction, width)
+        loads.append(load)
+        worst = max(worst, abs(load["measured_N"] / load["coulomb_N"] - 1))
     return {"loads": loads, "worst_relative_error": worst}
 
 
 def creep() -> dict[str, Any]:
-    """Return sinking speed over load, as a share of the slip load, with and without the no-slip pass."""
+    """Return sinking speed over load, a share of the slip load, with and without no-slip pass."""
     without = SolverSettings(noslip_iterations=0)
     return {
         "share": list(LOAD_SHARES),
@@ -84,7 +89,7 @@ def creep() -> dict[str, Any]:
 
 
 def wear(boards: int) -> dict[str, Any]:
-    """Return ink left over press, for several words and adhesions, and the limits around the good window."""
+    """Return ink left over press, of several words and adhesions, and the good window's limits."""
     limits = ScoreLimits()
     left = [[rig.residual_after(press, seed=seed) for press in PRESSES_N] for seed in range(boards)]
     return {
@@ -95,27 +100,33 @@ def wear(boards: int) -> dict[str, Any]:
     }
 
 
-def solvers(settings: list[SolverSettings], repeats: int) -> dict[str, Any]:
-    """Return press, ink and speed of the same strokes under each setting, timed in turns."""
-    strokes: list[list[list[rig.Stroke]]] = [[[] for _ in DEPTHS_m] for _ in settings]
-    for _, (i, solver), (j, depth) in itertools.product(
-        range(repeats), enumerate(settings), enumerate(DEPTHS_m)
-    ):
-        strokes[i][j].append(rig.stroke(depth, solver))
+def time_step(repeats: int) -> dict[str, Any]:
+    """Return press, ink and speed of the same strokes at each time step, timed in turns."""
+    solvers = [SolverSettings(substeps=n) for n in SUBSTEPS]
+    strokes: dict[tuple[SolverSettings, float], rig.Stroke] = {}
+    times: dict[SolverSettings, list[float]] = {solver: [] for solver in solvers}
+    for _ in tqdm(range(repeats), desc="time steps"):
+        for solver, depth in itertools.product(solvers, DEPTHS_m):
+            stroke = rig.stroke(depth, solver)
+            strokes.setdefault((solver, depth), stroke)
+            times[solver].append(stroke.times_real_time)
     found = []
-    for solver, runs in zip(settings, strokes, strict=True):
-        times = [run.times_real_time for depth in runs for run in depth]
+    for solver in solvers:
+        own = [strokes[solver, depth] for depth in DEPTHS_m]
         found.append(
             asdict(solver)
-            | {"physics_hz": solver.physics_hz, "times_real_time": float(np.median(times))}
-            | {"press_N": [depth[0].press_N for depth in runs]}
-            | {"residual": [depth[0].residual for depth in runs]}
+            | {
+                "physics_hz": solver.physics_hz,
+                "times_real_time": float(np.median(times[solver])),
+                "press_N": [stroke.press_N for stroke in own],
+                "residual": [stroke.residual for stroke in own],
+            }
         )
     return {"depth_m": list(DEPTHS_m), "settings": found}
 
 
 def draw_page(panels: dict[str, Any], path: Path) -> Path:
-    """Draw five panels from the numbers of ``python -m benchmarks.physics`` and return the picture's path."""
+    """Draw five panels and return the picture's path."""
     figure = Figure(figsize=(13, 7.4), layout="constrained")
     axes = figure.subplots(2, 3)
     axes[1, 2].remove()
@@ -203,13 +214,11 @@ def _time_step(axis: Axes, panel: dict[str, Any]) -> None:
 def main(command: PhysicsCommand) -> None:
     panels = measure(command)
     what = "simulated; nothing hidden in the scene, GelSight left, TacTip right"
-    path = write_json(
-        Path(command.results) / "physics.json", {"what": what, **panels} | provenance()
-    )
+    path = Path(command.results) / "physics.json"
+    write_json(path, {"what": what, **panels} | provenance())
     page = draw_page(panels, path.with_suffix(".png"))
-    print(
-        f"indentation: within {100 * panels['indentation']['worst_relative_error']:.2f} % of force / stiffness"
-    )
+    deep = 100 * panels["indentation"]["worst_relative_error"]
+    print(f"indentation: within {deep:.2f} % of force / stiffness")
     print(f"slip load: within {100 * panels['slip']['worst_relative_error']:.1f} % of 2 μ F")
     print(f"numbers in {path}, figures in {page}")
 

@@ -1,4 +1,4 @@
-"""A rig inside the scene to measure what a laboratory would: stiffness, slip load, creep, wear, the time step."""
+"""A rig in the scene to measure what a laboratory would: stiffness, slip, creep, wear, the step."""
 
 import time
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ LOAD_STEP_N = 0.02  # added per control step while a load ramps up: 0.6 N/s, slo
 
 
 def quiet_scene(seed: int = 3, level: str = "easy", **changes: Any) -> SceneParams:
-    """Return a scene with nothing hidden in the way of a measurement; ``changes`` are fields of SceneParams."""
+    """Return a scene with nothing hidden in the way; ``changes`` are fields of SceneParams."""
     calm: dict[str, Any] = dict.fromkeys(("stiffness_scale", "gripper_gain", "letter_scale"), 1.0)
     calm |= dict.fromkeys(
         ("stiction_Nm", "gripper_dead_band_m", "board_turn_rad", "eraser_turn_rad"), 0.0
@@ -48,7 +48,7 @@ def grasped(
     stiffness: tuple[float, float] = (1.0, 1.0),
     **changes: Any,
 ) -> WipeSimulation:
-    """Return a simulation that holds the eraser in the air, the gripper commanded to ``width_m``."""
+    """Return a simulation that holds the eraser in the air, commanded to ``width_m``."""
     sim = WipeSimulation(quiet_scene(**changes), "gelsight", "tactip", solver, stiffness)
     x, y = sim.scene.level.layout.tray_m
     hold(sim, [x, y, GRASP_m, 0.0, OPEN_m], 25)
@@ -58,7 +58,7 @@ def grasped(
 
 
 def pressed(depth_m: float, solver: SolverSettings | None = None, **changes: Any) -> WipeSimulation:
-    """Return a simulation that presses the eraser on the board, the target ``depth_m`` below first contact."""
+    """Return one that presses the eraser on the board, ``depth_m`` below first contact."""
     sim = grasped(solver=solver, **changes)
     x, y = sim.scene.level.layout.board_center_m
     width = sim.target[4]
@@ -68,14 +68,14 @@ def pressed(depth_m: float, solver: SolverSettings | None = None, **changes: Any
 
 
 def squeeze(width_m: float, **changes: Any) -> np.ndarray:
-    """Return the settled force N and indentation mm, (2, 2), of (left, right), of a grasp at a commanded width."""
+    """Return settled force N and indentation mm, (2, 2), of (left, right), at a commanded width."""
     sim = grasped(width_m, **changes)
     pads = [sim.pads[finger] for finger in FINGERS]
     return np.array([[pad.wrench[2] for pad in pads], [pad.depth_mm for pad in pads]])
 
 
 def slip_load(friction: float, width_m: float = 0.022) -> dict[str, float]:
-    """Hang a growing load on the held eraser until it slides; return what Coulomb allows, 2 μ F, and what it took."""
+    """Load the held eraser until it slides; return what Coulomb allows, 2 μ F, and what it took."""
     sim = grasped(width_m, pad_friction=(friction, friction))
     eraser = sim.model.body("eraser").id
     weight_N = sim.scene.eraser_mass_kg * GRAVITY_m_s2
@@ -92,7 +92,7 @@ def slip_load(friction: float, width_m: float = 0.022) -> dict[str, float]:
 def creep_mm_s(
     share: float, friction: float = 0.6, seconds: float = 2.0, solver: SolverSettings | None = None
 ) -> float:
-    """Return how fast the held eraser sinks under a load of ``share`` of its slip load, once settled."""
+    """Return how fast the held eraser sinks under a share of its slip load, once settled."""
     sim = grasped(solver=solver, pad_friction=(friction, friction))
     load = share * 2 * friction * _grip_N(sim) - sim.scene.eraser_mass_kg * GRAVITY_m_s2
     sim.data.xfrc_applied[sim.model.body("eraser").id, 2] = -load
@@ -108,7 +108,7 @@ def _grip_N(sim: WipeSimulation) -> float:  # noqa: N802  a unit
 
 @dataclass(frozen=True)
 class Stroke:
-    """One stroke under press: its mean press N, the ink it left (share), and simulated seconds per CPU second."""
+    """One stroke: mean press N, the ink it left (share), simulated seconds per CPU second."""
 
     press_N: float
     residual: float
@@ -131,7 +131,7 @@ def stroke(depth_m: float, solver: SolverSettings | None = None, **changes: Any)
 
 
 def residual_after(press_N: float, passes: int = 2, seed: int = 3, level: str = "easy") -> float:
-    """Return the share of ink left by exactly ``press_N``, spread evenly, drawn ``passes`` times over the word."""
+    """Return the share of ink left by an even ``press_N``, drawn ``passes`` times over the word."""
     scene = draw_scene(seed, level)
     ink = InkField(scene)
     layout = scene.level.layout

@@ -1,24 +1,24 @@
-"""Measure how long the policy takes from an observation to a chunk, LeRobot's own loop beside ours."""
+"""Measure the policy from an observation to a chunk, LeRobot's own loop beside ours."""
 
 import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import torch
 from tqdm import tqdm
 
-from benchmarks.policy.counts import bench_memory
 from benchmarks.policy.latency import CASES, bench_case
-from benchmarks.policy.touch import bench_touch, bench_training
+from benchmarks.policy.touch import bench_training
 from uniforce_cli.boundary import command
 from uniforce_vtla.arguments import choose
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import Count, Names, OutFolder, Pattern, Range
 from uniforce_vtla.results_file import provenance, write_json
 
-CPU_CASES, GPU_CASES = "tiny,mid_3_cameras,mid_2_of_3_cameras", "base_3_cameras"
+CPU_CASES = "tiny,mid_3_cameras,mid_2_of_3_cameras"
+GPU_CASES = "base_3_cameras"
 TRAINING_STEPS = 20
 BAR_CASE = "mid_2_of_3_cameras"  # whose numbers stand at the top of the file
 
@@ -34,7 +34,6 @@ class BenchPolicyConfig:
     """Time a chunk with random weights, stock and fast in turns; write policy_latency.json.
 
     Example: python -m benchmarks.policy_speed rounds=9
-    With what touch costs and what loading takes: python -m benchmarks.policy_speed touch=mid_3_cameras memory=base
     On a GPU: python -m benchmarks.policy_speed device=cuda rounds=30 training=base_3_cameras
     """
 
@@ -43,43 +42,33 @@ class BenchPolicyConfig:
     # stock and fast once each per round; medians and the median of the ratios are reported
     rounds: Count = 9
     steps: FlowSteps = 10  # flow steps
-    # case on which two slots of touch are timed too, e.g. mid_3_cameras; "" = not. Calls and training steps of three
-    # networks with their optimisers at once: 94 GB for base
-    touch: Case = ""
     # case of which 20 training steps are timed, gradient and tokenizer checked; "" = not
     training: Case = ""
-    # "base" loads a synthetic checkpoint of the real size (9 GB of RAM, no disk); "" = not
-    memory: Literal["", "base"] = ""
     out: OutFolder = "outputs/bench_policy"  # policy_latency.json
 
 
 def measure(config: BenchPolicyConfig) -> dict[str, Any]:
-    """Return the chosen cases' reports; raises ContractError: an unknown case, or cuda where there is none."""
-    if config.device.startswith("cuda") and not torch.cuda.is_available():
-        raise ContractError(expected("device", "a CUDA device", "none here", "Use device=cpu."))
+    """Return the chosen cases' reports; ContractError: an unknown case, or no CUDA device here."""
     on_gpu = config.device.startswith("cuda")
-    cases = choose(CASES, config.only or (GPU_CASES if on_gpu else CPU_CASES))
-    reports = {
-        case.name: bench_case(case, config.device, config.rounds, config.steps)
-        for case in tqdm(cases.values(), desc="cases")
-    }
+    if on_gpu and not torch.cuda.is_available():
+        raise ContractError(expected("device", "a CUDA device", "none here", "Use device=cpu."))
+    fit = GPU_CASES if on_gpu else CPU_CASES
+    reports = {}
+    for case in tqdm(choose(CASES, config.only or fit).values(), desc="cases"):
+        reports[case.name] = bench_case(case, config.device, config.rounds, config.steps)
     head = reports.get(BAR_CASE) or next(iter(reports.values()))
     short = {key: head[key] for key in ("config", "device", "stock_ms", "fast_ms", "ratio")}
-    more: dict[str, Any] = {}
-    if config.touch:
-        case = choose(CASES, config.touch)[config.touch]
-        more["touch"] = bench_touch(case, config.device, config.rounds, config.steps)
-    if config.training:
-        case = choose(CASES, config.training)[config.training]
-        more["training"] = bench_training(case, config.device, TRAINING_STEPS)
-    if config.memory:
-        more["memory"] = {config.memory: bench_memory(size=config.memory, dtype="bfloat16")}
-    return more | {
+    found: dict[str, Any] = {
         "what": "random weights, batch 1, float32 on CPU, bfloat16 on GPU",
-        "cpu": None if on_gpu else short,
-        "gpu": short if on_gpu else "not run",
+        "cpu": None,
+        "gpu": "not run",
         "cases": reports,
     }
+    found["gpu" if on_gpu else "cpu"] = short
+    if config.training:
+        case = choose(CASES, config.training)[config.training]
+        found["training"] = bench_training(case, config.device, TRAINING_STEPS)
+    return found
 
 
 @command(BenchPolicyConfig)
@@ -89,12 +78,12 @@ def main(config: BenchPolicyConfig) -> None:
     path = write_json(Path(config.out) / "policy_latency.json", content | provenance())
     for name, r in content["cases"].items():
         print(
-            f"{name}: stock {r['stock_ms']:.1f} ms, fast {r['fast_ms']:.1f} ms ({r['ratio']:.2f}×), floor "
-            f"{r['floor_ms']:.1f} ms; operations {r['operations']['fast']} of {r['operations']['stock']}"
+            f"{name}: stock {r['stock_ms']:.1f} ms, fast {r['fast_ms']:.1f} ms "
+            f"({r['ratio']:.2f}×), floor {r['floor_ms']:.1f} ms; "
+            f"operations {r['operations']['fast']} of {r['operations']['stock']}"
         )
-    for name in ("touch", "training", "memory"):
-        if name in content:
-            print(f"{name}: {json.dumps(content[name])}")
+    if "training" in content:
+        print(f"training: {json.dumps(content['training'])}")
     print(f"written to {path}")
 
 

@@ -1,7 +1,8 @@
-"""Which scenes of the wiping level are for what, so that none is scored that something was chosen on.
+"""Which scenes of the wiping level are for what: none is scored that something was chosen on.
 
-A block is ``range(first, first + 10_000)`` or wider. Blocks below 40,000 are for development, 50,000 to 89,999 were
-used before this table existed. A block of final scenes is scored once; every later run takes a new one.
+A block is ``range(first, first + 10_000)`` or wider. Blocks below 40,000 are for development,
+50,000 to 89,999 were used before this table existed. A block of final scenes is scored once; every
+later run takes a new one.
 """
 
 BLOCKS: dict[str, range] = {

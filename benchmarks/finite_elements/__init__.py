@@ -1,1 +1,1 @@
-"""A second opinion on contact: friction solved step by step on finite elements. Scoring only, never for choosing."""
+"""A second opinion on contact: friction on finite elements.  For scoring, never for choosing."""

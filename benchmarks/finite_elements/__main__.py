@@ -1,7 +1,7 @@
-"""Is the contact model right?  Finite elements against theory, and the fast model against finite elements."""
+"""Finite elements against theory, and the fast contact model against finite elements."""
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -18,6 +18,7 @@ from uniforce_vtla.contact.elastic import influence
 from uniforce_vtla.contact.pads import build_pad
 from uniforce_vtla.contact.pressure import solve_pressure
 from uniforce_vtla.contact.responses import ContactOptions, PointMotion
+from uniforce_vtla.contact.sampling import FLAT
 from uniforce_vtla.contact.traction import Traction
 from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual, gel_of
 from uniforce_vtla.contracts import ContactState
@@ -31,7 +32,7 @@ _LEAST_N = 0.2  # contacts that carry less are left out: their motion is below a
 
 @dataclass
 class FiniteElementsCommand:
-    """Check finite elements against theory and the fast contact model against them; write contact_model.json.
+    """Check finite elements against theory, and the fast contact model against them.
 
     Example: python -m benchmarks.finite_elements contacts=100 results=docs/results
     """
@@ -44,11 +45,10 @@ class FiniteElementsCommand:
 def dome_slope() -> float:
     """Return the TacTip's stiffness in N/mm under a flat face between 3 and 6 N."""
     tactip = as_virtual("tactip")
+    pad = build_pad(gel_of(tactip.spec, tactip.material))
     face = flat_face_gap(np.zeros((2, 2)), np.full((2, 2), 60.0), np.zeros(2), np.zeros((2, 2)))
-    depth = solve_pressure(
-        build_pad(gel_of(tactip.spec, tactip.material)), face, np.array([3.0, 6.0])
-    ).depth_mm
-    return float(3 / (depth[1] - depth[0]))
+    depth_mm = solve_pressure(pad, face, np.array([3.0, 6.0])).depth_mm
+    return float(3 / (depth_mm[1] - depth_mm[0]))
 
 
 def measure(contacts: int, seed: int) -> dict[str, Any]:
@@ -61,74 +61,66 @@ def measure(contacts: int, seed: int) -> dict[str, Any]:
         "force_balance": theory.force_balance,
         "tactip_slope_N_per_mm": dome_slope,
     }
-    parts |= {name: partial(compare, as_virtual(name), contacts, seed) for name in SENSORS}
+    for name in SENSORS:
+        parts[name] = partial(compare, as_virtual(name), contacts, seed)
     found = {name: part() for name, part in tqdm(parts.items(), desc="finite elements")}
     flat = [found[name] for name in SENSORS[:2]]
-    return found | {
-        "contact_model": {
-            "press_r": min(f["press"]["correlation"] for f in flat),
-            "shear_r": min(f["shear"]["correlation"] for f in flat),
-            "depth_error": max(f["press"]["depth_error"] for f in flat),
-        },
-        "real_tactip_slopes_N_per_mm": REAL_TACTIPS_N_per_mm,
+    found["contact_model"] = {
+        "press_r": min(f["press"]["correlation"] for f in flat),
+        "shear_r": min(f["shear"]["correlation"] for f in flat),
+        "depth_error": max(f["press"]["depth_error"] for f in flat),
     }
+    found["real_tactip_slopes_N_per_mm"] = REAL_TACTIPS_N_per_mm
+    return found
 
 
-def compare(sensor: VirtualSensor, n: int, seed: int, friction: float = 1.0) -> dict[str, Any]:
-    """Return how well the fast model agrees with ``n`` contacts: correlation, slope, depth error."""
-    return agreement(
-        sensor, solve_contacts(np.random.default_rng(seed), sensor, n, friction=friction), friction
-    )
-
-
-def agreement(
-    sensor: VirtualSensor, contacts: Sequence[Contact], friction: float = 1.0
-) -> dict[str, Any]:
-    """Return how well the fast model of a sensor agrees with contacts solved on its finer mesh."""
-    simulator = TactileSimulator(
-        sensor, options=replace(ContactOptions().quiet(), friction=friction)
-    )
-    points, scale = sensor.spec.layout_mm, 1 / sensor.material.stiffness
-    fine, fast = (
-        PointMotion(i, points, scale)
-        for i in (influence(fine_gel(sensor)), simulator.pad.influence)
-    )
-    rows: dict[str, list[tuple[str, float, float, float, float]]] = {"press": [], "shear": []}
-    for contact in contacts:
-        for kind, step in (("press", PRESS_STEPS - 1), ("shear", -1)):
+def compare(sensor: VirtualSensor, n: int, seed: int) -> dict[str, Any]:
+    """Return how well the fast model agrees with ``n`` contacts solved on a finer mesh."""
+    contacts = solve_contacts(np.random.default_rng(seed), sensor, n)
+    simulator = TactileSimulator(sensor, options=replace(ContactOptions().quiet(), friction=1.0))
+    points_mm = sensor.spec.layout_mm
+    scale = 1 / sensor.material.stiffness
+    fine = PointMotion(influence(fine_gel(sensor)), points_mm, scale)
+    fast = PointMotion(simulator.pad.influence, points_mm, scale)
+    found = {}
+    for kind, step in (("press", PRESS_STEPS - 1), ("shear", -1)):
+        rows = []
+        names = []
+        for contact in contacts:
             if contact.force_N[step, 2] >= _LEAST_N:
-                rows[kind].append(_agreement(contact, step, simulator, fine, fast))
-    return {kind: _summary(found) for kind, found in rows.items()}
+                rows.append(_agreement(contact, step, simulator, fine, fast))
+                names.append(contact.name)
+        correlation, slope, depth_error, motion_error = np.array(rows).T
+        found[kind] = {
+            "n": len(rows),
+            "correlation": float(np.median(correlation)),
+            "correlation_p10": float(np.quantile(correlation, 0.1)),
+            "slope": float(np.median(slope)),
+            "slope_held_tools": float(np.median(slope[np.array(names) == FLAT])),
+            "depth_error": float(np.median(depth_error)),
+            "motion_error": float(np.median(motion_error)),
+        }
+    return found
 
 
 def _agreement(
     contact: Contact, step: int, simulator: TactileSimulator, fine: PointMotion, fast: PointMotion
-) -> tuple[str, float, float, float, float]:
-    cells, every = contact.cells[step], np.arange(len(contact.cells[step].press_N))
-    truth = Traction(
-        every, cells.press_N[None].astype(np.float32), cells.shear_N[None].astype(np.float32)
+) -> tuple[Any, Any, Any, Any]:
+    """Return correlation and slope of the markers' motion, and the errors of depth and motion."""
+    cells = contact.cells[step]
+    press_N = cells.press_N[None].astype(np.float32)
+    shear_N = cells.shear_N[None].astype(np.float32)
+    truth = Traction(np.arange(press_N.shape[1]), press_N, shear_N)
+    force_N = contact.force_N[step][None]
+    state = ContactState(contact.gap_mm[None], force_N, contact.torsion_Nmm[step][None])
+    wanted = fine(truth)[0, :2].ravel()
+    found = fast(simulator.traction(state))[0, :2].ravel()
+    return (
+        np.corrcoef(wanted, found)[0, 1],
+        wanted @ found / (wanted @ wanted),
+        abs(simulator.depth_mm(state)[0] / contact.depth_mm[step] - 1),
+        np.linalg.norm(found - wanted) / np.linalg.norm(wanted),
     )
-    force, torsion = contact.force_N[step][None], contact.torsion_Nmm[step][None]
-    state = ContactState(contact.gap_mm[None], force, torsion)
-    wanted, found = fine(truth)[0, :2].ravel(), fast(simulator.traction(state))[0, :2].ravel()
-    correlation, slope = np.corrcoef(wanted, found)[0, 1], wanted @ found / (wanted @ wanted)
-    depth = simulator.depth_mm(state)[0] / contact.depth_mm[step]
-    missed = np.linalg.norm(found - wanted) / np.linalg.norm(wanted)
-    return contact.name, float(correlation), float(slope), float(abs(depth - 1)), float(missed)
-
-
-def _summary(rows: list[tuple[str, float, float, float, float]]) -> dict[str, float]:
-    numbers = np.array([row[1:] for row in rows])
-    flat = np.array([row[0] == "flat" for row in rows])
-    return {
-        "n": len(rows),
-        "correlation": float(np.median(numbers[:, 0])),
-        "correlation_p10": float(np.quantile(numbers[:, 0], 0.1)),
-        "slope": float(np.median(numbers[:, 1])),
-        "slope_held_tools": float(np.median(numbers[flat, 1])),
-        "depth_error": float(np.median(numbers[:, 2])),
-        "motion_error": float(np.median(numbers[:, 3])),
-    }
 
 
 @command(FiniteElementsCommand)

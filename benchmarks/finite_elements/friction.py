@@ -1,8 +1,9 @@
 """Frictional contact of a rigid object on a pad's finite elements, in steps of the object's path.
 
-The normal part by an active set (p ≥ 0, no cell sinks in), the tangential part by projected gradients with momentum
-(FISTA) on what changed since the last step, |q| ≤ μ·p cell by cell; both in turns, for they couple: a nearly
-incompressible gel bulges under pressure, and friction holds it. The simulator's fast model knows neither.
+The normal part by an active set (p ≥ 0, no cell sinks in), the tangential part by projected
+gradients with momentum (FISTA) on what changed since the last step, |q| ≤ μ·p cell by cell; both in
+turns, for they couple: a nearly incompressible gel bulges under pressure, and friction holds it.
+The simulator's fast model knows neither.
 """
 
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ _STILL = 1e-5  # of the largest force a cell may carry, per gradient step
 
 @dataclass(frozen=True)
 class Motion:
-    """A rigid object's pose since first touch: ``depth_mm`` inwards, ``slide_mm`` (x, y), ``turn_rad`` about z."""
+    """A rigid object's pose since first touch: depth inwards, slide (x, y), turn about z."""
 
     depth_mm: float
     slide_mm: tuple[float, float] = (0.0, 0.0)
@@ -44,7 +45,7 @@ class FrictionContact:
         )
 
     def follow(self, gap_mm: np.ndarray, path: list[Motion]) -> list[CellForces]:
-        """Return the forces at each pose of ``path``; (C,) gaps, 0 where the object touches first, inf beyond it."""
+        """Return the forces at each pose of ``path``; (C,) gaps: 0 touches first, inf is beyond."""
         # bulging gel may rise to it
         near = np.flatnonzero(gap_mm < max(m.depth_mm for m in path) * 1.5 + 0.05)
         part = _Part(
@@ -94,7 +95,7 @@ class _Part:
         return press, shear.reshape(2, -1)
 
     def _pressed(self, overlap_mm: np.ndarray, press: np.ndarray) -> np.ndarray:
-        """Return forces ≥ 0 under which the skin keeps out of the object, given how far each cell would be inside."""
+        """Return forces ≥ 0 that keep the skin out of the object, by how far each cell is in."""
         active = press > 0 if press.any() else overlap_mm > 0
         for _ in range(_ACTIVE_ROUNDS):
             press = np.zeros_like(overlap_mm)
@@ -110,7 +111,7 @@ class _Part:
         return np.maximum(press, 0)
 
     def _factor(self, cells: np.ndarray) -> object:
-        """Return the factorised compliance of some cells; which of them touch seldom changes from turn to turn."""
+        """Return the factorised compliance of some cells; they seldom change between turns."""
         if not np.array_equal(self._factored[0], cells):
             self._factored = (cells, cho_factor(self._normal[np.ix_(cells, cells)], lower=True))
         return self._factored[1]
@@ -118,7 +119,7 @@ class _Part:
     def _dragged(
         self, due_mm: np.ndarray, shear: np.ndarray, before: np.ndarray, press: np.ndarray
     ) -> np.ndarray:
-        """Return tangential forces that make the skin follow the object by ``due_mm``, as far as friction allows."""
+        """Return tangential forces: the skin follows ``due_mm`` as far as friction allows."""
         cells = np.flatnonzero(press > 0)
         found = np.zeros_like(shear)
         if not len(cells):

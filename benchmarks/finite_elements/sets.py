@@ -1,7 +1,8 @@
-"""Labelled finite-element contacts: ``fe_dev_v1`` for choosing, ``fe_contacts_v1`` for scoring, frozen before training.
+"""Labelled finite-element contacts, frozen before training.
 
-Each sensor comes in three bodies of other thickness, Poisson's ratio, stiffness and marker depth, and two units of
-each. Every step of a contact's path is a labelled frame.
+``fe_dev_v1`` is for choosing, ``fe_contacts_v1`` for scoring. Each sensor comes in three bodies of
+other thickness, Poisson's ratio, stiffness and marker depth, and two units of each. Every step of
+a contact's path is a labelled frame.
 """
 
 import hashlib
@@ -39,7 +40,8 @@ class ElementSettings:
 FE_DEV = ElementSettings("fe_dev_v1", seed=41_001, contacts=36)
 FE_CONTACTS = ElementSettings("fe_contacts_v1", seed=41_002, contacts=78)
 
-# (thickness, Young's modulus, Poisson's ratio, readout) over the nominal ones; a dome's of skin and filling
+# (thickness, Young's modulus, Poisson's ratio, readout) over the nominal ones; a dome's of skin and
+# filling
 _SPREAD = ((0.8, 0.9, 1.02, 1.3), (1.0, 1.0, 1.0, 1.0), (1.2, 1.1, 0.98, 0.75))
 
 
@@ -50,13 +52,14 @@ def bodies(sensor: VirtualSensor) -> list[VirtualSensor]:
 def _changed(
     material: Material, thick: float, young: float, poisson: float, readout: float
 ) -> Material:
-    layers = tuple(
-        Layer(la.thickness_mm * thick, la.young_MPa * young, min(la.poisson * poisson, 0.49))
-        for la in material.layers
-    )
-    # pins root in the skin
-    depth = layers[0].thickness_mm if len(layers) > 1 else material.readout_mm * readout
-    return replace(material, layers=layers, readout_mm=depth)
+    layers = []
+    for layer in material.layers:
+        ratio = min(layer.poisson * poisson, 0.49)
+        layers.append(Layer(layer.thickness_mm * thick, layer.young_MPa * young, ratio))
+    depth_mm = material.readout_mm * readout
+    if len(layers) > 1:  # pins root in the skin
+        depth_mm = layers[0].thickness_mm
+    return replace(material, layers=tuple(layers), readout_mm=depth_mm)
 
 
 @dataclass(frozen=True)
@@ -88,28 +91,35 @@ def units(settings: ElementSettings, sensor: VirtualSensor) -> list[Unit]:
 
 
 def draw_elements(settings: ElementSettings, sensor: VirtualSensor, side: int) -> LabelledSet:
-    """Return one sensor's contacts, unit by unit; the digest is that of its own images and forces."""
-    digest, rows, forces = hashlib.sha256(sensor.name.encode()), [], []
+    """Return one sensor's contacts, unit by unit; the digest is of its own images and forces."""
+    digest = hashlib.sha256(sensor.name.encode())
     rng = np.random.default_rng([settings.seed, _name_seed(sensor)])
+    each = settings.contacts // len(_SPREAD) // UNITS_PER_BODY
+    reference = []
+    frames = []
+    descriptor = []
+    forces = []
     for unit in tqdm(units(settings, sensor), desc=f"solving {sensor.name}", leave=False):
-        each = settings.contacts // len(_SPREAD) // UNITS_PER_BODY
         contacts = solve_contacts(rng, unit.body, each, settings.flat_share, settings.friction)
         simulator = unit.simulator()
         before = simulator.reference()
         for contact in contacts:
             after, force = pictures(simulator, contact, settings.steps)
-            digest.update(
-                np.packbits(before > 0).tobytes()
-                + np.packbits(after > 0).tobytes()
-                + force.tobytes()
-            )
-            small = [to_nominal_scale(images, sensor.spec) for images in (before[None], after)]
-            rows.append(
-                (shrink(small[0], side)[0], shrink(small[1], side), describe(small[0][0], small[1]))
-            )
+            for part in (np.packbits(before > 0), np.packbits(after > 0), force):
+                digest.update(part.tobytes())
+            free = to_nominal_scale(before[None], sensor.spec)
+            pressed = to_nominal_scale(after, sensor.spec)
+            reference.append(shrink(free, side)[0])
+            frames.append(shrink(pressed, side))
+            descriptor.append(describe(free[0], pressed))
             forces.append(force)
-    reference, frames, descriptor = (np.stack(column) for column in zip(*rows, strict=True))
-    return LabelledSet(reference, frames, descriptor, np.stack(forces), digest.hexdigest())
+    return LabelledSet(
+        np.stack(reference),
+        np.stack(frames),
+        np.stack(descriptor),
+        np.stack(forces),
+        digest.hexdigest(),
+    )
 
 
 def pictures(

@@ -7,20 +7,21 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from joblib import Parallel, delayed
-from tqdm import tqdm
+from joblib import delayed
 
 from benchmarks.gates.blind import BlindScript, BlindSettings, MeasuredPress
 from benchmarks.gates.fitting import PRESSES_N, STYLES, Fitted, fit
 from benchmarks.gates.observer import Observed
 from benchmarks.gates.readings import EverySixth, Frozen, PlaneKnown, ReadingExpert, scaled, shifted
 from benchmarks.gates.scripts import HarderEachLook, KeepingExpert, LagIdentifying
-from benchmarks.ledger import Ledger
+from benchmarks.ledger import played
 from benchmarks.scene_blocks import BLOCKS
+from benchmarks.stress.actors import row_of
+from benchmarks.stress.row import Row
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.episodes import Script, run_script
-from lerobot_env_uniforce_wiping.levels import get_level, level_hash
-from uniforce_cli.boundary import Gripper, Level, command, one_thread
+from lerobot_env_uniforce_wiping.levels import Layout, get_level, level_hash
+from uniforce_cli.boundary import Gripper, Level, command, one_thread, worker_process
 from uniforce_vtla.arguments import choose
 from uniforce_vtla.evaluation.statistics import wilson
 from uniforce_vtla.options import Count, OutFile, OutFolder, Seed, Text, Workers
@@ -40,13 +41,13 @@ class Gate:
 
     def holds(self, clean: float) -> bool:
         """Return whether the level may be used, as far as this script goes."""
-        return clean >= (self.at_least or 0.0) and clean <= (
-            1.0 if self.at_most is None else self.at_most
-        )
+        if self.at_least is not None and clean < self.at_least:
+            return False
+        return self.at_most is None or clean <= self.at_most
 
 
 def _lag_identifying(fitted: Fitted, folder: Path) -> Script:
-    def style(layout, settings):  # type: ignore[no-untyped-def]
+    def style(layout: Layout, settings: BlindSettings) -> LagIdentifying:
         regulator = LagIdentifying(layout, settings)
         regulator.laws = (fitted.arm, fitted.gripper)
         return regulator
@@ -120,54 +121,40 @@ class GatesCommand:
     out: OutFile = "outputs/gates.json"
 
 
-def _episode(
-    level: str, gripper: str, name: str, seed: int, fitted: Fitted, folder: Path
-) -> dict[str, Any]:
+def play(level: str, gripper: str, name: str, seed: int, fitted: Fitted, folder: Path) -> Row:
+    """Let a script act in one scene."""
+    worker_process()
     env = WipeEnv(level=level, drawn=(), gripper=gripper)
-    result = run_script(env, GATES[name].make(fitted, folder), seed)
-    metrics = {key: round(float(value), 4) for key, value in result.metrics.items()}
-    return {
-        "script": name,
-        "seed": seed,
-        "clean": result.clean,
-        "outcome": result.outcome,
-    } | metrics
+    return row_of(name, env, run_script(env, GATES[name].make(fitted, folder), seed))
 
 
 def run_all(config: GatesCommand, fitted: Fitted) -> list[dict[str, Any]]:
     """Return a row per script and scene; those of an earlier run are kept."""
     folder = Path(config.work)
-    hand = "_hand" if config.gripper == "hand" else ""
-    ledger, own = (
-        Ledger(folder),
-        f"{config.level}{hand}_{level_hash(get_level(config.level))}_{config.first_seed}",
-    )
-    done = {(row["script"], row["seed"]) for row in ledger.read(own)}
+    rig: str = config.level
+    if config.gripper == "hand":
+        rig += "_hand"
+    path = folder / f"{rig}_{level_hash(get_level(config.level))}_{config.first_seed}_rows.jsonl"
     seeds = range(config.first_seed, config.first_seed + config.episodes)
-    wanted = [
-        (name, seed)
-        for seed in seeds
-        for name in choose(GATES, config.only)
-        if (name, seed) not in done
-    ]
-    jobs = [
-        delayed(_episode)(config.level, config.gripper, name, seed, fitted, folder)
-        for name, seed in wanted
-    ]
-    for row in tqdm(
-        Parallel(config.workers, return_as="generator")(jobs), total=len(jobs), desc="episodes"
-    ):
-        ledger.add(own, row)
-    return [row for row in ledger.read(own) if row["seed"] in seeds]
+    episodes = []
+    for seed in seeds:
+        for name in choose(GATES, config.only):
+            job = delayed(play)(config.level, config.gripper, name, seed, fitted, folder)
+            episodes.append((name, seed, job))
+    rows = played(path, episodes, config.workers)
+    return [row for row in rows if row["seed"] in seeds]
 
 
 def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Return a line per script that was run; ``by_seed`` as in an arm's (``EpisodeRow.code``)."""
+    by_script: dict[str, list[dict[str, Any]]] = {}
+    for row in sorted(rows, key=lambda row: row["seed"]):
+        by_script.setdefault(row["cell"], []).append(row)
     found = {}
     for name, gate in GATES.items():
-        own = sorted((row for row in rows if row["script"] == name), key=lambda row: row["seed"])
-        if not own:
+        if name not in by_script:
             continue
+        own = by_script[name]
         clean = sum(row["clean"] for row in own)
         interval = wilson(clean, len(own))
         found[name] = {
@@ -190,11 +177,17 @@ def main(config: GatesCommand) -> None:
     scenes = config.learn_from, config.sweep_on, config.learn_seed
     fitted = fit(config.level, config.gripper, *scenes, config.workers, Path(config.work))
     scripts = summarise(run_all(config, fitted))
+    must_pass = {}
+    must_fail = {}
     for name, line in scripts.items():
-        bar = f"≥ {line['at_least']}" if line["at_least"] is not None else f"≤ {line['at_most']}"
-        print(
-            f"{name:32} {line['clean']:3}/{line['n']}  {bar:7} {'holds' if line['holds'] else 'DOES NOT HOLD'}"
-        )
+        if line["at_least"] is not None:
+            must_pass[name] = line
+            bar = f"≥ {line['at_least']}"
+        else:
+            must_fail[name] = line
+            bar = f"≤ {line['at_most']}"
+        verdict = "holds" if line["holds"] else "DOES NOT HOLD"
+        print(f"{name:32} {line['clean']:3}/{line['n']}  {bar:7} {verdict}")
     content = {
         "level": config.level,
         "gripper": config.gripper,
@@ -203,8 +196,8 @@ def main(config: GatesCommand) -> None:
         "learnt_on": [config.learn_seed, config.learn_seed + config.learn_from - 1],
         "fitted": asdict(fitted),
         "all_hold": all(line["holds"] for line in scripts.values()),
-        "must_pass": {name: line for name, line in scripts.items() if line["at_least"] is not None},
-        "must_fail": {name: line for name, line in scripts.items() if line["at_most"] is not None},
+        "must_pass": must_pass,
+        "must_fail": must_fail,
     }
     print(f"written to {write_json(Path(config.out), content | provenance())}")
 

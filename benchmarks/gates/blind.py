@@ -1,4 +1,4 @@
-"""Scripts without touch: the expert's own sequence with grip and press from positions, nominal or measured."""
+"""Scripts without touch: the expert's own sequence, grip and press from positions."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -47,7 +47,7 @@ class Settled:
 
 
 class OpenLoopRegulator:
-    """Goes to the nominal eraser's width and the nominal board's height, less what grip and press take, and waits."""
+    """Goes to the nominal eraser's width and board's height, less what grip and press take."""
 
     def __init__(self, layout: Layout, settings: BlindSettings) -> None:
         self._layout = layout
@@ -75,7 +75,7 @@ class OpenLoopRegulator:
 
 
 class MeasuredPress(OpenLoopRegulator):
-    """Targets a fixed distance below the *measured* height, which lags on contact: a force, if K were known."""
+    """Targets a fixed distance below the *measured* height: a force, if K were known."""
 
     def __init__(self, layout: Layout, settings: BlindSettings) -> None:
         super().__init__(layout, settings)
@@ -95,7 +95,7 @@ class MeasuredPress(OpenLoopRegulator):
 
 
 class MeasuredRelative(MeasuredPress):
-    """Besides, targets a fixed distance inside the *measured* width: a force, if the gripper's stiffness were known."""
+    """Besides, targets a fixed distance inside the *measured* width: a force, if K were known."""
 
     def __init__(self, layout: Layout, settings: BlindSettings) -> None:
         super().__init__(layout, settings)
@@ -110,7 +110,7 @@ class MeasuredRelative(MeasuredPress):
 
 
 class BlindScript:
-    """A script with the expert's own sequence and layout, without touch; ``style`` makes its regulator."""
+    """The expert's own sequence and layout, without touch; ``style`` makes its regulator."""
 
     def __init__(
         self,

@@ -1,10 +1,11 @@
-"""Knowledge that the cleverest scripts learn on other scenes: stiffness from lag, press from height, an observer."""
+"""What the cleverest scripts learn on other scenes: stiffness, press from height, an observer."""
 
 import itertools
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -31,7 +32,9 @@ from lerobot_env_uniforce_wiping.sequence import Regulator
 PRESS_N = (4.0, 8.5)
 
 
-# what scripts without touch may choose from, at nominal stiffness: a nominal width yields, so it needs more grip
+# what scripts without touch may choose from, at nominal stiffness: a nominal width yields, so it
+# needs more grip
+INK = 10  # column of what an observer sees
 PRESSES_N = (4.0, 5.0, 6.0, 7.0)
 STYLES: dict[str, tuple[Callable[[Layout, BlindSettings], Regulator], tuple[float, float]]] = {
     "open loop": (OpenLoopRegulator, (11.0, 13.0)),
@@ -56,83 +59,72 @@ class Fitted:
 def fit(
     level: str, gripper: str, episodes: int, swept: int, first_seed: int, workers: int, folder: Path
 ) -> Fitted:
-    """Return what the scripts learn on ``episodes`` scenes, set points on ``swept`` of them; ``folder`` keeps it."""
+    """Return what scripts learn on ``episodes`` scenes, set points on ``swept``; kept in folder."""
     path = folder / "fitted.json"
     if path.is_file():
         stored = json.loads(path.read_text())
-        points = {
-            style: BlindSettings(**point) for style, point in stored.pop("set_points").items()
-        }
-        return Fitted(
-            points, LagLaw(**stored.pop("arm")), LagLaw(**stored.pop("gripper")), **stored
-        )
+        for style, point in stored["set_points"].items():
+            stored["set_points"][style] = BlindSettings(**point)
+        for law in ("arm", "gripper"):
+            stored[law] = LagLaw(**stored[law])
+        return Fitted(**stored)
     folder.mkdir(parents=True, exist_ok=True)
-    jobs = [
-        delayed(_observe)(level, gripper, seed) for seed in range(first_seed, first_seed + episodes)
-    ]
-    found = list(
-        tqdm(
-            Parallel(workers, return_as="generator")(jobs),
-            total=len(jobs),
-            desc="scenes to learn from",
-        )
-    )
-    set_points = _sweep(level, gripper, range(first_seed, first_seed + swept), workers)
+    seeds = range(first_seed, first_seed + episodes)
+    jobs = [delayed(_observe)(level, gripper, seed) for seed in seeds]
+    found = _all(jobs, workers, "scenes to learn from")
+    set_points = _sweep(level, gripper, seeds[:swept], workers)
     stiffness, rest = _line(found)
     r2 = {}
-    for name, ink in (("observer", False), ("observer_ink", True)):
-        data = [
-            (
-                f.seen if ink else np.where(np.arange(11) == 10, 0, f.seen).astype(np.float32),
-                f.press_N,
-            )
-            for f in found
-        ]
+    for name in ("observer", "observer_ink"):
+        data = []
+        for one in found:
+            looked = one.seen.copy()
+            if name == "observer":
+                looked[:, INK] = 0
+            data.append((looked, one.press_N))
         model, r2[name] = train_observer(data)
         torch.save(model.state_dict(), folder / f"{name}.pt")
-    arm_law = _law([(f.lag_s[0], f.scale[0]) for f in found if f.lag_s[0]])
-    gripper_law = _law([(f.lag_s[1], f.scale[1]) for f in found if f.lag_s[1]])
-    fitted = Fitted(
-        set_points, arm_law, gripper_law, stiffness, rest, r2["observer"], r2["observer_ink"]
-    )
+    arm = _law([(one.lag_s[0], one.scale[0]) for one in found if one.lag_s[0]])
+    hand = _law([(one.lag_s[1], one.scale[1]) for one in found if one.lag_s[1]])
+    fitted = Fitted(set_points, arm, hand, stiffness, rest, r2["observer"], r2["observer_ink"])
     path.write_text(json.dumps(asdict(fitted)))
     return fitted
 
 
+def _all(jobs: list[Any], workers: int, desc: str) -> list[Any]:
+    found = Parallel(workers, return_as="generator")(jobs)
+    return list(tqdm(found, total=len(jobs), desc=desc))
+
+
 def _sweep(level: str, gripper: str, seeds: range, workers: int) -> dict[str, BlindSettings]:
-    """Return each style's set points that wiped most of the scenes clean, by the mean in-band share where they tie."""
-    tried = [
-        (style, BlindSettings(press, grip))
-        for style, (_, grips) in STYLES.items()
-        for press, grip in itertools.product(PRESSES_N, grips)
-    ]
-    jobs = [
-        delayed(_try)(level, gripper, style, settings, seed)
-        for style, settings in tried
-        for seed in seeds
-    ]
-    found = list(
-        tqdm(Parallel(workers, return_as="generator")(jobs), total=len(jobs), desc="set points")
-    )
-    scores = np.array(found).reshape(len(tried), len(seeds), 2).mean(axis=1)
-    ranked = sorted(zip(scores.tolist(), tried, strict=True), key=lambda pair: pair[0])
-    return {style: settings for _, (style, settings) in ranked}  # the best comes last and stays
+    """Return each style's set points that wiped most scenes clean, then by in-band share."""
+    tried = []
+    jobs = []
+    for style, (_, grips) in STYLES.items():
+        for press, grip in itertools.product(PRESSES_N, grips):
+            settings = BlindSettings(press, grip)
+            tried.append((style, settings))
+            jobs += [delayed(_try)(level, gripper, style, settings, seed) for seed in seeds]
+    found = np.array(_all(jobs, workers, "set points"))
+    scores = found.reshape(len(tried), len(seeds), 2).mean(axis=1)
+    best = {}
+    for index in np.lexsort((scores[:, 1], scores[:, 0])):  # the best comes last and stays
+        style, settings = tried[index]
+        best[style] = settings
+    return best
 
 
 def _try(
     level: str, gripper: str, style: str, settings: BlindSettings, seed: int
 ) -> tuple[float, float]:
-    result = run_script(
-        WipeEnv(level=level, drawn=(), gripper=gripper),
-        BlindScript(settings, STYLES[style][0]),
-        seed,
-    )
+    env = WipeEnv(level=level, drawn=(), gripper=gripper)
+    result = run_script(env, BlindScript(settings, STYLES[style][0]), seed)
     return float(result.clean), result.metrics["in_band_share"]
 
 
 @dataclass(frozen=True)
 class Observation:
-    """One scene: what an expert's episode showed step by step, and the lags of a script in free air."""
+    """One scene: an expert's episode step by step, and the lags of a script in free air."""
 
     seen: np.ndarray  # (T, 11)
     press_N: np.ndarray  # (T,)
@@ -146,7 +138,10 @@ def _observe(level: str, gripper: str, seed: int) -> Observation:
     rng = np.random.default_rng([seed, 77])
     settings = AGAINST_PULL if env.level.pull else TouchSettings()
     expert = WipeExpert(settings=replace(settings, press_N=float(rng.uniform(*PRESS_N))))
-    looked, press, sunk, grasp_m = [], [], [], np.nan
+    looked = []
+    press = []
+    sunk = []
+    grasp_m = np.nan
     for _ in walk(env, expert, seed):
         if expert.phase in ("descend", "close"):
             grasp_m = float(env.state[2])
@@ -155,7 +150,7 @@ def _observe(level: str, gripper: str, seed: int) -> Observation:
         sunk.append(sunk_m(env, grasp_m))
     regulators: list[LagIdentifying] = []
 
-    def style(layout, settings):  # type: ignore[no-untyped-def]
+    def style(layout: Layout, settings: BlindSettings) -> LagIdentifying:
         regulators.append(LagIdentifying(layout, settings))
         return regulators[-1]
 
@@ -170,11 +165,10 @@ def _observe(level: str, gripper: str, seed: int) -> Observation:
 
 def _line(found: list[Observation]) -> tuple[float, float]:
     """Return stiffness N/m and rest m of press = stiffness · (rest + sunk), while it presses."""
-    sunk, press = (
-        np.concatenate([getattr(f, name) for f in found]) for name in ("sunk_m", "press_N")
-    )
+    sunk = np.concatenate([one.sunk_m for one in found])
+    press = np.concatenate([one.press_N for one in found])
     pressing = (press > 0.5) & np.isfinite(sunk)
-    # by their spreads: least squares would flatten the line by the board's unevenness, and regulate too weakly
+    # by their spreads: the board's unevenness would flatten a line of least squares
     stiffness = press[pressing].std() / sunk[pressing].std()
     return float(stiffness), float(press[pressing].mean() / stiffness - sunk[pressing].mean())
 

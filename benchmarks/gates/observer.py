@@ -1,4 +1,4 @@
-"""A recurrent observer of press: what a policy without touch could remember of pose, commands, and the ink left."""
+"""A recurrent observer of press: what a policy without touch could remember of its inputs."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +16,7 @@ HELD_OUT = 0.1  # of the episodes, for the R² that is reported
 
 
 def seen(env: WipeEnv, ink: bool) -> np.ndarray:
-    """Return (11,): the measured pose, how far the command is from it, and the ink that is left (0 without)."""
+    """Return (11,): the measured pose, the command's distance, the ink left (0 without)."""
     state = env.state.astype(np.float64)
     return np.array(
         [*state, *(env.sim.target - state), env.sim.ink.residual if ink else 0.0], np.float32
@@ -44,7 +44,7 @@ class PressObserver(nn.Module):
 def train_observer(
     episodes: list[tuple[np.ndarray, np.ndarray]], seed: int = 0
 ) -> tuple[PressObserver, float]:
-    """Return an observer trained on (T, 11), (T,) N per episode, and its R² over the episodes it was not shown."""
+    """Return an observer trained on (T, 11), (T,) N per episode, and its R² on those held out."""
     torch.manual_seed(seed)
     rng, held = np.random.default_rng(seed), max(1, round(HELD_OUT * len(episodes)))
     shown, kept = episodes[held:], episodes[:held]

@@ -1,4 +1,4 @@
-"""The expert with another reading of grip and press: scaled, shifted, seldom, frozen, or worked out without touch."""
+"""The expert with another reading of grip and press: changed, or worked out without touch."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,7 +16,7 @@ FEELS_s = 0.5  # of wiping, before touch freezes
 
 
 class ReadingExpert(WipeExpert):
-    """The expert, who believes what a rule makes of each reading; ``change`` makes a new rule for each episode."""
+    """The expert, who believes what a rule makes of a reading; each episode has a new rule."""
 
     def __init__(self, change: Callable[[], Change]) -> None:
         super().__init__()
@@ -43,7 +43,7 @@ def shifted(by_N: float) -> Change:
 
 
 class EverySixth:
-    """Touch that is refreshed every sixth step: what a policy reads that executes six steps of a chunk."""
+    """Touch refreshed every sixth step: what a policy reads that executes six steps of a chunk."""
 
     def __init__(self, steps: int = 6) -> None:
         self._steps, self._count = steps, 0
@@ -70,10 +70,10 @@ class Frozen:
 
 
 class PlaneKnown:
-    """Press worked out from the measured height, by one who knows the board's mean plane; grip is read.
+    """Press from the measured height, by one who knows the board's mean plane; grip is read.
 
-    ``stiffness_N_m`` and ``rest_m`` are fitted on development scenes: newtons per metre by which the hand is lower than
-    where the eraser just touches the plane.
+    ``stiffness_N_m`` and ``rest_m`` are fitted on development scenes: newtons per metre by which
+    the hand is lower than where the eraser just touches the plane.
     """
 
     def __init__(self, stiffness_N_m: float, rest_m: float) -> None:
@@ -91,7 +91,7 @@ class PlaneKnown:
 
 
 def sunk_m(env: WipeEnv, grasp_m: float) -> float:
-    """Return by how much the hand is lower than it would be with the eraser on the board's mean plane."""
+    """Return by how much the hand is below where the eraser is on the board's mean plane."""
     scene, x, y, z = env.scene, *env.state[:3].astype(np.float64)
     centre = np.add(env.level.layout.board_center_m, scene.board_shift_m)
     tilt_x, tilt_y = scene.board_tilt_rad

@@ -1,4 +1,4 @@
-"""Scripts without touch that are cleverer than the scene's own: they identify stiffness, learn from looks, remember."""
+"""Scripts without touch, cleverer than the scene's own: they identify stiffness or remember."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -20,7 +20,7 @@ HARDER_N = 1.5  # more press after each look at ink that is left
 
 @dataclass(frozen=True)
 class LagLaw:
-    """How stiffness follows from lag: K = nominal · exp(a + b · log(lag / (speed · 1 s))); fitted on other scenes."""
+    """Stiffness, fitted on other scenes: K = nominal · exp(a + b · log(lag / (speed · 1 s)))."""
 
     a: float
     b: float
@@ -55,7 +55,7 @@ class LagMeter:
 
 
 class LagIdentifying(MeasuredRelative):
-    """Reads the stiffness of arm and gripper off their lag in free air, and sets forces as stiffness times distance."""
+    """Reads the stiffness off the lag in free air, and sets forces as stiffness times distance."""
 
     laws: tuple[LagLaw, LagLaw] = (LagLaw(0.0, 0.0), LagLaw(0.0, 0.0))  # arm, gripper
 

@@ -1,1 +1,1 @@
-"""The swap ladder and the arms of level ``touch``: what is scored stands in ``plan.py`` before anything is trained."""
+"""The swap ladder and the arms of level ``touch``: ``plan.py`` says what is scored."""

@@ -1,6 +1,7 @@
-"""Score a part of the plan: rows in turns on paired scenes, one table, one figure, and ``wiping.json``.
+"""Score a part of the plan: rows in turns on paired scenes, one table, one figure, ``wiping.json``.
 
-Claims and tests are of all rows of that file together: parts of one comparison may be scored one after the other.
+Claims and tests are of all rows of that file together: parts of one comparison may be scored one
+after the other.
 """
 
 import sys
@@ -50,9 +51,9 @@ ROWS = ("arms", "side_arms", "ladder", "ladder_controls")  # sections of wiping.
 
 @dataclass
 class LadderCommand:
-    """Roll out what the plan names and the checkpoints' folder holds; write wiping.json with the plan's claims.
+    """Roll out what the plan names and the checkpoints' folder holds; write wiping.json.
 
-    Example: python -m benchmarks.ladder part=ladder checkpoints=outputs/arms onto=docs/results/wiping.json
+    Example: python -m benchmarks.ladder part=ladder checkpoints=outputs/arms onto=old/wiping.json
     """
 
     part: Literal["grip", "ladder", "left_out", "weighed", "controls", "arms"] = "ladder"
@@ -65,7 +66,8 @@ class LadderCommand:
     rollouts: CountOrZero = 0  # per sensor worn; 0 = as planned
     first_seed: Seed = 0  # 0 = the plan's own block: score it once
     workers: Workers = 2
-    # gates.json of the arms' scenes (benchmarks.gates first_seed=…): its best script without touch stands beside them
+    # gates.json of the arms' scenes (benchmarks.gates first_seed=…): its best script without touch
+    # stands beside them
     blind: FilePath = ""
     onto: FilePath = ""  # an earlier wiping.json that these rows are added to
     work: OutFolder = "outputs/ladder"  # episodes so far: run it again to go on
@@ -73,84 +75,93 @@ class LadderCommand:
 
 
 def score_config(entry: Entry, worn: str, **settings: Any) -> ScoreConfig:
-    """Return how a row is scored with one of its sensors; ``settings`` are further fields of ``ScoreConfig``."""
-    fingers: dict[str, Any] = DEMONSTRATED | {
-        f"{entry.finger}_sensor": worn,
+    """Return how a row is scored with one of its sensors; ``settings``: further fields."""
+    fields: dict[str, Any] = {
+        "arm": entry.name,
+        "swap": entry.swap,
+        "grip": entry.grip,
         "control": entry.control,
+        "videos": 0,
+        **DEMONSTRATED,
+        f"{entry.finger}_sensor": worn,
     }
-    return ScoreConfig(
-        **{
-            "arm": entry.name,
-            "swap": entry.swap,
-            "grip": entry.grip,
-            "videos": 0,
-            **fingers,
-            **settings,
-        }
-    )
+    return ScoreConfig(**fields | settings)
 
 
 def configured(config: LadderCommand, entry: Entry) -> list[ScoreConfig]:
-    """Return how a row is scored, one part per sensor it wears; none where checkpoints or calibrations aren't there."""
+    """Return how a row is scored, a part per sensor; none without checkpoints or calibrations."""
     policy = entry.checkpoints
     if policy not in (*SCRIPTS, "shipped"):
-        seeds = sorted(Path(config.checkpoints, policy).glob("seed*"))
-        policy = ",".join(str(seed) for seed in seeds)
-    folder = Path(config.calibrations, entry.tokenizer)
-    maps = [folder / worn.replace(":", "-") for worn in entry.worn if entry.calibrated]
-    if not policy or not all(config.calibrations and found.is_dir() for found in maps):
+        policy = ",".join(map(str, sorted(Path(config.checkpoints, policy).glob("seed*"))))
+    if not policy:
         return []
-    first, share = config.first_seed or BLOCKS[entry.block].start, entry.rollouts // len(entry.worn)
-    share = min(share, config.rollouts) if config.rollouts else share
+    share = entry.rollouts // len(entry.worn)
+    if config.rollouts:
+        share = min(share, config.rollouts)
+    first = config.first_seed or BLOCKS[entry.block].start
     parts = []
-    for number, worn in enumerate(entry.worn):
-        calibration = {f"{entry.finger}_calibration": str(maps[number])} if maps else {}
-        scenes = {"level": config.level, "first_seed": first + number * share, "rollouts": share}
-        parts.append(
-            score_config(entry, worn, policy=policy, out=config.work, **scenes, **calibration)
-        )
+    for worn in entry.worn:
+        scenes: dict[str, Any] = {
+            "level": config.level,
+            "first_seed": first,
+            "rollouts": share,
+        }
+        if entry.calibrated:
+            folder = Path(config.calibrations, entry.tokenizer, worn.replace(":", "-"))
+            if not config.calibrations or not folder.is_dir():
+                return []
+            scenes[f"{entry.finger}_calibration"] = str(folder)
+        parts.append(score_config(entry, worn, policy=policy, out=config.work, **scenes))
+        first += share
     return parts
 
 
 def joined(
     configs: Sequence[ScoreConfig], parts: Sequence[ArmReport]
 ) -> dict[str, tuple[ArmReport, list[str]]]:
-    """Return each row's report over its parts, and clean k/n of each training seed: they take turns."""
-    found: dict[str, tuple[list[EpisodeRow], dict[str, list[bool]]]] = {}
+    """Return each row's report over its parts, and clean k/n of each training seed."""
+    rows: dict[str, list[EpisodeRow]] = {}
+    clean: dict[str, dict[str, list[bool]]] = {}
     for config, part in zip(configs, parts, strict=True):
-        rows, by_policy = found.setdefault(
-            config.arm, ([], {policy: [] for policy in config.policies})
-        )
-        rows += part.rows
+        rows.setdefault(config.arm, []).extend(part.rows)
+        by_policy = clean.setdefault(config.arm, {policy: [] for policy in config.policies})
         for row in part.rows:
             by_policy[config.policy_of(row.seed)].append(row.clean)
-    return {
-        name: (
-            ArmReport(name, rows),
-            [f"{sum(clean)}/{len(clean)}" for clean in by_policy.values()],
+    found = {}
+    for name, own_rows in rows.items():
+        found[name] = (
+            ArmReport(name, own_rows),
+            [f"{sum(own)}/{len(own)}" for own in clean[name].values()],
         )
-        for name, (rows, by_policy) in found.items()
-    }
+    return found
 
 
 def wanted(config: LadderCommand) -> list[Entry]:
-    """Return the part's rows that are to be scored, in the plan's order; ContractError: a name it doesn't hold."""
+    """Return the part's rows to score, in the plan's order; ContractError: a name it lacks."""
     planned = {entry.name: entry for entry in PARTS[config.part]}
     chosen = choose(planned, config.rows, "rows")
     return [entry for name, entry in planned.items() if name in chosen]
 
 
 def filed(part: str, level: str, rows: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """Return ``wiping.json`` of rows that were scored now, each under its section, without claims."""
-    found: dict[str, Any] = {"level": level, "level_hash": level_hash(LEVELS[level])}
-    found["scored_by"] = [{key: provenance()[key] for key in ("command", "date", "machine")}]
-    found["training_seeds"] = max(len(row["clean_by_training_seed"]) for row in rows.values())
-    found |= {section: {} for section in ROWS}
+    """Return ``wiping.json`` of rows that were scored now, under their section, without claims."""
+    made = provenance()
+    found: dict[str, Any] = {
+        "level": level,
+        "level_hash": level_hash(LEVELS[level]),
+        "scored_by": [{key: made[key] for key in ("command", "date", "machine")}],
+        "training_seeds": max(len(row["clean_by_training_seed"]) for row in rows.values()),
+    }
+    for section in ROWS:
+        found[section] = {}
     section = SECTIONS[part]
     for name, row in rows.items():
-        aside = section == "arms" and row["n"] < CLAIMABLE
-        key = name.replace(" ", "_") if section == "ladder" else name
-        found["side_arms" if aside else section][key] = row
+        if section == "ladder":
+            found[section][name.replace(" ", "_")] = row
+        elif section == "arms" and row["n"] < CLAIMABLE:
+            found["side_arms"][name] = row
+        else:
+            found[section][name] = row
     return found
 
 
@@ -167,7 +178,7 @@ def added(found: dict[str, Any], earlier: dict[str, Any]) -> dict[str, Any]:
 
 
 def _report(file: str, keys: Sequence[str]) -> dict[str, Any] | None:
-    """Return an earlier result that holds ``keys``, None without a file; ContractError: another kind of file."""
+    """Return an earlier result that holds ``keys``, None without a file; ContractError: another."""
     if not file:
         return None
     found = read_object(Path(file), ContractError)
@@ -183,21 +194,18 @@ def add_best_blind(found: dict[str, Any], gates: dict[str, Any]) -> None:
 
     Raises ContractError: another level or other scenes than V+T's.
     """
-    scored, with_touch = [gates["level_hash"], *gates["seeds"]], found["arms"]["V+T"]
-    wanted = [found["level_hash"], *with_touch["seeds"]]
+    scored = [gates["level_hash"], *gates["seeds"]]
+    wanted = [found["level_hash"], *found["arms"]["V+T"]["seeds"]]
     if scored != wanted:
-        raise ContractError(
-            expected(
-                "level and scenes of the blind", wanted, scored, "Run them on the arms' scenes."
-            )
-        )
+        do = "Run them on the arms' scenes."
+        raise ContractError(expected("level and scenes of the blind", wanted, scored, do))
     blind = gates["must_fail"]
     name = max(blind, key=lambda name: blind[name]["clean"])
     found["arms"]["best blind"] = {"script": name, "seeds": gates["seeds"], **blind[name]}
 
 
 def named_rows(found: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield each row of every section under its name in the plan; arms and side arms may share one."""
+    """Yield each row of every section by its name in the plan; arms and side arms may share one."""
     for section in ROWS:
         for key, row in found[section].items():
             yield key.replace("_", " "), row
@@ -213,61 +221,61 @@ def clean_by_seed(found: dict[str, Any]) -> dict[str, dict[int, bool]]:
     """Return whether each rollout was clean, by the row's name in the plan and the scene's seed."""
     arms: dict[str, dict[int, bool]] = {}
     for name, row in named_rows(found):
-        arms.setdefault(name, {}).update({seed: code == CLEAN for seed, code in codes(row).items()})
+        own = arms.setdefault(name, {})
+        for seed, code in codes(row).items():
+            own[seed] = code == CLEAN
     return arms
 
 
 def judged(found: dict[str, Any]) -> dict[str, Any]:
-    """Return the report with the plan's claims and tests, each of the scenes that both of its rows share."""
+    """Return the report with the plan's claims and tests, of scenes that both rows share."""
     arms = clean_by_seed(found)
     return found | {"within": claims(arms), "tests": better(arms, BETTER)}
 
 
 @command(LadderCommand)
 def main(config: LadderCommand) -> None:
-    planned = [(entry, configured(config, entry)) for entry in wanted(config)]
-    configs = [part for _, parts in planned for part in parts]
     earlier = _report(config.onto, ("level", "level_hash", "scored_by", *ROWS))
     gates = _report(config.blind, ("level_hash", "seeds", "must_fail"))
+    configs = []
+    for entry in wanted(config):
+        parts = configured(config, entry)
+        configs += parts
+        if not parts:
+            lacks = f"no {entry.checkpoints} or no calibration of {entry.worn} there"
+            print(f"not scored: {entry.name} ({lacks})")
     if not configs:
-        do = "Train arms into it: uniforce train … output_dir=…, then link ARM/seed0 to pretrained_model."
+        do = (
+            "Train arms into it: uniforce train … output_dir=…, "
+            "then link ARM/seed0 to pretrained_model."
+        )
         came = f"none, or no calibrations for them in {config.calibrations!r}"
         raise CheckpointError(expected(config.checkpoints, "checkpoints of the plan", came, do))
-    for entry, parts in planned:
-        if not parts:
-            print(
-                f"not scored: {entry.name} (no {entry.checkpoints} or no calibration of {entry.worn} there)"
-            )
     for one in configs:
         check_policies(one)
-    found = joined(configs, score_arms(configs, config.workers))
-    reports = {name: report for name, (report, _) in found.items()}
-    rows = {
-        name: report.as_dict() | {"clean_by_training_seed": seeds}
-        for name, (report, seeds) in found.items()
-    }
+    reports = []
+    rows = {}
+    for name, (report, seeds) in joined(configs, score_arms(configs, config.workers)).items():
+        reports.append(report)
+        rows[name] = report.as_dict() | {"clean_by_training_seed": seeds}
     content = filed(config.part, config.level, rows)
     if earlier is not None:
         content = added(content, earlier)
     if gates is not None:
         add_best_blind(content, gates)
     content = judged(content)
-    print(table(list(reports.values())))
+    print(table(reports))
     for name, row in rows.items():
-        seeds = " ".join(row["clean_by_training_seed"])
-        print(
-            f"{name:28} {wilson(row['clean'], row['n'])}  share {row['in_band_share']:.2f}  training seeds {seeds}"
-        )
+        by_seed = " ".join(row["clean_by_training_seed"])
+        share = f"share {row['in_band_share']:.2f}  training seeds {by_seed}"
+        print(f"{name:28} {wilson(row['clean'], row['n'])}  {share}")
     for claim in content["within"]:
         said = f"{100 * claim['difference']:+.0f} points, bound {100 * claim['lower']:+.0f}"
-        print(
-            f"{' against '.join(claim['arms'])}: {said}, {'within' if claim['holds'] else 'NOT within'}"
-        )
+        verdict = "within" if claim["holds"] else "NOT within"
+        print(f"{' against '.join(claim['arms'])}: {said}, {verdict}")
     path = write_json(Path(config.out), content | provenance())
     figure = path.with_name(f"{path.stem}_{config.part}.png")
-    draw_arms(
-        list(reports.values()), figure, title=f"{config.part}, level {config.level}, simulated"
-    )
+    draw_arms(reports, figure, title=f"{config.part}, level {config.level}, simulated")
     print(f"written to {path} and {figure}")
 
 

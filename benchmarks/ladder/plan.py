@@ -1,18 +1,19 @@
 """Plan of the ladder: rows, scenes and claims. Fixed before a policy of it is trained.
 
-The demonstrations wear one unit per finger: TacTip 1 right, GelSight 1 left in one half and uSkin 1 in the other.
-The ladder exchanges the sensor of the finger that the policy feels with, the right one. Exchanging the finger is
-another question: eraser and board load the two unlike, and with its true wrench the other finger is 20 points worse
-(development scenes, 24 each: 21 clean with the same finger, 16 with the other). The paper's arms ask it.
+The demonstrations wear one unit per finger: TacTip 1 right, GelSight 1 left in one half and uSkin 1
+in the other. The ladder exchanges the sensor of the finger that the policy feels with, the right
+one. Exchanging the finger is another question: eraser and board load the two unlike, and with its
+true wrench the other finger is 20 points worse (development scenes, 24 each: 21 clean with the same
+finger, 16 with the other). The paper's arms ask it.
 
-V+T is the default of ``size=tiny``: the right finger's three newtons, read in the latent by a frozen head. Checkpoints
-are folders of training seeds, ``<checkpoints>/<arm>/seed0`` …; all arms learn from the same demonstrations
-with the same recipe.
-Settings were chosen on development scenes, with V+T on rungs S0 and S1 alone. GelSight and uSkin were looked at there
-too, to find out why the exchange failed; final scenes were not.
+V+T is the default of ``size=tiny``: the right finger's three newtons, read in the latent by a
+frozen head. Checkpoints are folders of training seeds, ``<checkpoints>/<arm>/seed0`` …; all arms
+learn from the same demonstrations with the same recipe. Settings were chosen on development scenes,
+with V+T on rungs S0 and S1 alone. GelSight and uSkin were looked at there too, to find out why the
+exchange failed; final scenes were not.
 
-"Within X points" is a paired estimate of at most X and a one-sided 95 % bound of at most X + 5. "Buys" is a paired
-interval clear of 0 and the same sign in every training seed.
+"Within X points" is a paired estimate of at most X and a one-sided 95 % bound of at most X + 5.
+"Buys" is a paired interval clear of 0 and the same sign in every training seed.
 """
 
 from collections.abc import Mapping
@@ -29,7 +30,8 @@ SWAP = "touch0:left"
 class Entry:
     """One row of the table: which checkpoints act, on which rig.
 
-    Of several sensors in the slot each is worn in an equal part of the scenes, one part after the other.
+    Of several sensors in the slot each is worn in an equal part of the scenes, one part after the
+    other.
     """
 
     name: str
@@ -53,7 +55,7 @@ def _units(kind: str) -> tuple[str, ...]:
 
 
 def _halves(weak: str, strong: str) -> tuple[str, ...]:
-    """Two units each of a sensor that answers by about × .6 and of one that answers by × 1.4 to 1.5."""
+    """Two units each of a sensor that answers by about × .6 and of one by × 1.4 to 1.5."""
     return *_units(weak)[:2], *_units(strong)[2:]
 
 
@@ -74,25 +76,32 @@ LADDER = (
     Entry("S4 gelsight calibrated", "vt", ODD_GELSIGHT, calibrated=True),
     Entry("S4 uskin calibrated", "vt", ODD_USKIN, calibrated=True),
 )
-# tokenizers of one reduced budget (preset=nano): all kinds, no uSkin, no flat gel at all; policies learn anew from
-# whole latents of each: only a packaged tokenizer has a head that reads newtons
+
+
+def _without(kind: str) -> tuple[Entry, ...]:
+    """Return the rows that ask what a kind of sensor, left out of the training, costs."""
+    worn = _units(kind)
+    arm = f"vt_no_{kind}"
+    left_out: dict[str, Any] = {"tokenizer": f"no_{kind}", "block": "kinds left out"}
+    reduced = left_out | {"tokenizer": "all"}
+    return (
+        Entry(f"S2 {kind} calibrated reduced", "vt_all", worn, calibrated=True, **reduced),
+        Entry(f"S0 without {kind}", arm, **left_out),
+        Entry(f"S3 {kind}", arm, worn, **left_out),
+        Entry(f"S3 {kind} calibrated", arm, worn, calibrated=True, **left_out),
+    )
+
+
+# tokenizers of one reduced budget (preset=nano): all kinds, no uSkin, no flat gel at all; policies
+# learn anew from whole latents of each: only a packaged tokenizer has a head that reads newtons
 LEFT_OUT = (
     Entry("S0 reduced", "vt_all", tokenizer="all", block="kinds left out"),
-    *(
-        entry
-        for kind in ("gelsight", "uskin")
-        for entry in (
-            Entry(f"S2 {kind} calibrated reduced", "vt_all", _units(kind), calibrated=True, tokenizer="all",
-                  block="kinds left out"),
-            Entry(f"S0 without {kind}", f"vt_no_{kind}", tokenizer=f"no_{kind}", block="kinds left out"),
-            Entry(f"S3 {kind}", f"vt_no_{kind}", _units(kind), tokenizer=f"no_{kind}", block="kinds left out"),
-            Entry(f"S3 {kind} calibrated", f"vt_no_{kind}", _units(kind), calibrated=True, tokenizer=f"no_{kind}",
-                  block="kinds left out"),
-        )
-    ),
-)  # fmt: skip
-# the same question of newtons, planned on 2026-11-27 after the answer for whole latents: a head fitted to simulated
-# TacTips reads force in the latents of the tokenizer that never saw a uSkin, nor did the head
+    *_without("gelsight"),
+    *_without("uskin"),
+)
+# the same question of newtons, planned on 2026-11-27 after the answer for whole latents: a head
+# fitted to simulated TacTips reads force in the latents of the tokenizer that never saw a uSkin,
+# nor did the head
 LEFT_OUT_IN_NEWTONS = tuple(
     Entry(name, "vt_no_uskin_newtons", worn, calibrated=calibrated, tokenizer="no_uskin",
           block="kinds left out, felt in newtons", rollouts=68)
@@ -102,10 +111,11 @@ LEFT_OUT_IN_NEWTONS = tuple(
         ("S3 uskin newtons calibrated", _units("uskin"), True),
     )
 )  # fmt: skip
-# units whose scale was fitted to three known loads (`uniforce calibrate new=tactip:2 loads_N=3,6,9`), planned on
-# 2026-11-28 before a scene of it was rolled out; their gains lie in the calibrations' folder "weighed".
-# The last row was added on the same day, before the result of any of them was seen: gains relative to TacTip 1, whose
-# readings the policies learnt as they are (`relative_to=` of commit 3459784f; it bought nothing and left)
+# units whose scale was fitted to three known loads (`uniforce calibrate new=tactip:2
+# loads_N=3,6,9`), planned on 2026-11-28 before a scene of it was rolled out; their gains lie in the
+# calibrations' folder "weighed". The last row was added on the same day, before the result of any
+# of them was seen: gains relative to TacTip 1, whose readings the policies learnt as they are
+# (`relative_to=` of commit 3459784f; it bought nothing and left)
 WEIGHED = tuple(
     Entry(
         name,
@@ -125,9 +135,10 @@ WEIGHED = tuple(
 )
 # the same swap for other things to feel with, each with the same alignment
 RUNGS = ("S0", "S2 gelsight calibrated", "S2 uskin calibrated")
-# raw images get none: a linear map of two pictures is none of a sensor's. The random encoder has the shipped one's size
-# and never learnt; its policy gets three newtons too, by a head fitted to its latents of simulated TacTips (planned on
-# 2026-11-27, before that policy was trained: one training seed, 34 rollouts a sensor worn)
+# raw images get none: a linear map of two pictures is none of a sensor's. The random encoder has
+# the shipped one's size and never learnt; its policy gets three newtons too, by a head fitted to
+# its latents of simulated TacTips (planned on 2026-11-27, before that policy was trained: one
+# training seed, 34 rollouts a sensor worn)
 CONTROLS = tuple(
     Entry(f"{what} {rung}", arm, worn, calibrated=calibrated and maps != "", tokenizer=maps,
           block="controls", rollouts=102)
@@ -150,8 +161,8 @@ ARMS = (
     Entry("V+T", "vt", block="arms"),
     Entry("V", "v", block="arms"),
     Entry("V with history", "v_history", block="arms"),
-    # the paper's arms: another sensor on the other finger, which bears another part of the press. The true wrench of
-    # that finger says how much of a loss is the finger's
+    # the paper's arms: another sensor on the other finger, which bears another part of the press.
+    # The true wrench of that finger says how much of a loss is the finger's
     Entry("V+G", "vt", ("gelsight",), "left", SWAP, block="arms"),
     Entry("V+U", "vt", ("uskin",), "left", SWAP, block="arms"),
     Entry("true wrench of the other finger", "wrench", ("gelsight",), "left", SWAP, block="arms"),
@@ -162,9 +173,10 @@ ARMS = (
     Entry("V+T shuffled", "vt", control="shuffled", block="arms", rollouts=102),
     Entry("V+T frozen", "vt", control="frozen", block="arms"),
 )
-# Does holding a grip that a flat gel can't read buy anything? Planned on 2026-11-28, before a scene was rolled out: the
-# shipped policy, GelSights 2 to 5 with the label-free map of 300 grasps each, the level's servo, 100 development scenes
-# that nothing was chosen on. Gate: held is at least 25 points above read, exact McNemar p < .01
+# Does holding a grip that a flat gel can't read buy anything? Planned on 2026-11-28, before a scene
+# was rolled out: the shipped policy, GelSights 2 to 5 with the label-free map of 300 grasps each,
+# the level's servo, 100 development scenes that nothing was chosen on. Gate: held is at least 25
+# points above read, exact McNemar p < .01
 GRIP = (
     Entry("S0 beside grip", "shipped", block="grip held", rollouts=24),
     *(
@@ -239,7 +251,7 @@ BETTER = (
 
 
 def claims(arms: Mapping[str, CleanBySeed]) -> list[dict[str, Any]]:
-    """Return the plan's claims with their verdict: estimate within the margin, bound within the margin and slack."""
+    """Return the plan's claims with their verdict: estimate in the margin, bound in the slack."""
     found = as_good(arms, CLAIMS)
     for claim in found:
         within = (

@@ -1,8 +1,9 @@
-"""Roll a few scenes of a committed row out once more with the shipped policy, and compare how they ended.
+"""Roll a few scenes of a committed row out once more, and compare how they ended.
 
-On one machine a scene ends the same to the last digit. Another processor rounds otherwise, and a scene at the edge
-of its band then ends the other way: 18 of 24 scenes of S0 ended alike on an Intel and on the AMD that scored them.
-So what is judged is whether clean wipes are lost or won in one direction, beyond chance.
+On one machine a scene ends the same to the last digit. Another processor rounds otherwise, and a
+scene at the edge of its band then ends the other way: 18 of 24 scenes of S0 ended alike on an Intel
+and on the AMD that scored them. So what is judged is whether clean wipes are lost or won in one
+direction, beyond chance.
 """
 
 import sys
@@ -25,7 +26,7 @@ SHIPPED_IN = ("ladder", "arms")  # parts in which training seed 0 of V+T is the 
 
 @dataclass
 class ReplayCommand:
-    """Roll out the first scenes of a row in which the shipped policy acted, and compare with the committed outcomes.
+    """Roll out the first scenes of a row in which the shipped policy acted, and compare.
 
     Example: python -m benchmarks.ladder.replay row=S1 scenes=3
     """
@@ -47,12 +48,11 @@ def committed(results: dict[str, Any], name: str) -> dict[str, Any]:
 
 def entry_of(name: str) -> Entry:
     """Return the plan's row; ContractError: the shipped policy alone can't act it."""
-    planned = {entry.name: entry for part in SHIPPED_IN for entry in PARTS[part]}
-    fit = {
-        name: e
-        for name, e in planned.items()
-        if (e.checkpoints, len(e.worn), e.calibrated) == ("vt", 1, False)
-    }
+    fit = {}
+    for part in SHIPPED_IN:
+        for entry in PARTS[part]:
+            if entry.checkpoints == "vt" and len(entry.worn) == 1 and not entry.calibrated:
+                fit[entry.name] = entry
     if name not in fit:
         raise ContractError(
             expected("row", " | ".join(fit), name, "Others need checkpoints or calibrations.")
@@ -69,33 +69,33 @@ def acted_in(row: dict[str, Any], count: int) -> dict[int, str]:
 def replayed(config: ReplayCommand) -> dict[int, tuple[str, str]]:
     """Return scene → how it ended then and how it ends now."""
     entry = entry_of(config.row)
-    before = acted_in(
-        committed(read_object(Path(config.results), ContractError), config.row), config.scenes
-    )
+    results = read_object(Path(config.results), ContractError)
+    before = acted_in(committed(results, config.row), config.scenes)
     one = score_config(entry, entry.worn[0], rollouts=1, out=config.work)
     scenes = [replace(one, arm=f"{entry.name} {seed}", first_seed=seed) for seed in before]
-    return {
-        seed: (code, report.rows[0].code)
-        for (seed, code), report in zip(
-            before.items(), score_arms(scenes, config.workers), strict=True
-        )
-    }
+    found = {}
+    for seed, report in zip(before, score_arms(scenes, config.workers), strict=True):
+        found[seed] = before[seed], report.rows[0].code
+    return found
 
 
 @command(ReplayCommand)
 def main(config: ReplayCommand) -> int:
     found = replayed(config)
+    alike = 0
+    clean_then = []
+    clean_now = []
     for seed, (then, now) in found.items():
         print(f"scene {seed}: {then} as committed, {now} now")
-    alike = sum(then == now for then, now in found.values())
-    clean = [[code == CLEAN for code in codes] for codes in zip(*found.values(), strict=True)]
-    p = mcnemar(*clean).p_value
+        alike += then == now
+        clean_then.append(then == CLEAN)
+        clean_now.append(now == CLEAN)
+    p = mcnemar(clean_then, clean_now).p_value
     verdict = "DIFFERS FROM" if p < MAX_CHANCE else "agrees with"
-    print(
-        f"replay of {config.row} {verdict} {config.results}: {alike} of {len(found)} scenes end alike,"
-    )
-    print(f"clean {sum(clean[0])} then and {sum(clean[1])} now (p = {p:.2g})")
-    return 1 if p < MAX_CHANCE else 0
+    ended = f"{alike} of {len(found)} scenes end alike,"
+    print(f"replay of {config.row} {verdict} {config.results}: {ended}")
+    print(f"clean {sum(clean_then)} then and {sum(clean_now)} now (p = {p:.2g})")
+    return int(p < MAX_CHANCE)
 
 
 if __name__ == "__main__":

@@ -1,1 +1,1 @@
-"""The pair recorder's score against the simulator's truth, and the training of its force readers."""
+"""The pair recorder's score against the simulator, and the training of its force readers."""

@@ -51,7 +51,7 @@ def training_contacts(sensor: str, training: ForceTraining) -> tuple[np.ndarray,
 def train_finger_force(
     fields: np.ndarray, forces: np.ndarray, training: ForceTraining
 ) -> FingerForce:
-    """Return a reader fitted to relative error: a tenth of a light force matters as much as of a firm one."""
+    """Return a reader fitted to relative error: a tenth matters as much of a light force."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(training.seed)
         model = FingerForce(training.dropout)
@@ -81,6 +81,6 @@ def _fit(model: FingerForce, x: torch.Tensor, y: torch.Tensor, training: ForceTr
 def save_finger_force(
     model: FingerForce, sensor: str, training: ForceTraining, folder: Path | None = None
 ) -> Path:
-    """Write weights and facts to a folder ``from_pretrained`` reads; the package's own by default."""
+    """Write weights and facts to a folder for ``from_pretrained``; the package's by default."""
     facts = {"sensor": sensor, "training": asdict(training)}
     return save_checkpoint(folder or ASSETS / sensor, model, facts)

@@ -1,1 +1,1 @@
-"""Cost of a chunk of the policy: latency, operations, memory, touch; random weights, no checkpoint."""
+"""Cost of a chunk of the policy: latency, operations, memory; random weights, no checkpoint."""

@@ -1,8 +1,8 @@
-"""Latency of one action chunk: LeRobot's own loop and the fast sampler in turns, in one process, with random weights.
+"""Latency of one action chunk: LeRobot's own loop and the fast sampler in turns, random weights.
 
-Time depends on shapes alone, so no checkpoint is needed. ``tiny`` is the CPU policy; ``mid`` has π0.5's depth,
-cameras, prompt and flow steps at small widths, so that neither launches nor products of matrices are all of it;
-``base`` is the real size, for a GPU.
+Time depends on shapes alone, so no checkpoint is needed. ``tiny`` is the CPU policy; ``mid`` has
+π0.5's depth, cameras, prompt and flow steps at small widths, so that neither launches nor products
+of matrices are all of it; ``base`` is the real size, for a GPU.
 """
 
 import copy
@@ -16,10 +16,9 @@ from unittest import mock
 
 import torch
 from lerobot.configs import FeatureType, PolicyFeature
-from lerobot.policies.pi05 import modeling_pi05 as stock
+from lerobot.policies.pi05.modeling_pi05 import PI05Pytorch
 
 from benchmarks.policy.counts import count_flops, count_operations
-from benchmarks.timing import ratio
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import (
     PI05UniforceConfig,
     SamplerSettings,
@@ -66,7 +65,7 @@ CASES = {
 
 
 def build(case: BenchCase, device: str, touch: TouchSettings | None = None) -> PI05UniforcePytorch:
-    """Return a network of random weights, its adaptive norms included; without touch unless asked for."""
+    """Return a network of random weights, adaptive norms included; without touch by default."""
     torch.manual_seed(0)
     touch = touch or TouchSettings(slots={}, input="none")
     settings = copy.deepcopy(case.settings)
@@ -102,7 +101,7 @@ def observe(
 
 
 def lerobots_layers(network: PI05UniforcePytorch) -> Any:
-    """Run LeRobot's own layers in the tiny network, whose training path is ours; base has no others."""
+    """Run LeRobot's own layers in the tiny network; base has no others."""
     return mock.patch.object(network.paligemma_with_expert, "fused", False, create=True)
 
 
@@ -120,7 +119,7 @@ def samplers(
     def slow() -> torch.Tensor:
         with lerobots_layers(network):
             *seen, _ = given
-            return stock.PI05Pytorch.sample_actions(network, *seen, noise=noise, num_steps=steps)
+            return PI05Pytorch.sample_actions(network, *seen, noise=noise, num_steps=steps)
 
     return {
         "stock": slow,
@@ -130,7 +129,7 @@ def samplers(
 
 @torch.no_grad()
 def bench_case(case: BenchCase, device: str, rounds: int, steps: int) -> dict[str, Any]:
-    """Return latencies [ms], operations, FLOPs, the floor they imply, and how far the two results are apart."""
+    """Return latencies [ms], operations, FLOPs, their floor, and how far the results are apart."""
     network = build(case, device)
     given, noise = observe(case, network, device)
     both = samplers(network, given, noise, steps)
@@ -161,7 +160,8 @@ def bench_case(case: BenchCase, device: str, rounds: int, steps: int) -> dict[st
     for name, values in times.items():
         report[f"{name}_ms"] = statistics.median(values)
         report[f"{name}_p95_ms"] = sorted(values)[min(len(values) - 1, round(0.95 * len(values)))]
-    report["ratio"] = ratio(times["stock"], times["fast"])
+    pairs = zip(times["stock"], times["fast"], strict=True)
+    report["ratio"] = statistics.median(stock / fast for stock, fast in pairs)
     return report
 
 

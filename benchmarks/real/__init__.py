@@ -1,1 +1,1 @@
-"""Real recordings as their authors store them: what the tokenizer reads there, beside what needs no training."""
+"""Real recordings as stored: what the tokenizer reads, beside what needs no training."""

@@ -1,7 +1,6 @@
-"""Real recordings, read by the tokenizer, by an untrained one of its size and by hand descriptors."""
+"""Real recordings, read by the tokenizer, by an untrained one and by hand descriptors."""
 
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -47,7 +46,7 @@ Objects = Annotated[str, Names(SETS, many=True)]
 class RealCommand:
     """Read real recordings as their authors store them; the recordings stay where they are.
 
-    TacTips with depth and shear labels: the first folder fits a linear readout, every other one is read with it.
+    TacTips with depth and shear labels: the first folder fits a readout, others are read by it.
     Example: python -m benchmarks.real data=cr_tactip/…/train_data,cr_tactip/…/val_data
     Grasps of two GelSight Minis: how well the normal forces of both fingers agree.
     Example: python -m benchmarks.real grasps=Incipient-Slip-Detection/docs/franka-servo/datasets
@@ -61,10 +60,10 @@ class RealCommand:
     grasps: FolderPath = ""  # of two GelSight Minis
     uskin: FolderPath = ""  # grasps of two uSkins
     eflesh: FolderPath = ""  # of the magnetic skin
-    # of grasps and skin, comma between them: seen, by a trial once | development, all others but the sealed | sealed:
-    # score them once
+    # of grasps and skin, comma between them: seen, by a trial once | development, all others but
+    # the sealed | sealed: score them once
     objects: Objects = "development"
-    borrow: bool = False  # of the grasps: references of other films where a film shows contact only
+    borrow: bool = False  # of the grasps: references of other films where one shows contact only
     tokenizer: TokenizerFolder = ""  # empty = the shipped one
     seeds: Count = 3  # untrained tokenizers
     frames: Count = 1000  # of each recording, at most
@@ -74,50 +73,46 @@ class RealCommand:
 
 def tactip_rows(config: RealCommand, tokenizer: Tokenizer, sets: list[TactipSet]) -> dict[str, Any]:
     """Return target → row → ridge → scores, of readouts fitted on the first set."""
-    untrained = [
-        latent_features(Tokenizer.random(tokenizer.config, seed)) for seed in range(config.seeds)
-    ]
+    untrained = []
+    for seed in range(config.seeds):
+        untrained.append(latent_features(Tokenizer.random(tokenizer.config, seed)))
     rows: dict[str, list[Features]] = {
         "tokenizer": [latent_features(tokenizer)],
         "untrained": untrained,
         "descriptor": [descriptor_features],
     }
-    found: dict[str, Any] = {
-        s.name: {"reference": s.reference_from, "frames": len(s.current)} for s in sets
-    }
+    found: dict[str, Any] = {}
+    for one in sets:
+        found[one.name] = {"reference": one.reference_from, "frames": len(one.current)}
     for name, makers in rows.items():
-        seen = [[(make(s), labels_mm(s)) for s in sets] for make in makers]
+        seen = [[(features(one), labels_mm(one)) for one in sets] for features in makers]
         for number, target in enumerate(sets[1:], 1):
-            found[target.name][name] = {
-                str(ridge): [transfer(of[0], of[number], ridge) for of in seen] for ridge in RIDGES
-            }
+            by_ridge = {}
+            for ridge in RIDGES:
+                by_ridge[str(ridge)] = [transfer(of[0], of[number], ridge) for of in seen]
+            found[target.name][name] = by_ridge
     head = ForceHead.from_pretrained("tactip", config.tokenizer or None)
     for target in sets:
         found[target.name]["head_nothing_fitted"] = head_reading(tokenizer, head, target)
     return found
 
 
-def lines_of(found: dict[str, Any]) -> list[str]:
-    """Return the page: one line per target, row and ridge; of untrained tokenizers the mean over seeds."""
+def tactip_lines(found: dict[str, Any]) -> list[str]:
+    """Return a line per target, row and ridge; of untrained tokenizers the mean over seeds."""
     lines = [
-        f"{'target':28} {'row':11} {'ridge':>6} | shear |r| as is, one angle, 10 frames | depth rank, 10 frames"
+        f"{'target':28} {'row':11} {'ridge':>6} | shear |r| as is, one angle, 10 frames | "
+        "depth rank, 10 frames"
     ]
     for target, rows in found.items():
         for name in ("tokenizer", "untrained", "descriptor"):
             for ridge, seeds in rows.get(name, {}).items():
-                shear = [
-                    np.mean([s[w]["shear_r"] for s in seeds])
-                    for w in ("as_is", "one_angle", "few_frames")
-                ]
-                depth = [
-                    np.mean([s[w]["depth_rank"] for s in seeds]) for w in ("as_is", "few_frames")
-                ]
-                numbers = (
-                    " ".join(f"{v:.2f}" for v in shear)
-                    + " | "
-                    + " ".join(f"{v:.2f}" for v in depth)
-                )
-                lines.append(f"{target:28} {name:11} {ridge:>6} | {numbers}")
+                line = f"{target:28} {name:11} {ridge:>6} |"
+                for way in ("as_is", "one_angle", "few_frames"):
+                    line += f" {np.mean([one[way]['shear_r'] for one in seeds]):.2f}"
+                line += " |"
+                for way in ("as_is", "few_frames"):
+                    line += f" {np.mean([one[way]['depth_rank'] for one in seeds]):.2f}"
+                lines.append(line)
     return lines
 
 
@@ -136,10 +131,10 @@ def grasp_rows(config: RealCommand, tokenizer: Tokenizer) -> dict[str, Any]:
     readings = read_grasps_by(grasps, grasp_readers(tokenizer, 0, Path(config.cache)))
     found: dict[str, Any] = {}
     for name in wanted:
-        found[name] = {
-            reader: by_group([reading for reading in of_reader if set_of(reading.held) == name])
-            for reader, of_reader in readings.items()
-        }
+        found[name] = {}
+        for reader, of_reader in readings.items():
+            own = [reading for reading in of_reader if set_of(reading.held) == name]
+            found[name][reader] = by_group(own)
     return found
 
 
@@ -162,16 +157,12 @@ def grasp_lines(found: dict[str, Any]) -> list[str]:
     lines = []
     for name, groups in found.items():
         for group, row in groups.items():
-            count = f"{row['trials']} trials of {row['objects']} objects"
-            error = _with_bounds(row["relative_error"], row["relative_error_95"])
-            r = _with_bounds(row["r"], row["r_95"])
-            lines.append(f"{name:24} {group:16} {count}: relative error {error}, r {r}")
+            line = f"{name:24} {group:16} {row['trials']} trials of {row['objects']} objects:"
+            for key, words in (("relative_error", "relative error"), ("r", "r")):
+                low, high = row[f"{key}_95"]
+                line += f" {words} {row[key]:.2f} [{low:.2f}, {high:.2f}]"
+            lines.append(line)
     return lines
-
-
-def _with_bounds(value: float, bounds: Sequence[float]) -> str:
-    low, high = bounds
-    return f"{value:.2f} [{low:.2f}, {high:.2f}]"
 
 
 @command(RealCommand)
@@ -186,24 +177,25 @@ def main(config: RealCommand) -> None:
         "what": "real recordings, read where they lie",
         "tokenizer_hash": tokenizer.hash,
     }
+    lines = []
     if folders:
         sets = [read_tactip_shear(folder, config.frames) for folder in folders]
         content["tactip"] = tactip_rows(config, tokenizer, sets)
-        print("\n".join(lines_of(content["tactip"])))
+        lines += tactip_lines(content["tactip"])
     if config.grasps:
         content["grasps"] = grasp_rows(config, tokenizer)
         for name, found in content["grasps"].items():
-            print(name)
-            print("\n".join(grasp_lines(found)))
+            lines += [name, *grasp_lines(found)]
     if config.uskin:
         content["uskin"] = uskin_rows(config, tokenizer)
-        print("\n".join(grasp_lines(content["uskin"])))
+        lines += grasp_lines(content["uskin"])
     if config.eflesh:
         sealed = "sealed" in split(config.objects)
         content["eflesh"] = eflesh_rows(
             Path(config.eflesh), tokenizer, config.seeds, config.frames, sealed
         )
-        print("\n".join(eflesh_lines(content["eflesh"])))
+        lines += eflesh_lines(content["eflesh"])
+    print("\n".join(lines))
     print(f"written to {write_json(Path(config.out), content | provenance())}")
 
 

@@ -1,10 +1,12 @@
-"""Real newtons: eFlesh, a printed magnetic skin, read by the tokenizer, by an untrained one and by its raw counts.
+"""Real newtons: eFlesh, a printed magnetic skin, read by tokenizers and by its raw counts.
 
-A probe presses one unit (normal_force), or two units side by side under one load (shear_force). The folders are those
-of notvenky/eFlesh, characterization/datasets (MIT). Splits are by run or by time, as hysteresis and drift ask for.
+A probe presses one unit (normal_force), or two units side by side under one load (shear_force).
+The folders are those of notvenky/eFlesh, characterization/datasets (MIT). Splits are by run or by
+time, as hysteresis and drift ask for.
 
-Assumed are: grams as unit of force, for the repository states none; chips on the axes 7 mm from the middle one, each
-turned as the authors' viewer turns it; magnets of either polarity, so that only the size of a normal field counts.
+Assumed are: grams as unit of force, for the repository states none; chips on the axes 7 mm from
+the middle one, each turned as the authors' viewer turns it; magnets of either polarity, so that
+only the size of a normal field counts.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,16 +17,13 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import torch
-from tqdm import tqdm
 
-from benchmarks.real.readouts import CHUNK, DRAWS, FEW_FRAMES, RIDGES, fit_readout
+from benchmarks.real.readouts import DRAWS, FEW_FRAMES, RIDGES, fit_readout, pooled
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.markers.taxel_render import TaxelScales, draw_discs, place_discs
 from uniforce_vtla.sensors import SensorSpec
 from uniforce_vtla.sensors.spec import TaxelSignal
 from uniforce_vtla.tokenizer import Tokenizer
-from uniforce_vtla.tokenizer.latent import POOL, pool_latent
 
 NORMAL, SHEAR = "normal_force", "shear_force"
 # scored once, when the tokenizer is frozen
@@ -38,7 +37,8 @@ PITCH_mm = 7.0
 TURN_rad = np.array([-np.pi / 2, -np.pi / 2, np.pi, np.pi / 2, 0.0])
 EFLESH = SensorSpec(
     name="eflesh",
-    # worth: of half, once and twice this half, the one that read a second unit best in the open shear run
+    # worth: of half, once and twice this half, the one that read a second unit best in the open
+    # shear run
     taxels=TaxelSignal(pitch_mm=(PITCH_mm, PITCH_mm), worth=(1.0, 1.0, 4.0), tared=True),
     raw_shape=(CHIPS, 3),
     layout_mm=PITCH_mm * np.array([(0, 0), (-1, 0), (1, 0), (0, -1), (0, 1)], np.float32),
@@ -91,7 +91,7 @@ Features = Callable[[np.ndarray], np.ndarray]  # counts (n, 5, 3) → (n, F)
 
 
 def read_runs(folder: Path, frames: int, sealed: bool) -> list[Run]:
-    """Return the open runs, and the sealed ones where asked for, ``frames`` evenly spaced rows of each.
+    """Return the open runs, and the sealed ones where asked for, ``frames`` even rows of each.
 
     Raises DatasetError: no runs of a load, sealed ones that aren't there, or tables that don't fit.
     """
@@ -103,13 +103,15 @@ def read_runs(folder: Path, frames: int, sealed: bool) -> list[Run]:
         if not found:
             do = "Name characterization/datasets of notvenky/eFlesh."
             raise DatasetError(expected(str(folder / load), "runs", "none", do))
-        runs += [read_run(path, load, frames) for path in found]
+        for path in found:
+            runs.append(read_run(path, load, frames))
     return runs
 
 
 def read_run(folder: Path, load: str, frames: int) -> Run:
-    """Return a run without the rows whose force is missing; DatasetError: tables that are absent or don't fit."""
-    field, state = (_table(folder / name) for name in ("sensor_post_baselines.csv", "states.csv"))
+    """Return a run without rows of missing force; DatasetError: tables absent or that don't fit."""
+    field = _table(folder / "sensor_post_baselines.csv")
+    state = _table(folder / "states.csv")
     units, rest = divmod(field.shape[1] - 1, 3 * CHIPS)
     if len(field) != len(state) or state.shape[1] != 5 or units < 1 or rest:
         wanted = f"equal rows, 1 + {3 * CHIPS} columns a unit, and 5"
@@ -133,8 +135,9 @@ def _table(path: Path) -> np.ndarray:
 
 
 def on_the_pad(counts: np.ndarray) -> np.ndarray:
-    """Return (n, 5, 3) fields along the pad's axes, the size of the normal one, of what the chips say."""
-    cos, sin = np.cos(TURN_rad), np.sin(TURN_rad)
+    """Return (n, 5, 3) fields along the pad's axes, the size of the normal one."""
+    cos = np.cos(TURN_rad)
+    sin = np.sin(TURN_rad)
     x = cos * counts[..., 0] - sin * counts[..., 1]
     y = sin * counts[..., 0] + cos * counts[..., 1]
     return np.stack([x, y, np.abs(counts[..., 2])], axis=-1)
@@ -143,26 +146,14 @@ def on_the_pad(counts: np.ndarray) -> np.ndarray:
 def marker_images(counts: np.ndarray) -> np.ndarray:
     """Return (n, 480, 640) uint8 images of five discs."""
     scales = TaxelScales()
-    return np.stack(
-        [draw_discs(place_discs(delta, EFLESH, scales)) for delta in on_the_pad(counts)]
-    )
+    images = [draw_discs(place_discs(delta, EFLESH, scales)) for delta in on_the_pad(counts)]
+    return np.stack(images)
 
 
 def latent_features(tokenizer: Tokenizer) -> Features:
     """Return the pooled latents of the drawn discs, as features."""
-    reference = marker_images(np.zeros((1, CHIPS, 3)))
-
-    @torch.no_grad()
-    def features(counts: np.ndarray) -> np.ndarray:
-        parts = [counts[first : first + CHUNK] for first in range(0, len(counts), CHUNK)]
-        bar = tqdm(parts, desc="encode eFlesh", leave=False)
-        pooled = [
-            pool_latent(tokenizer.encode(reference, marker_images(part)), POOL).flatten(1)
-            for part in bar
-        ]
-        return torch.cat(pooled).double().numpy()
-
-    return features
+    reference = marker_images(np.zeros((1, CHIPS, 3)))[0]
+    return lambda counts: pooled(tokenizer, reference, marker_images(counts))
 
 
 def raw_features(counts: np.ndarray) -> np.ndarray:
@@ -171,37 +162,41 @@ def raw_features(counts: np.ndarray) -> np.ndarray:
 
 
 def cases_of(runs: Sequence[Run], sealed: bool) -> list[Case]:
-    """Return what is fitted to what, and read where: open runs among each other, or the sealed ones after them.
+    """Return what is fitted to what, and read where: open runs alone, or the sealed ones by them.
 
-    Normal runs: one fits, another is read. Shear runs, open: the first half fits, the second is read, the same unit or
-    the other. Sealed: the open runs fit.
+    Normal runs: one fits, another is read. Shear runs, open: the first half fits, the second is
+    read, the same unit or the other. Sealed: the open runs fit.
     """
-    lengths = {run.name: len(run.force_N) for run in runs}
-    normal, shear = ([run.name for run in runs if run.load == load] for load in (NORMAL, SHEAR))
-    pairs = [pair for pair in permutations(normal, 2) if not sealed or pair[1] == SEALED[NORMAL]]
-    cases = [
-        Case("own head, normal", Part(fit, 0, slice(None)), Part(read, 0, slice(None)))
-        for fit, read in pairs
-    ]
-    for name in shear:
-        if name == SEALED[SHEAR]:
+    whole = slice(None)
+    normal = [run.name for run in runs if run.load == NORMAL]
+    cases = []
+    for fit, read in permutations(normal, 2):
+        if not sealed or read == SEALED[NORMAL]:
+            cases.append(Case("own head, normal", Part(fit, 0, whole), Part(read, 0, whole)))
+    for run in runs:
+        if run.load != SHEAR or run.name == SEALED[SHEAR]:
             continue
-        half = lengths[name] // 2
-        earlier, later = (name, slice(half)), (name, slice(half, None))
         if sealed:
-            earlier, later = (name, slice(None)), (SEALED[SHEAR], slice(None))
-        for unit, other in ((0, 1), (1, 0)):
-            fit = Part(earlier[0], unit, earlier[1])
-            cases.append(Case("own head, shear", fit, Part(later[0], unit, later[1])))
-            known = Part(earlier[0], other, earlier[1])
-            cases.append(Case("other unit's head", fit, Part(later[0], other, later[1]), known))
+            later_run = SEALED[SHEAR]
+            early = late = whole
+        else:
+            later_run = run.name
+            half = len(run.force_N) // 2
+            early = slice(half)
+            late = slice(half, None)
+        for unit in (0, 1):
+            other = 1 - unit
+            fitted = Part(run.name, unit, early)
+            known = Part(run.name, other, early)
+            cases.append(Case("own head, shear", fitted, Part(later_run, unit, late)))
+            cases.append(Case("other unit's head", fitted, Part(later_run, other, late), known))
     return cases
 
 
 def absolute_errors(
     case: Case, seen: dict[str, np.ndarray], force_N: dict[str, np.ndarray], ridge: float
 ) -> dict[str, Any]:
-    """Return way of reading → (n,) absolute errors in N of the frames up to ``MOST_N``.
+    """Return way of reading → (n,) absolute errors in N of frames up to ``MOST_N``.
 
     ``seen`` holds the features (n, units, F) of each run, ``force_N`` its forces (n,).
     """
@@ -235,16 +230,23 @@ def weighed(read_N: np.ndarray, before_N: np.ndarray, known_N: np.ndarray) -> np
 
     Raises DatasetError: earlier readings (m,) of known forces that hold no free air or lack a load.
     """
-    near = {0.0: known_N < FREE_N} | {load: np.abs(known_N - load) < NEAR_N for load in LOADS_N}
+    is_free = known_N < FREE_N
+    is_load = {load: np.abs(known_N - load) < NEAR_N for load in LOADS_N}
+    near = {0.0: is_free} | is_load
     if missing := [f"{load:.0f}" for load, rows in near.items() if not rows.any()]:
-        wanted, came = f"free air and loads of {LOADS_N} N", f"none near {', '.join(missing)} N"
+        wanted = f"free air and loads of {LOADS_N} N"
+        came = f"none near {', '.join(missing)} N"
         raise DatasetError(
             expected("earlier frames of the other unit", wanted, came, "Read more frames of it.")
         )
-    free_N = before_N[near[0.0]].mean()
-    above_N = np.array([before_N[near[load]].mean() for load in LOADS_N]) - free_N
-    true_N = np.array([known_N[near[load]].mean() for load in LOADS_N])
+    free_N = before_N[is_free].mean()
+    above_N = np.array([before_N[rows].mean() for rows in is_load.values()]) - free_N
+    true_N = np.array([known_N[rows].mean() for rows in is_load.values()])
     return (read_N - free_N) * (above_N @ true_N) / (above_N @ above_N)
+
+
+# ridge → way of reading → a case's errors, seed by seed
+Errors = dict[str, dict[str, list[np.ndarray]]]
 
 
 def eflesh_rows(
@@ -252,37 +254,45 @@ def eflesh_rows(
 ) -> dict[str, Any]:
     """Return row → ridge → way of reading → MAE in N; raises as ``read_runs``.
 
-    "tokenizer − raw counts" holds mean and 95 % interval of the difference, by bootstrap over stretches of time.
+    "tokenizer − raw counts" holds mean and 95 % interval of the difference, by bootstrap over
+    stretches of time.
     """
     runs = read_runs(folder, frames, sealed)
     cases = cases_of(runs, sealed)
     untrained = [latent_features(Tokenizer.random(tokenizer.config, seed)) for seed in range(seeds)]
-    tokens = _errors(runs, cases, [latent_features(tokenizer)])
-    raw = _errors(runs, cases, [raw_features])
-    rows = {"tokenizer": tokens, "untrained": _errors(runs, cases, untrained), "raw counts": raw}
-    found: dict[str, Any] = {name: _means(errors) for name, errors in rows.items()}
-    found["tokenizer − raw counts"] = {
-        ridge: {way: _difference(of_way, raw[ridge][way]) for way, of_way in by_way.items()}
-        for ridge, by_way in tokens.items()
+    errors = {
+        "tokenizer": _errors(runs, cases, [latent_features(tokenizer)]),
+        "untrained": _errors(runs, cases, untrained),
+        "raw counts": _errors(runs, cases, [raw_features]),
     }
+    found: dict[str, Any] = {}
+    for name, by_ridge in errors.items():
+        for ridge, by_way in by_ridge.items():
+            means = found.setdefault(name, {}).setdefault(ridge, {})
+            for way, of_cases in by_way.items():
+                means[way] = float(np.mean([error_N.mean() for error_N in of_cases]))
+    for ridge, by_way in errors["tokenizer"].items():
+        apart = found.setdefault("tokenizer − raw counts", {}).setdefault(ridge, {})
+        for way, of_cases in by_way.items():
+            apart[way] = _difference(of_cases, errors["raw counts"][ridge][way])
     return {
         "runs": {run.name: len(run.force_N) for run in runs},
-        "force": f"states.csv column 5 × {GRAM_N}: grams are assumed; up to {MOST_N:.0f} N, free air included",
+        "force": f"states.csv column 5 × {GRAM_N}: grams are assumed; up to {MOST_N:.0f} N, "
+        "free air included",
         "loads_N": list(LOADS_N),
         "sealed": sealed,
         "mae_N": found,
     }
 
 
-# ridge → way of reading → a case's errors, seed by seed
-Errors = dict[str, dict[str, list[np.ndarray]]]
-
-
 def _errors(runs: Sequence[Run], cases: Sequence[Case], makers: Sequence[Features]) -> Errors:
     force_N = {run.name: run.force_N for run in runs}
     found: Errors = {str(ridge): {} for ridge in RIDGES}
     for features in makers:
-        seen = {run.name: _of_units(run, features) for run in runs}
+        seen = {}  # (n, units, F) each
+        for run in runs:
+            of_units = [features(run.counts[:, unit]) for unit in range(run.counts.shape[1])]
+            seen[run.name] = np.stack(of_units, axis=1)
         for ridge in RIDGES:
             for case in cases:
                 for way, error_N in absolute_errors(case, seen, force_N, ridge).items():
@@ -290,25 +300,12 @@ def _errors(runs: Sequence[Run], cases: Sequence[Case], makers: Sequence[Feature
     return found
 
 
-def _of_units(run: Run, features: Features) -> np.ndarray:
-    """Return (n, units, F)."""
-    return np.stack([features(run.counts[:, unit]) for unit in range(run.counts.shape[1])], axis=1)
-
-
-def _means(errors: Errors) -> dict[str, dict[str, float]]:
-    return {
-        ridge: {way: float(np.mean([of.mean() for of in cases])) for way, cases in by_way.items()}
-        for ridge, by_way in errors.items()
-    }
-
-
 def _difference(of_tokens: Sequence[np.ndarray], of_raw: Sequence[np.ndarray]) -> dict[str, Any]:
-    """Return mean and 95 % interval of tokenizer minus raw counts, N; ``Sequence`` over cases."""
-    stretches = [
-        part.mean()
-        for a, b in zip(of_tokens, of_raw, strict=True)
-        for part in np.array_split(a - b, STRETCHES)
-    ]
+    """Return mean and 95 % interval of tokenizer minus raw counts, N, over all cases."""
+    stretches = []
+    for tokens, raw in zip(of_tokens, of_raw, strict=True):
+        for part in np.array_split(tokens - raw, STRETCHES):
+            stretches.append(part.mean())
     drawn = np.random.default_rng(0).choice(stretches, (BOOTSTRAPS, len(stretches))).mean(axis=1)
     return {
         "mean": float(np.mean(stretches)),
@@ -317,16 +314,13 @@ def _difference(of_tokens: Sequence[np.ndarray], of_raw: Sequence[np.ndarray]) -
 
 
 def eflesh_lines(found: dict[str, Any]) -> list[str]:
-    """Return the page: a line per row and ridge, with the mean absolute error in N of each way of reading."""
-    lines = [
-        f"eFlesh, mean absolute error in N; {found['force']}; {'sealed' if found['sealed'] else 'development'}"
-    ]
+    """Return the page: a line per row and ridge, the mean absolute error in N by way of reading."""
+    runs = "sealed" if found["sealed"] else "development"
+    lines = [f"eFlesh, mean absolute error in N; {found['force']}; {runs}"]
     for name, by_ridge in found["mae_N"].items():
         for ridge, by_way in by_ridge.items():
-            lines.append(
-                f"{name:24} ridge {ridge:>5}: "
-                + ", ".join(f"{way} {_in_words(v)}" for way, v in by_way.items())
-            )
+            ways = ", ".join(f"{way} {_in_words(value)}" for way, value in by_way.items())
+            lines.append(f"{name:24} ridge {ridge:>5}: {ways}")
     return lines
 
 

@@ -1,4 +1,4 @@
-"""Correct a sensor by ten frames with a known force: its angle on the mount, a gain and an offset per axis."""
+"""Correct a sensor by ten frames with a known force: its mount angle, gain and offset per axis."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ FEWEST = 10  # seven numbers are fitted
 
 @dataclass(frozen=True)
 class ForceCorrection:
-    """Turn the shear plane by ``turn_rad``, then gain · force + offset per axis; canonical frame."""
+    """Turn the shear plane, then gain · force + offset per axis; canonical frame."""
 
     turn_rad: float  # x towards y
-    gain: tuple[float, float, float]  # x, y, z
-    offset_N: tuple[float, float, float]
+    gain: np.ndarray  # (3,) x, y, z
+    offset_N: np.ndarray  # (3,)
 
     @classmethod
     def fit(cls, read_N: np.ndarray, known_N: np.ndarray) -> ForceCorrection:
         """Return the correction that brings (n, 3) readings to known forces.
 
-        Raises ContractError: fewer than ``FEWEST`` frames, another shape, NaN, or an axis that was never loaded.
+        Raises ContractError: fewer than ``FEWEST`` frames, another shape, NaN, or an axis that was
+        never loaded.
         """
         if (
             read_N.shape != known_N.shape
@@ -46,16 +47,18 @@ class ForceCorrection:
                 expected("labelled frames", "changing forces", "an axis never loaded", do)
             )
         turn = in_plane_turn_rad(read_N[:, :2], known_N[:, :2])
-        turned = _turned(read_N, turn)
-        lines = [np.polyfit(turned[:, k], known_N[:, k], 1) for k in range(3)]
-        (gx, ox), (gy, oy), (gz, oz) = ((float(g), float(o)) for g, o in lines)
-        return cls(turn, (gx, gy, gz), (ox, oy, oz))
+        mounted_N = turned(read_N, turn)
+        lines = [np.polyfit(mounted_N[:, k], known_N[:, k], 1) for k in range(3)]
+        gain, offset_N = np.transpose(lines)
+        return cls(turn, gain, offset_N)
 
     def __call__(self, read_N: np.ndarray) -> np.ndarray:
         """Return corrected forces (n, 3) in N."""
-        return _turned(read_N, self.turn_rad) * self.gain + self.offset_N
+        return turned(read_N, self.turn_rad) * self.gain + self.offset_N
 
 
-def _turned(force_N: np.ndarray, turn_rad: float) -> np.ndarray:
-    cos, sin = np.cos(turn_rad), np.sin(turn_rad)
+def turned(force_N: np.ndarray, turn_rad: float) -> np.ndarray:
+    """Return (n, 3) forces whose shear plane is turned, x towards y."""
+    cos = np.cos(turn_rad)
+    sin = np.sin(turn_rad)
     return np.column_stack([force_N[:, :2] @ np.array([[cos, sin], [-sin, cos]]), force_N[:, 2]])

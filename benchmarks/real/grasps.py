@@ -1,8 +1,9 @@
-"""Agreement of two real GelSight Minis on the same grasps: both fingers of a grasp feel the same normal force.
+"""Agreement of two real GelSight Minis: both fingers of a grasp feel the same normal force.
 
-The formula was fixed before any reading was scored: the relative error of a trial is mean |fz_a − fz_b| over mean
-(fz_a + fz_b) / 2, in contact; a set's error is the median over trials. Contact is defined without the tokenizer, by the
-shading of the gel. Intervals come from a bootstrap over objects, since trials of one object resemble each other.
+The formula was fixed before any reading was scored: the relative error of a trial is
+mean |fz_a − fz_b| over mean (fz_a + fz_b) / 2, in contact; a set's error is the median over trials.
+Contact is defined without the tokenizer, by the shading of the gel. Intervals come from a
+bootstrap over objects, since trials of one object resemble each other.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -32,8 +33,8 @@ SEEN = (
     "walnut",
     "wooden_giraffe",
 )
-# The first six of the other objects by SHA-256 of their names. Scored once, when the tokenizer is frozen. Their
-# markers helped to find the pads' free frames; no force was read.
+# The first six of the other objects by SHA-256 of their names. Scored once, when the tokenizer is
+# frozen. Their markers helped to find the pads' free frames; no force was read.
 SEALED = (
     "rubber_hand",
     "bag_straws",
@@ -43,8 +44,8 @@ SEALED = (
     "cellotape",
 )
 BLUR_px = 10.0  # hides the markers, at 320×240
-# Grey levels: free frames differ by up to 1, contacts by 3 and more. Chosen on eight films of the close campaign, three
-# of them of seen objects, none of a sealed one.
+# Grey levels: free frames differ by up to 1, contacts by 3 and more. Chosen on eight films of the
+# close campaign, three of them of seen objects, none of a sealed one.
 SHADED = 2.5
 SHADED_PERCENTILE = 95
 FEWEST_FRAMES = 8  # in contact, or a trial isn't scored
@@ -108,7 +109,7 @@ class Score:
 
 
 def shading(frame: np.ndarray, reference: np.ndarray) -> float:
-    """Return how much the gel's shading differs from the reference, in grey levels, of (H, W, 3) uint8 frames.
+    """Return how much a (H, W, 3) uint8 frame's shading differs from the reference, grey levels.
 
     The median is taken away: exposure changes the whole picture.
     """
@@ -124,7 +125,8 @@ def _light(frame: np.ndarray) -> np.ndarray:
 def read_films(trials: Sequence[GraspTrial], finger: Finger, borrow: bool = False) -> Films:
     """Return each trial's frames of a finger, every fifth once exposure holds, and its free air.
 
-    Raises SensorError: a frame whose markers can't be read; the fingers' frames are paired by number.
+    Raises SensorError: a frame whose markers can't be read; the fingers' frames are paired by
+    number.
     """
     frames: list[list[np.ndarray]] = []
     films: list[Film] = []
@@ -146,12 +148,13 @@ def in_contact(
     references: dict[Finger, np.ndarray],
 ) -> Grasp | None:
     """Return the frames in which both gels are shaded, None if there are too few."""
-    count = min(len(frames[finger]) for finger in FINGERS)
-    chosen = [
-        number
-        for number in range(count)
-        if all(shading(frames[finger][number], references[finger]) > SHADED for finger in FINGERS)
-    ]
+    chosen = []
+    for number, both in enumerate(zip(*(frames[finger] for finger in FINGERS), strict=False)):
+        shades = [
+            shading(frame, references[finger]) for frame, finger in zip(both, FINGERS, strict=True)
+        ]
+        if min(shades) > SHADED:
+            chosen.append(number)
     if len(chosen) < FEWEST_FRAMES:
         return None
     return drawn_grasp(SENSOR, held, group, frames, references, chosen)
@@ -165,7 +168,7 @@ def drawn_grasp(
     references: Mapping[Finger, np.ndarray],
     chosen: Sequence[int],
 ) -> Grasp:
-    """Return the marker images of the chosen raw signals of both fingers, against their references."""
+    """Return the marker images of the chosen raw signals of both fingers, against references."""
     reference: dict[Finger, np.ndarray] = {}
     current: dict[Finger, np.ndarray] = {}
     for finger in FINGERS:
@@ -186,7 +189,8 @@ def read_grasp(grasp: Grasp, read: Reader) -> Reading:
 
 def agreement(reading: Reading) -> Score:
     """Return how well the normal forces of the two fingers agree."""
-    left_N, right_N = reading.left_N, reading.right_N
+    left_N = reading.left_N
+    right_N = reading.right_N
     mean_N = float((left_N + right_N).mean() / 2)
     error = float(np.abs(left_N - right_N).mean() / abs(mean_N))
     r = float(np.corrcoef(left_N, right_N)[0, 1])
@@ -194,56 +198,43 @@ def agreement(reading: Reading) -> Score:
 
 
 def by_chance(readings: Sequence[Reading]) -> list[Reading]:
-    """Return each trial's left finger beside the right finger of the next trial of another object."""
+    """Return each trial's left finger beside the right one of the next trial of another object."""
     found = []
     for number, reading in enumerate(readings):
-        others = [*readings[number + 1 :], *readings[:number]]
-        other = next((one for one in others if one.held != reading.held), None)
-        if other is not None:
-            count = min(len(reading.left_N), len(other.right_N))
-            found.append(
-                replace(reading, left_N=reading.left_N[:count], right_N=other.right_N[:count])
-            )
+        for other in (*readings[number + 1 :], *readings[:number]):
+            if other.held != reading.held:
+                n = min(len(reading.left_N), len(other.right_N))
+                found.append(replace(reading, left_N=reading.left_N[:n], right_N=other.right_N[:n]))
+                break
     return found
-
-
-def over_objects(
-    held: Sequence[str], statistic: Callable[[np.ndarray], Sequence[float]], seed: int
-) -> np.ndarray:
-    """Return the 95 % interval (2, k) of a statistic by bootstrap over objects.
-
-    Args:
-        held: (n,) object of each trial; all trials of an object are drawn together.
-        statistic: numbers of the trials drawn → k values.
-        seed: of the draws.
-    """
-    objects = sorted(set(held))
-    trials = {name: np.flatnonzero(np.array(held) == name) for name in objects}
-    rng = np.random.default_rng(seed)
-    found = []
-    for _ in range(DRAWS):
-        drawn = rng.choice(objects, len(objects))
-        found.append(statistic(np.concatenate([trials[name] for name in drawn])))
-    return np.percentile(found, [2.5, 97.5], axis=0)
 
 
 def summary(scores: Sequence[Score], seed: int = 0) -> dict[str, object]:
     """Return the median error and r over trials, with 95 % intervals by bootstrap over objects."""
-    held = [score.held for score in scores]
+    held = np.array([score.held for score in scores])
     of_trials = np.array([[score.relative_error, score.r] for score in scores])  # (n, 2)
-    low, high = over_objects(held, lambda drawn: np.median(of_trials[drawn], axis=0), seed)
+    trials = {name: np.flatnonzero(held == name) for name in sorted(set(held.tolist()))}
+    objects = list(trials)
+    rng = np.random.default_rng(seed)
+    medians = []
+    for _ in range(DRAWS):
+        # all trials of an object are drawn together
+        drawn = np.concatenate([trials[name] for name in rng.choice(objects, len(objects))])
+        medians.append(np.median(of_trials[drawn], axis=0))
+    error, r = np.median(of_trials, axis=0).tolist()
+    error_95, r_95 = np.percentile(medians, [2.5, 97.5], axis=0).T.tolist()
     return {
-        "objects": len(set(held)),
+        "objects": len(objects),
         "trials": len(scores),
-        "relative_error": float(np.median([score.relative_error for score in scores])),
-        "relative_error_95": [float(low[0]), float(high[0])],
-        "r": float(np.median([score.r for score in scores])),
-        "r_95": [float(low[1]), float(high[1])],
+        "relative_error": error,
+        "relative_error_95": error_95,
+        "r": r,
+        "r_95": r_95,
     }
 
 
 def find_grasps(trials: Sequence[GraspTrial], borrow: bool = False) -> Iterator[Grasp]:
-    """Yield the trials of which both fingers have a reference and enough contact, a campaign at a time.
+    """Yield the trials with references and enough contact on both fingers, campaign by campaign.
 
     Args:
         trials: all that one rig recorded; those of other objects show which markers are free.
@@ -255,14 +246,19 @@ def find_grasps(trials: Sequence[GraspTrial], borrow: bool = False) -> Iterator[
             continue
         films = {finger: read_films(own, finger, borrow) for finger in FINGERS}
         for number, trial in enumerate(own):
-            references = {finger: films[finger].reference(number) for finger in FINGERS}
-            known = {finger: frame for finger, frame in references.items() if frame is not None}
-            if len(known) < len(FINGERS):
+            references = {}
+            frames = {}
+            group = campaign
+            for finger, of_finger in films.items():
+                frames[finger] = of_finger.frames[number]
+                frame = of_finger.reference(number)
+                if frame is not None:
+                    references[finger] = frame
+                if of_finger.is_borrowed(number):
+                    group = f"{campaign}{BORROWED}"
+            if len(references) < len(FINGERS):
                 continue
-            is_borrowed = any(films[finger].is_borrowed(number) for finger in FINGERS)
-            group = f"{campaign}{BORROWED}" if is_borrowed else campaign
-            frames = {finger: films[finger].frames[number] for finger in FINGERS}
-            grasp = in_contact(trial.object_name, group, frames, known)
+            grasp = in_contact(trial.object_name, group, frames, references)
             if grasp is not None:
                 yield grasp
 
@@ -270,7 +266,7 @@ def find_grasps(trials: Sequence[GraspTrial], borrow: bool = False) -> Iterator[
 def read_grasps_by(
     grasps: Iterable[Grasp], readers: Mapping[str, Reader]
 ) -> dict[str, list[Reading]]:
-    """Return reader → readings; ``CHANCE`` is the first reader's, of two fingers that held different objects."""
+    """Return reader → readings; ``CHANCE``: the first's, of fingers that held two objects."""
     found: dict[str, list[Reading]] = {name: [] for name in readers}
     for grasp in tqdm(grasps, desc="grasps", unit="grasp"):
         for name, read in readers.items():
@@ -281,8 +277,7 @@ def read_grasps_by(
 
 def by_group(readings: Sequence[Reading]) -> dict[str, object]:
     """Return group of trials → agreement of the fingers."""
-    groups = sorted({reading.group for reading in readings})
-    return {
-        group: summary([agreement(reading) for reading in readings if reading.group == group])
-        for group in groups
-    }
+    scores: dict[str, list[Score]] = {}
+    for reading in sorted(readings, key=lambda reading: reading.group):
+        scores.setdefault(reading.group, []).append(agreement(reading))
+    return {group: summary(of_group) for group, of_group in scores.items()}

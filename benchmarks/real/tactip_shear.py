@@ -1,7 +1,8 @@
 """TacTip pictures with depth and shear labels, as dexterousrobot/tactile_data_shear stores them.
 
-A folder holds ``targets_images.csv``, ``processed_images/`` and the parameters of their processing: binary pictures of
-the dome, cropped, masked by a circle. Its recordings have no licence: look at them locally, never store them here.
+A folder holds ``targets_images.csv``, ``processed_images/`` and the parameters of their processing:
+binary pictures of the dome, cropped, masked by a circle. Its recordings have no licence: look at
+them locally, never store them here.
 """
 
 from dataclasses import dataclass
@@ -34,7 +35,7 @@ class TactipSet:
 
 
 def read_tactip_shear(folder: Path, frames: int) -> TactipSet:
-    """Return ``frames`` of a recording, evenly spaced; DatasetError: a missing table, column, picture or parameter.
+    """Return evenly spaced ``frames``; DatasetError: a missing table, column, picture or parameter.
 
     Without a free-air picture the lightest contact with the least shear stands in for it.
     """
@@ -69,7 +70,7 @@ def read_tactip_shear(folder: Path, frames: int) -> TactipSet:
 
 
 def marker_image(path: Path, radius_px: float) -> np.ndarray:
-    """Return a picture as a (480, 640) uint8 marker image: the dome in the middle, at its nominal scale."""
+    """Return a picture as a (480, 640) uint8 marker image: the dome centred, at nominal scale."""
     picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if picture is None:
         raise DatasetError(

@@ -1,7 +1,7 @@
 """Grasps of two real uSkins on a Franka hand: seven trials, none with newtons.
 
-The object falls in two trials; their last scans are free air. The other five are in contact from the first scan to the
-last and borrow that reference: the sensors stayed on the hand.
+The object falls in two trials; their last scans are free air. The other five are in contact from
+the first scan to the last and borrow that reference: the sensors stayed on the hand.
 """
 
 from collections.abc import Iterator
@@ -44,21 +44,19 @@ def find_uskin_grasps(folder: str | Path) -> Iterator[Grasp]:
     root = Path(folder)
     lent = {finger: _free_air(root / LENDER / log) for finger, log in LOGS.items()}
     for trial in sorted(path for path in root.iterdir() if path.is_dir()):
-        own = trial.name in DROPPED
         scans = {finger: read_scans(trial / log) for finger, log in LOGS.items()}
-        references = (
-            {finger: _free_air(trial / log) for finger, log in LOGS.items()} if own else lent
-        )
+        group = f"{SENSOR}{BORROWED}"
+        references = lent
+        if trial.name in DROPPED:
+            group = SENSOR
+            references = {finger: _free_air(trial / log) for finger, log in LOGS.items()}
         count = min(len(of_finger) for of_finger in scans.values())
-        numbers = [
-            number
-            for number in range(0, count, STEP)
-            if all(_presses(scans[finger][number], references[finger]) for finger in FINGERS)
-        ]
-        if len(numbers) < FEWEST_FRAMES:
-            continue
-        group = SENSOR if own else f"{SENSOR}{BORROWED}"
-        yield drawn_grasp(SENSOR, trial.name, group, scans, references, numbers)
+        numbers = []
+        for number in range(0, count, STEP):
+            if all(_presses(scans[finger][number], references[finger]) for finger in FINGERS):
+                numbers.append(number)
+        if len(numbers) >= FEWEST_FRAMES:
+            yield drawn_grasp(SENSOR, trial.name, group, scans, references, numbers)
 
 
 def _free_air(path: Path) -> np.ndarray:

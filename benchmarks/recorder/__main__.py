@@ -1,4 +1,4 @@
-"""Try the recorder against stand-ins: whole sessions, kill -9, every fault, and what recording costs."""
+"""Try the recorder on stand-ins: whole sessions, kill -9, every fault, and what it costs."""
 
 import dataclasses
 import datetime
@@ -19,7 +19,8 @@ from uniforce_vtla.results_file import provenance, write_json
 def try_recorder(plan: Plan) -> dict[str, Any]:
     """Run the chosen parts; return the whole result.
 
-    Raises ContractError: an unknown part or fault; TrialError: a trial outside the faults that missed its point.
+    Raises ContractError: an unknown part or fault; TrialError: a trial outside the faults that
+    missed its point.
     """
     from benchmarks.recorder.verdict import bars
 
@@ -63,7 +64,7 @@ def _show(name: str, number: int, finding: dict[str, Any]) -> None:
 
 @command(Plan)
 def main(plan: Plan) -> int:
-    """Entry of ``python -m benchmarks.recorder``; 0 where every bar asked about is met, 1 where one isn't."""
+    """Entry of ``python -m benchmarks.recorder``; 0 where every bar asked about is met, else 1."""
     logging.basicConfig(level=logging.WARNING)
     result = try_recorder(plan)
     for bar in result["bars"]:

@@ -1,4 +1,4 @@
-"""A teleoperator that steers the robot round a level circle at a steady speed: when it stops is plain to see."""
+"""A teleoperator that steers round a level circle at a steady speed: a stop is plain to see."""
 
 import cmath
 import math
@@ -24,7 +24,7 @@ class CircleConfig(TeleoperatorConfig):
 
 
 class Circle(UniforceTeleoperator):
-    """Steers from where it starts, round a centre on the way home: no start leads farther than 4 cm away."""
+    """Steers round a centre on the way home: no start leads farther than 4 cm away."""
 
     config_class = CircleConfig
     name = "trial_circle"

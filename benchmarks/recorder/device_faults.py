@@ -31,7 +31,8 @@ class Breakage:
 
     breaks: Action  # what is done to the stand-ins
     mends: Action
-    # the episode may be stored with: the exact cause, or what may be seen first, since silence comes before its reason
+    # the episode may be stored with: the exact cause, or what may be seen first, since silence
+    # comes before its reason
     labels: tuple[str, ...]
     clears: bool = False  # whether a person has to press ``v`` before the next episode
 
@@ -60,9 +61,10 @@ BREAKAGES: dict[str, Breakage] = {
 
 
 def attended(faults: dict[str, Breakage], rig: Rig, ledger: Ledger, root: Path, times: int) -> None:
-    """Inject each until ``times`` findings of it are there; a person goes on after each one, and quits in the end.
+    """Inject each until it has ``times`` findings; a person goes on after each, quits in the end.
 
-    That the session hung or died is a finding too; it ends then, and can be begun again. All faults share a dataset.
+    That the session hung or died is a finding too; it ends then, and can be begun again. All faults
+    share a dataset.
     """
     with rig.session(root, operator="keys", episodes=EPISODES, episode_s=LONG_s) as session:
         at, clears = 0, False
@@ -106,7 +108,7 @@ def _begin(session: Session, patience: float, at: int, clears: bool) -> int:
 def _break(
     session: Session, fault: Breakage, rig: Rig, root: Path, at: int, under_way_s: float
 ) -> tuple[int, dict[str, Any]]:
-    """Break it a while into the episode; return what came of it by the terminal, the dataset and the arm's own log."""
+    """Break it a while into the episode; return what terminal, dataset and the arm's log say."""
     time.sleep(under_way_s)
     mark, broken_s = rig.mark(), time.monotonic()
     fault.breaks(rig)

@@ -1,7 +1,6 @@
-"""Fifty short episodes by the real client, beside a loop that does nothing: rate, jitter, lost frames, training."""
+"""Fifty short episodes by the real client, beside a loop that does nothing: rate, jitter, loss."""
 
 import logging
-import re
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -28,10 +27,11 @@ EPISODE_MAX = 4.0  # times its length: waiting for references and storing includ
 
 
 def run(plan: Plan, ledger: Ledger) -> dict[str, Any]:
-    """Record what is missing of the episodes; return the findings of all; TrialError: every session ends too early."""
-    root = plan.folder / "end_to_end" / "data"
+    """Record what is missing of the episodes; return the findings; TrialError: all end early."""
+    folder = plan.folder / "end_to_end"
+    root = folder / "data"
     if _judged(root) < plan.episodes:
-        with Rig(plan, plan.folder / "end_to_end") as rig:
+        with Rig(plan, folder) as rig:
             for _ in range(SESSIONS):
                 ledger.add("end_to_end", record(rig, root))
                 if _judged(root) >= plan.episodes:
@@ -42,26 +42,23 @@ def run(plan: Plan, ledger: Ledger) -> dict[str, Any]:
         do = f"See {plan.folder}/sessions.log."
         raise TrialError(expected("end to end", f"{plan.episodes} episodes", came, do))
     sessions = ledger.read("end_to_end")
-    found = rate_and_jitter(root, sessions) | {
-        "sessions": len(sessions),
-        "cores_used": [session["cores_used"] for session in sessions],
-        "machine": [session["machine"] for session in sessions],
-    }
-    return (
-        found
-        | load_in_stock_lerobot(root)
-        | train_a_little(root, plan.folder / "end_to_end" / "train")
-    )
+    found = rate_and_jitter(root, sessions)
+    found["sessions"] = len(sessions)
+    for key in ("cores_used", "machine"):
+        found[key] = [session[key] for session in sessions]
+    return found | load_in_stock_lerobot(root) | train_a_little(root, folder / "train")
 
 
 def _judged(root: Path) -> int:
-    is_there = (root / "meta" / "info.json").is_file()
-    return judged_episodes(root, len(read_source(root).episodes)) if is_there else 0
+    if not (root / "meta" / "info.json").is_file():
+        return 0
+    return judged_episodes(root, len(read_source(root).episodes))
 
 
 def record(rig: Rig, root: Path) -> dict[str, Any]:
-    """Record until all episodes are there, an idle loop beside it; return what can't be read from the dataset."""
-    plan, cores_used = rig.plan, dict[str, float]()
+    """Record all episodes, an idle loop beside it; return what can't be read from the dataset."""
+    plan = rig.plan
+    cores_used: dict[str, float] = {}
     settings = {"episodes": plan.episodes, "episode_s": plan.episode_s}
     with IdleLoop(plan.fps) as idle, rig.session(root, **settings) as session:
         try:
@@ -73,10 +70,11 @@ def record(rig: Rig, root: Path) -> dict[str, Any]:
         except TrialError as error:
             log.warning("%s", error)  # what it stored counts, and the exit code says how it ended
         code = session.wait_end(START_s)
-        begun_s = [line.time_s for line in session.lines if re.search(BEGUN, line.text)]
-        spans_s = [(time_s, time_s + plan.episode_s) for time_s in begun_s]
+        begun = session.said(BEGUN)
         beat_s, late_ms = idle.stop()
-    recorded = np.any([(beat_s >= a) & (beat_s <= b) for a, b in [*spans_s, (0.0, 0.0)]], axis=0)
+    recorded = np.zeros(len(beat_s), bool)
+    for line in begun:
+        recorded |= (beat_s >= line.time_s) & (beat_s <= line.time_s + plan.episode_s)
     return {
         "exit_code": code,
         "idle_late_ms": late_ms[recorded].tolist(),
@@ -100,16 +98,22 @@ def rate_and_jitter(root: Path, sessions: list[dict[str, Any]]) -> dict[str, Any
     """Return what the stored stamps say of the beat, beside the idle loop's."""
     source = read_source(root)
     stamps_s = source.columns((STAMPS,))[STAMPS]
-    cards = [read_card(root, episode.index) for episode in source.episodes]
-    ticks_s = [stamps_s[e.start : e.start + e.length, 0] for e in source.episodes]
-    hz = [(len(tick_s) - 1) / (tick_s[-1] - tick_s[0]) for tick_s in ticks_s]
-    late = [lateness_ms(tick_s, source.fps) for tick_s in ticks_s]
-    late_ms = np.concatenate([ms for ms, _ in late])
-    missed = sum(skipped for _, skipped in late)
-    idle_ms = np.concatenate([session["idle_late_ms"] for session in sessions])
+    cards = []
+    hz = []
+    late = []
+    missed = 0
+    for episode in source.episodes:
+        cards.append(read_card(root, episode.index))
+        tick_s = stamps_s[episode.start : episode.start + episode.length, 0]
+        hz.append((len(tick_s) - 1) / (tick_s[-1] - tick_s[0]))
+        of_episode, skipped = lateness_ms(tick_s, source.fps)
+        late.append(of_episode)
+        missed += skipped
+    idle = [session["idle_late_ms"] for session in sessions]
+    p50_ms, p99_ms = np.percentile(np.concatenate(late), (50, 99)).tolist()
+    idle_p50_ms, idle_p99_ms = np.percentile(np.concatenate(idle), (50, 99)).tolist()
     labels = Counter(card["label"] for card in cards)
     dropped = labels["aborted:dropped_frame"]
-    p99_ms, idle_p99_ms = float(np.percentile(late_ms, 99)), float(np.percentile(idle_ms, 99))
     return {
         "episodes": len(source.episodes),
         "labels": dict(labels),
@@ -117,12 +121,12 @@ def rate_and_jitter(root: Path, sessions: list[dict[str, Any]]) -> dict[str, Any
         "hz": round(float(np.mean(hz)), 3),
         "hz_lowest": round(float(np.min(hz)), 3),
         "hz_highest": round(float(np.max(hz)), 3),
-        "tick_jitter_p50_ms": round(float(np.median(late_ms)), 3),
+        "tick_jitter_p50_ms": round(p50_ms, 3),
         "tick_jitter_p99_ms": round(p99_ms, 3),
-        "idle_jitter_p50_ms": round(float(np.median(idle_ms)), 3),
+        "idle_jitter_p50_ms": round(idle_p50_ms, 3),
         "idle_jitter_p99_ms": round(idle_p99_ms, 3),
         "jitter_ratio": round(p99_ms / max(idle_p99_ms, 1e-6), 2),
-        "idle_ticks": len(idle_ms),
+        "idle_ticks": sum(map(len, idle)),
         "lost_frames": missed + dropped,
         "ticks_missed": missed,
         "episodes_with_dropped_video": dropped,
@@ -137,8 +141,10 @@ def observe_p95_ms(stamps_s: np.ndarray) -> float:
 
 
 def lateness_ms(tick_s: np.ndarray, fps: int) -> tuple[np.ndarray, int]:
-    """Return (how late each of (N,) ticks came, ms, deadlines missed), from the first one on as the ticker counts."""
-    period_s, due_s, missed = 1 / fps, float(tick_s[0]), 0
+    """Return how late each of (N,) ticks came, ms, and the missed deadlines."""
+    period_s = 1 / fps
+    due_s = float(tick_s[0])
+    missed = 0
     late_s = np.zeros(len(tick_s))
     for number, now_s in enumerate(tick_s):
         late_s[number] = max(now_s - due_s, 0.0)

@@ -1,4 +1,4 @@
-"""Faults that end a session or keep it from starting: a fresh session for each, its exit code looked at."""
+"""Faults that end a session or keep it from starting: a fresh session for each."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Bench:
 
 
 def server_death(bench: Bench) -> dict[str, Any]:
-    """The arm's process vanishes; with it its log, so the rows say when it was held: the tick that failed, and held."""
+    """The arm's process vanishes with its log: the rows say when it was held."""
     bench.rig.new_arm()
     with bench.session(episodes=1, episode_s=LONG_s) as session:
         bench.into_an_episode(session)
@@ -82,7 +82,7 @@ def wrong_version(bench: Bench) -> dict[str, Any]:
 
 
 def disk_full_guard(bench: Bench) -> dict[str, Any]:
-    """Another program fills the disk up below the reserve: the next tick stops, and the episode still fits."""
+    """Another program fills the disk below the reserve: the tick stops, the episode still fits."""
     with SmallDisk(bench.root, DISK_MB) as disk:
         bench.rig.new_arm()
         settings = {"episodes": 1, "episode_s": FEW_s, "reserve_MB": disk.reserve_MB(RESERVE_MB)}
@@ -99,7 +99,7 @@ def disk_full_guard(bench: Bench) -> dict[str, Any]:
 
 
 def disk_full_for_real(bench: Bench) -> dict[str, Any]:
-    """No byte is left and no guard on: the error is typed, what was saved stays, the session ends with its code."""
+    """No byte left and no guard: the error is typed, what was saved stays, the code is right."""
     with SmallDisk(bench.root, DISK_MB) as disk:
         if not disk.is_own:
             return {
@@ -120,7 +120,7 @@ def disk_full_for_real(bench: Bench) -> dict[str, Any]:
 
 
 def ctrl_c_twice(bench: Bench) -> dict[str, Any]:
-    """The second one may cut the storing short: labelled ``aborted:interrupt`` or not there, nothing between."""
+    """The second one may cut the storing short: labelled ``aborted:interrupt`` or not there."""
     bench.rig.new_arm()
     with bench.session(episodes=1, episode_s=LONG_s) as session:
         bench.into_an_episode(session)
@@ -171,7 +171,7 @@ def _last_card(root: Path) -> dict[str, Any]:
 
 
 def _held_at(root: Path, card: dict[str, Any]) -> float:
-    """Return when the rig was held, ``time.time``: the first tick without a row, and how long that one took."""
+    """Return when the rig was held, ``time.time``: the first tick without a row; its length."""
     source = read_source(root)
     last_tick_s = float(np.atleast_2d(source.columns((STAMPS,))[STAMPS])[-1, 0])
     return (
@@ -183,7 +183,7 @@ def _held_at(root: Path, card: dict[str, Any]) -> float:
 
 
 class SmallDisk:
-    """A folder on a small disk; ``is_own`` says whether it could be mounted: only then can it really be filled up."""
+    """A folder on a small disk; ``is_own``: it could be mounted, and can really be filled up."""
 
     def __init__(self, root: Path, size_MB: int) -> None:
         self._root = root
@@ -206,7 +206,7 @@ class SmallDisk:
         return wanted_MB if self.is_own else shutil.disk_usage(self._root).free / MB - ROOM_MB
 
     def fill(self, left_MB: float, reserve_MB: float) -> None:
-        """Take the room away: all but ``left_MB`` of an own disk, else enough to get below the limit."""
+        """Take all room but ``left_MB`` of an own disk, else enough to get below the limit."""
         free = shutil.disk_usage(self._root).free
         size = free - int(left_MB * MB) if self.is_own else int((ROOM_MB + reserve_MB) * MB)
         path = (

@@ -1,4 +1,4 @@
-"""Every fault as often as wanted: was the robot held in time, was the outcome the right one, did nothing hang?"""
+"""Every fault as often as wanted: was the robot held in time, was the outcome right?"""
 
 import random
 import shutil
@@ -23,15 +23,16 @@ def run(plan: Plan, ledger: Ledger, names: tuple[str, ...] = NAMES) -> dict[str,
     if left:
         with Rig(plan, plan.folder / "faults" / "rig") as rig:
             _break_devices({n: BREAKAGES[n] for n in left if n in BREAKAGES}, ledger, rig)
-            for name in (n for n in left if n in ENDINGS):
-                while (done := len(ledger.read(name))) < plan.times:
-                    _noted(name, ledger, partial(ENDINGS[name], bench_of(name, done, rig)))
+            for name in left:
+                while name in ENDINGS and (done := len(ledger.read(name))) < plan.times:
+                    _note(name, ledger, partial(ENDINGS[name], bench_of(name, done, rig)))
     return {name: summary(ledger.read(name)) for name in NAMES if ledger.read(name)}
 
 
 def _break_devices(faults: dict[str, Breakage], ledger: Ledger, rig: Rig) -> None:
-    """All but the last injection of each in one session, the last one in an unattended session."""
-    root, by_hand = rig.plan.folder / "faults" / "attended", max(rig.plan.times - 1, 1)
+    """Inject all but the last of each in one session, the last one in an unattended session."""
+    root = rig.plan.folder / "faults" / "attended"
+    by_hand = max(rig.plan.times - 1, 1)
     while any(len(ledger.read(name)) < by_hand for name in faults):
         rig.new_arm()
         attended(faults, rig, ledger, root, by_hand)
@@ -39,7 +40,7 @@ def _break_devices(faults: dict[str, Breakage], ledger: Ledger, rig: Rig) -> Non
             fault.mends(rig)
     for name, fault in faults.items():
         while len(ledger.read(name)) < rig.plan.times:
-            _noted(name, ledger, partial(unattended, name, fault, rig))
+            _note(name, ledger, partial(unattended, name, fault, rig))
             fault.mends(rig)
 
 
@@ -49,7 +50,7 @@ def bench_of(name: str, number: int, rig: Rig) -> Bench:
     return Bench(rig, root, random.Random(f"{name}{number}"))
 
 
-def _noted(name: str, ledger: Ledger, trial: Callable[[], dict[str, Any]]) -> None:
+def _note(name: str, ledger: Ledger, trial: Callable[[], dict[str, Any]]) -> None:
     """Add what a trial found; one that hung, died or left no dataset is a finding too."""
     try:
         ledger.add(name, trial())
@@ -58,19 +59,18 @@ def _noted(name: str, ledger: Ledger, trial: Callable[[], dict[str, Any]]) -> No
 
 
 def summary(findings: list[dict[str, Any]]) -> dict[str, Any]:
-    holds_s, rests_s, clocks, labels, codes = (
-        [finding[key] for finding in findings if finding.get(key) is not None]
-        for key in ("hold_s", "rest_s", "arm_clock", "label", "exit_code")
-    )
-    messages = [finding["message"] for finding in findings if finding.get("message")]
+    def known(key: str) -> list[Any]:
+        return [finding[key] for finding in findings if finding.get(key) is not None]
+
+    example = next(filter(None, known("message")), "")
     return {
         "trials": len(findings),
         "right_outcome": sum(bool(finding["right_outcome"]) for finding in findings),
-        "worst_hold_s": max(holds_s, default=None),
-        "worst_rest_s": max(rests_s, default=None),
-        "slowest_arm_clock": min(clocks, default=None),
-        "labels": sorted(set(labels)),
-        "exit_codes": sorted(set(codes)),
+        "worst_hold_s": max(known("hold_s"), default=None),
+        "worst_rest_s": max(known("rest_s"), default=None),
+        "slowest_arm_clock": min(known("arm_clock"), default=None),
+        "labels": sorted(set(known("label"))),
+        "exit_codes": sorted(set(known("exit_code"))),
         # results are committed, so that no path may name a folder of this machine
-        "example": messages[0].replace(f"{Path.cwd()}/", "") if messages else "",
+        "example": example.replace(f"{Path.cwd()}/", ""),
     }

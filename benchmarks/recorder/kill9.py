@@ -1,8 +1,9 @@
-"""kill -9 at random moments: what was saved stays, what runs may be lost, the next session goes on."""
+"""kill -9 at random moments: what was saved stays, and the next session goes on."""
 
 import random
 import signal
 import time
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -43,22 +44,25 @@ def run(plan: Plan, ledger: Ledger) -> dict[str, Any]:
 
 
 def kill_once(rig: Rig, root: Path, number: int) -> dict[str, Any]:
-    """Resume, let one episode be stored, kill at a random moment of the next, and look at what is left."""
+    """Resume, let an episode be stored, kill at a random moment of the next; see what is left."""
     rng = random.Random(number)
-    moment, victim = MOMENTS[number % 3], VICTIMS[number // 3 % 3]
+    moment = MOMENTS[number % 3]
+    victim = VICTIMS[number // 3 % 3]
     before = _episodes(root)
     rig.new_arm()
-    settings = {"episodes": EPISODES} | SHORT | (resumed(root) if before else {})
+    settings: dict[str, Any] = {"episodes": EPISODES} | SHORT
+    if before:
+        settings |= resumed(root)
     with rig.session(root, **settings) as session:
         at, _ = session.wait_for(STORED, START_s + WAIT_s)
         if moment != "between":
-            at, _ = session.wait_for(BEGUN, WAIT_s, at + 1)
+            session.wait_for(BEGUN, WAIT_s, at + 1)
         time.sleep(rng.uniform(*RANDOM_s[moment]))
         family = session.processes()
         for process in {"all": family, "loop": family[:1], "store": family[1:]}[victim]:
             process.send_signal(signal.SIGKILL)
         code = session.wait_end(WAIT_s)
-        _, alive = psutil.wait_procs(family, WAIT_s * rig.plan.patience)
+        alive = psutil.wait_procs(family, WAIT_s * rig.plan.patience)[1]
         said = len(session.said(STORED))
     has = _load(root, before)
     return {
@@ -79,11 +83,13 @@ def resumed(root: Path) -> dict[str, Any]:
 
 
 def _episodes(root: Path) -> int:
-    return len(check_dataset(root).episodes) if (root / "meta" / "info.json").is_file() else 0
+    if not (root / "meta" / "info.json").is_file():
+        return 0
+    return len(check_dataset(root).episodes)
 
 
 def _load(root: Path, first: int = 0) -> int:
-    """Check all episodes, read those from a number on with LeRobot's own class; return how many there are."""
+    """Check all episodes, read those from a number on with LeRobot's own class; return how many."""
     count = _episodes(root)
     if count:
         load_in_stock_lerobot(root, first)
@@ -100,15 +106,12 @@ def finish(rig: Rig, root: Path) -> dict[str, Any]:
 
 
 def _sum(trials: list[dict[str, Any]], last: dict[str, Any]) -> dict[str, Any]:
-    resumed = sum(trial["said_stored"] > 0 for trial in trials[1:]) + (last["exit_code"] == 0)
-    kinds = {f"{moment}/{victim}": 0 for moment in MOMENTS for victim in VICTIMS}
-    for trial in trials:
-        kinds[f"{trial['moment']}/{trial['victim']}"] += 1
+    went_on = sum(trial["said_stored"] > 0 for trial in trials[1:])
     return {
         "trials": len(trials),
         "saved_episodes_lost": sum(trial["saved_lost"] for trial in trials),
-        "resumed": resumed,
+        "resumed": went_on + (last["exit_code"] == 0),
         "episodes_at_the_end": last["episodes_after"],
         "processes_left": sum(trial["processes_left"] for trial in trials),
-        "moments": {kind: count for kind, count in kinds.items() if count},
+        "moments": dict(Counter(f"{trial['moment']}/{trial['victim']}" for trial in trials)),
     }

@@ -16,7 +16,7 @@ SLOTS = "policy.touch.slots={touch0: right, touch1: left}"
 
 
 def load_in_stock_lerobot(root: Path, first: int = 0) -> dict[str, Any]:
-    """Read the first and last frame of episodes from ``first`` on with ``LeRobotDataset`` and nothing of ours."""
+    """Read the first and last frame of episodes from ``first`` on with LeRobot's class alone."""
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     dataset = LeRobotDataset("local/trial", root=root, revision="local", video_backend="pyav")
@@ -33,15 +33,16 @@ def load_in_stock_lerobot(root: Path, first: int = 0) -> dict[str, Any]:
 
 
 def train_a_little(root: Path, out: Path) -> dict[str, Any]:
-    """Train the tiny policy for 20 steps through ``uniforce train``, straight from the recorded videos."""
+    """Train the tiny policy for 20 steps by ``uniforce train``, on the recorded videos."""
     done = out / "trained.json"
     if done.is_file():
         found: dict[str, Any] = json.loads(done.read_text())
         return found
     run = out / f"run{len(list(out.glob('run*')))}"  # LeRobot wants a folder that isn't there
     arguments = [
-        "policy=pi05_uniforce", "policy.size=tiny", "policy.device=cpu", SLOTS, "dataset.repo_id=local/trial",
-        f"dataset.root={root}", "dataset.video_backend=pyav", "batch_size=2", "num_workers=0", "log_freq=5",
+        "policy=pi05_uniforce", "policy.size=tiny", "policy.device=cpu", SLOTS,
+        "dataset.repo_id=local/trial", f"dataset.root={root}", "dataset.video_backend=pyav",
+        "batch_size=2", "num_workers=0", "log_freq=5",
         f"steps={STEPS}", f"save_freq={STEPS}", f"output_dir={run}",
     ]  # fmt: skip
     program = "import sys; from uniforce_cli.train import main; sys.exit(main())"

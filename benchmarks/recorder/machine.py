@@ -1,4 +1,4 @@
-"""Limits of this machine: the beat of a loop that does nothing, and the processes that used the cores."""
+"""Limits of this machine: the beat of a loop that does nothing, and who used the cores."""
 
 from __future__ import annotations
 
@@ -17,8 +17,10 @@ END_s = 60.0
 
 
 def tick(rate_hz: float, pipe: Connection) -> None:
-    """Tick until something comes through the pipe or it ends; send when each beat came, s, and how late it was, ms."""
-    ticker, time_s, late_ms = Ticker(rate_hz), [], []
+    """Tick until something comes through the pipe; send each beat's time, s, and delay, ms."""
+    ticker = Ticker(rate_hz)
+    time_s = []
+    late_ms = []
     while not pipe.poll():
         late_ms.append(round(1e3 * ticker.wait(), 4))
         time_s.append(round(time.monotonic(), 4))
@@ -26,7 +28,7 @@ def tick(rate_hz: float, pipe: Connection) -> None:
 
 
 class IdleLoop:
-    """A loop that does nothing, on the recorder's own ticker; beside a session, in a process of its own."""
+    """An idle loop on the recorder's own ticker, in a process of its own."""
 
     def __init__(self, rate_hz: float) -> None:
         spawn = multiprocessing.get_context("spawn")
@@ -47,7 +49,10 @@ class IdleLoop:
         self._process.join()
 
     def stop(self) -> tuple[np.ndarray, np.ndarray]:
-        """End it; return (when each beat came, ``time.monotonic`` s, how late it was, ms); TimeoutError: no answer."""
+        """End it; return when each beat came, ``time.monotonic`` s, and how late it was, ms.
+
+        Raises TimeoutError: no answer.
+        """
         self._pipe.send("end")
         if not self._pipe.poll(END_s):
             raise TimeoutError(f"the idle loop did not end within {END_s:g} s")
@@ -75,24 +80,19 @@ class CpuMeter:
         self._begun = self._now()
 
     def read(self) -> dict[str, float]:
-        """Return cores (1.0 is one whole core) by group, ``everything_else`` on this machine, and the mean load."""
-        begun, ended = self._begun, self._now()
-        wall_s = ended["wall"] - begun["wall"]
-        used = {name: (ended[name] - begun[name]) / wall_s for name in self._groups}
-        whole = (ended["machine"] - begun["machine"]) / wall_s
-        rounded = {name: round(share, 3) for name, share in used.items()}
-        return rounded | {"everything_else": round(max(whole - sum(used.values()), 0.0), 3)}
+        """Return cores by group and ``everything_else`` on this machine; 1.0 is one whole core."""
+        ended = self._now()
+        used_s = {name: ended[name] - begun for name, begun in self._begun.items()}
+        wall_s = used_s.pop("wall")
+        others = used_s.pop("machine") - sum(used_s.values())
+        cores = {name: round(spent / wall_s, 3) for name, spent in used_s.items()}
+        return cores | {"everything_else": round(max(others / wall_s, 0.0), 3)}
 
     def _now(self) -> dict[str, float]:
         machine = psutil.cpu_times()
-        busy_s = (
-            sum(machine)
-            - machine.idle
-            - getattr(machine, "iowait", 0.0)
-            - getattr(machine, "guest", 0.0)
-        )
-        seconds = {name: cpu_s(processes) for name, processes in self._groups.items()}
-        return seconds | {"wall": time.monotonic(), "machine": busy_s}
+        idle_s = machine.idle + getattr(machine, "iowait", 0.0) + getattr(machine, "guest", 0.0)
+        now = {name: cpu_s(processes) for name, processes in self._groups.items()}
+        return now | {"wall": time.monotonic(), "machine": sum(machine) - idle_s}
 
 
 def machine_facts() -> dict[str, object]:

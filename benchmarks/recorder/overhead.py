@@ -40,7 +40,8 @@ def run(plan: Plan, ledger: Ledger) -> dict[str, Any]:
 
 
 def _read(plan: Plan) -> dict[str, Any]:
-    folder, wait_s = plan.folder / "overhead" / "read", (START_s + plan.overhead_s) * plan.patience
+    folder = plan.folder / "overhead" / "read"
+    wait_s = (START_s + plan.overhead_s) * plan.patience
     with Rig(plan, folder) as rig, multiprocessing.get_context("spawn").Pool(1) as pool:
         try:
             return pool.apply_async(measure, (rig.arm.address, plan.overhead_s, folder)).get(wait_s)
@@ -53,31 +54,26 @@ def _read(plan: Plan) -> dict[str, Any]:
 
 def measure(address: str, seconds: float, folder: Path) -> dict[str, float]:
     config = UniforceFrankaConfig(id="trial", calibration_dir=folder, address=address, guards=BOX)
-    robot, ticker, took_ms = UniforceFranka(config), Ticker(RATE_HZ), []
-    robot.connect()
-    try:
+    ticker = Ticker(RATE_HZ)
+    took_ms = []
+    with UniforceFranka(config) as robot:
         for _ in range(round(seconds * RATE_HZ)):
             ticker.wait()
             begun_s = time.perf_counter()
             seen = robot.get_observation()
             took_ms.append(1e3 * (time.perf_counter() - begun_s))
             robot.send_action(seen)
-    finally:
-        robot.disconnect()
-    p50, p95, p99 = np.percentile(took_ms, (50, 95, 99)).tolist()
-    return {
-        "reads": len(took_ms),
-        "p50_ms": round(p50, 3),
-        "p95_ms": round(p95, 3),
-        "p99_ms": round(p99, 3),
-    }
+    found: dict[str, float] = {"reads": len(took_ms)}
+    for percent in (50, 95, 99):
+        found[f"p{percent}_ms"] = round(float(np.percentile(took_ms, percent)), 3)
+    return found
 
 
 def measure_rate(seconds: float, rate_hz: float = 500.0) -> dict[str, float]:
     """Read a stand-in of its own for some time; every scan it sent is waited for.
 
-    Returns scans sent, received (``samples``), torn (``lost``), not understood (``bad``) and received per second at its
-    end; percentiles of the newest scan's age, asked for at random times.
+    Returns scans sent, received (``samples``), torn (``lost``), not understood (``bad``) and
+    received per second at its end; percentiles of the newest scan's age at random times.
     """
     with StandIn("slcan", f"rate_hz={rate_hz}") as stand_in:
         source = SlcanUSkin(stand_in.address)
@@ -93,13 +89,22 @@ def measure_rate(seconds: float, rate_hz: float = 500.0) -> dict[str, float]:
         finally:
             reader.stop()
     counts = reader.counts
-    numbers = {"samples": counts.samples, "lost": counts.lost, "bad": counts.bad, "sent": sent}
-    rates = {"seconds": seconds, "rate_hz": seen_hz, "age_p50_ms": p50_ms, "age_p99_ms": p99_ms}
-    return numbers | {name: round(value, 3) for name, value in rates.items()}
+    return {
+        "samples": counts.samples,
+        "lost": counts.lost,
+        "bad": counts.bad,
+        "sent": sent,
+        "seconds": round(seconds, 3),
+        "rate_hz": round(seen_hz, 3),
+        "age_p50_ms": round(p50_ms, 3),
+        "age_p99_ms": round(p99_ms, 3),
+    }
 
 
 def _ages_ms(reader: SampleReader, seconds: float) -> list[float]:
-    rng, end_s, ages = np.random.default_rng(0), time.monotonic() + seconds, []
+    rng = np.random.default_rng(0)
+    end_s = time.monotonic() + seconds
+    ages = []
     while time.monotonic() < end_s:
         time.sleep(rng.uniform(0.002, 0.012))  # at no fixed phase to the scans
         ages.append(reader.newest(ANY_AGE_MS).age_ms)

@@ -18,9 +18,9 @@ Fps = Annotated[int, Range(1, 120)]
 class Plan:
     """Record, kill and break, and write what came of it to a file; run it again to go on.
 
-    Everything, on a machine with nothing else to do:  python -m benchmarks.recorder
-    One part, for example:                             python -m benchmarks.recorder only=faults faults=arm_reflex
-    On a busy machine, to see that it works:           python -m benchmarks.recorder fps=5 patience=20 uskin_hz=50 …
+    Everything, on an idle machine: python -m benchmarks.recorder
+    One part, for example: python -m benchmarks.recorder only=faults faults=arm_reflex
+    On a busy machine, to try it: python -m benchmarks.recorder fps=5 patience=20 uskin_hz=50 …
     Needs the extra `franka`. The arm, fingers and cameras are stand-ins; nothing here is hardware.
     """
 

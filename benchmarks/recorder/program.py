@@ -1,8 +1,8 @@
 """``uniforce record`` as a program that starts at once: imported here, forked for every session.
 
-A line in is ``{"argv": […], "tty": PATH}``, lines out are ``ready``, ``pid N`` and ``exit N``. A session runs on that
-terminal as its own leader, so that Ctrl-C reaches it as it would a person's; it is the command itself, with one more
-teleoperator registered.
+A line in is ``{"argv": […], "tty": PATH}``, lines out are ``ready``, ``pid N`` and ``exit N``. A
+session runs on that terminal as its own leader, so that Ctrl-C reaches it as it would a person's;
+it is the command itself, with one more teleoperator registered.
 """
 
 import importlib

@@ -1,4 +1,4 @@
-"""A rig of stand-ins: arm and hand, a GelSight on the left finger, a uSkin on the right one, two scene cameras."""
+"""A rig of stand-ins: an arm, a GelSight on the left finger, a uSkin right, two scene cameras."""
 
 from __future__ import annotations
 
@@ -37,10 +37,11 @@ WATCHED_s = 0.3  # at the end
 
 
 def find_hold(wire: Sequence[dict], fault_s: float) -> dict[str, float] | None:
-    """Return {"hold_s": until it began to brake for good, "rest_s": until it was within 1 mm of where it stayed}.
+    """Return "hold_s", until it began to brake for good, and "rest_s", until it was at rest.
 
-    Seconds from the fault at ``fault_s``, ``time.monotonic``, 0 for what was so before it; None where the arm went on
-    moving. ``wire`` is the arm's log from the fault until well after the rest.
+    Seconds from the fault at ``fault_s``, ``time.monotonic``, 0 for what was so before it; None
+    where the arm went on moving. At rest is within 1 mm of where it stayed. ``wire`` is the arm's
+    log from the fault until well after the rest.
     """
     states = [line for line in wire if line["what"] == "state"]
     if not states:
@@ -51,8 +52,10 @@ def find_hold(wire: Sequence[dict], fault_s: float) -> dict[str, float] | None:
     if away_m[times_s > times_s[-1] - WATCHED_s].max() > STILL_m:
         return None
     moments = {"hold_s": _speeds_m_s(times_s, places_m) > SLOW_m_s, "rest_s": away_m > REST_m}
-    lasts_s = {name: times_s[is_so].max(initial=fault_s) for name, is_so in moments.items()}
-    return {name: round(float(last_s) - fault_s, 3) for name, last_s in lasts_s.items()}
+    found = {}
+    for name, is_so in moments.items():
+        found[name] = round(float(times_s[is_so].max(initial=fault_s)) - fault_s, 3)
+    return found
 
 
 def _speeds_m_s(times_s: np.ndarray, places_m: np.ndarray) -> np.ndarray:
@@ -65,8 +68,8 @@ def _speeds_m_s(times_s: np.ndarray, places_m: np.ndarray) -> np.ndarray:
 def arm_clock(wire: Sequence[dict]) -> float | None:
     """Return the milliseconds the arm lived through per millisecond of ours; None without a log.
 
-    The stand-in waits for its client. Where the machine starves one of them the arm's time runs slower than ours, its
-    braking included; 1.0 means that a hold was measured on an arm that keeps time.
+    The stand-in waits for its client. Where the machine starves one of them the arm's time runs
+    slower than ours, its braking included; 1.0: a hold was measured on an arm that keeps time.
     """
     states = [line for line in wire if line["what"] == "state"]
     if len(states) < 2:
@@ -76,16 +79,17 @@ def arm_clock(wire: Sequence[dict]) -> float | None:
 
 
 def new_address() -> str:
-    """Return a loopback address of its own: the arm's ports are fixed, and trials may run side by side."""
+    """Return a loopback address of its own: the arm's ports are fixed, trials run side by side."""
     pid = os.getpid()
     return f"127.{pid % 250 + 1}.{pid // 250 % 250}.{next(_numbers) % 250}"
 
 
 class Rig:
-    """Stand-ins that run, sessions of ``uniforce record`` against them, and what breaks them; files in ``folder``."""
+    """Stand-ins, sessions of ``uniforce record`` against them, and what breaks them."""
 
     def __init__(self, plan: Plan, folder: Path) -> None:
-        self.plan, self.folder = plan, folder
+        self.plan = plan
+        self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
         self._program: Program | None = None
         with ExitStack() as undo:
@@ -94,24 +98,27 @@ class Rig:
             self._closing = undo.pop_all()
 
     def _start(self) -> None:
-        start, rate = self._closing.enter_context, f"rate_hz={self.plan.fps}"
+        start = self._closing.enter_context
+        rate = f"rate_hz={self.plan.fps}"
         cycle = (f"rest_s={FREE_FRAMES / self.plan.fps}", "press_s=1")
-        self.cameras = {
-            name: start(StandIn("mjpeg", f"sensor={sensor}", rate, f"seed={seed}", *SCENE_CYCLE))
-            for seed, (name, sensor) in enumerate(CAMERAS.items())
-        }
+        self.cameras = {}
+        for seed, (name, sensor) in enumerate(CAMERAS.items()):
+            self.cameras[name] = start(
+                StandIn("mjpeg", f"sensor={sensor}", rate, f"seed={seed}", *SCENE_CYCLE)
+            )
         self.gelsight = start(StandIn("mjpeg", "sensor=gelsight", "seed=5", rate, *cycle))
         self.uskin = start(StandIn("slcan", f"rate_hz={self.plan.uskin_hz}", *cycle))
         self._closing.callback(lambda: self.arm.close())
         self.arm = ArmStandIn(new_address(), log=self._log)
 
     def session(self, root: Path, **settings: object) -> Session:
-        """Begin ``uniforce record`` into a folder; the program it is forked from is loaded at the first."""
+        """Begin ``uniforce record`` into a folder; the first loads the program behind it."""
+        patience = self.plan.patience
         if self._program is None:
             log = self.plan.folder / "sessions.log"
-            self._program = self._closing.enter_context(Program(log, self.plan.patience))
+            self._program = self._closing.enter_context(Program(log, patience))
         self._write_file()
-        plain = {
+        words = {
             "robot": "franka",
             "rig": self._file,
             "teleop": "trial_circle",
@@ -120,11 +127,13 @@ class Rig:
             "repo_id": "local/trial",
             "prompts": "[go round]",
             "reserve_MB": 50.0,
-            "late_share": 0.1 if self.plan.patience <= 1 else 0.9,
+            "late_share": 0.1 if patience <= 1 else 0.9,
         } | settings
-        attended = plain["operator"] == "keys"
-        wait = {"drive_between": False} if attended else {"unwell_s": 10.0 * self.plan.patience}
-        return Session(self._program, [f"{name}={value}" for name, value in (wait | plain).items()])
+        if words["operator"] == "keys":
+            words.setdefault("drive_between", False)
+        else:
+            words.setdefault("unwell_s", 10.0 * patience)
+        return Session(self._program, [f"{name}={value}" for name, value in words.items()])
 
     def new_arm(self, *flags: str) -> None:
         self.arm.close()
@@ -149,9 +158,10 @@ class Rig:
         return self._log.stat().st_size
 
     def rest(self, mark: int, fault_s: float) -> dict[str, Any]:
-        """Wait until the arm rests; return when it was held, if ever, and how well its own clock ran.
+        """Wait until the arm rests; return when it was held, if ever, and how well its clock ran.
 
-        ``mark`` is where its log stood before the fault, which came at ``fault_s``, ``time.monotonic``.
+        ``mark`` is where its log stood before the fault, which came at ``fault_s``,
+        ``time.monotonic``.
         """
         deadline_s = time.monotonic() + REST_MAX_s * self.plan.patience
         hold = None
@@ -169,15 +179,16 @@ class Rig:
 
     def _write_file(self) -> None:
         patience = self.plan.patience
-        scene = {
-            "type": "uniforce_scene",
-            "width": 640,
-            "height": 480,
-            "max_age_ms": min(200.0 * patience, 1000.0),
-        }
-        cameras: dict[str, dict] = {
-            n: {**scene, "source": s.address} for n, s in self.cameras.items()
-        }
+        picture_age_ms = min(200.0 * patience, 1000.0)
+        cameras: dict[str, dict] = {}
+        for name, stand_in in self.cameras.items():
+            cameras[name] = {
+                "type": "uniforce_scene",
+                "width": 640,
+                "height": 480,
+                "max_age_ms": picture_age_ms,
+                "source": stand_in.address,
+            }
         cameras["tactile_left"] = {
             "type": "uniforce_tactile",
             "sensor": "gelsight",
@@ -185,7 +196,7 @@ class Rig:
             "source": self.gelsight.address,
             "capture_width": 640,
             "capture_height": 480,
-            "max_age_ms": min(200.0 * patience, 1000.0),
+            "max_age_ms": picture_age_ms,
         }
         cameras["tactile_right"] = {
             "type": "uniforce_uskin",
@@ -194,6 +205,7 @@ class Rig:
             "source": self.uskin.address,
             "max_age_ms": min(100.0 * patience, 1000.0),
         }
+        state_age_s = min(0.2 * patience, 0.9)
         robot = {
             "type": "uniforce_franka",
             "id": "trial",
@@ -205,8 +217,8 @@ class Rig:
                 "low": [0.1, -0.3, 0.1, -3.1416, 0.0],
                 "high": [0.7, 0.3, 0.6, 3.1416, 0.08],
             },
-            # 1 s is the hard limit of each; the hand's is never the first to be met when the controller dies.
-            "stream": dict.fromkeys(("state_age_s", "stale_s"), min(0.2 * patience, 0.9)),
+            # 1 s is the hard limit of each; the hand's is never met first when the controller dies
+            "stream": {"state_age_s": state_age_s, "stale_s": state_age_s},
             "gripper": {"reading_age_s": min(0.5 * patience, 1.0)},
             "cameras": cameras,
         }

@@ -1,4 +1,4 @@
-"""A recording session seen from outside: its terminal read line by line with times, its keys pressed, its processes."""
+"""A recording session from outside: its terminal read line by line, its keys pressed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THRE
 
 
 def environment() -> dict[str, str]:
-    """Return the environment of programs beside us: one thread each, and what we can import, they can."""
+    """Return the environment of programs beside us: one thread each, our own import path."""
     paths = os.pathsep.join(path for path in sys.path if path)
     return os.environ | ONE_THREAD | {"PYTHONPATH": paths, "HF_HUB_OFFLINE": "1"}
 
@@ -63,10 +63,10 @@ class Session:
         return [line for line in self.lines if re.search(pattern, line.text)]
 
     def wait_for(self, pattern: str, timeout_s: float, after: int = 0) -> tuple[int, Line]:
-        """Return (its number, the line) of the first line at or after number ``after`` that holds a pattern.
+        """Return (its number, the line) of the first line from ``after`` on that holds a pattern.
 
-        Times are multiplied by the plan's patience, here and in ``wait_end``. Raises TrialError: it ended before, or
-        said nothing of the kind in time.
+        Times are multiplied by the plan's patience, here and in ``wait_end``. Raises TrialError: it
+        ended before, or said nothing of the kind in time.
         """
         deadline_s = time.monotonic() + timeout_s * self._patience
         while True:
@@ -77,7 +77,8 @@ class Session:
             after = max(after, len(lines))
             ended = self._program.exit_code() is not None
             if (ended and len(self.lines) == len(lines)) or time.monotonic() > deadline_s:
-                came = f"{'its end' if ended else 'silence'} after {[line.text for line in lines[-6:]]}"
+                last = [line.text for line in lines[-6:]]
+                came = f"{'its end' if ended else 'silence'} after {last}"
                 raise TrialError(
                     expected("session", f"a line with {pattern!r}", came, "See the lines.")
                 )
@@ -89,7 +90,7 @@ class Session:
         os.write(self._master, keys.encode())
 
     def wait_end(self, timeout_s: float) -> int:
-        """Return the exit code, -9 where it was killed; raises TrialError: it hangs; it is killed then."""
+        """Return the exit code, -9 if killed; raises TrialError: it hangs; it is killed then."""
         code = self._program.exit_code(timeout_s * self._patience)
         if code is None:
             self._kill()
@@ -141,7 +142,7 @@ class Session:
 
 
 class Program(StandIn):
-    """The warm program that sessions are forked from; one session at a time. All they say is added to the file ``log``.
+    """The warm program that sessions are forked from, one at a time; ``log`` gets what they say.
 
     Waiting times are multiplied by ``patience``.
     """

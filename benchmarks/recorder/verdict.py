@@ -3,10 +3,13 @@
 from collections.abc import Iterator
 from typing import Any
 
-EPISODES, KILLS, TIMES = 50, 20, 10
+EPISODES = 50
+KILLS = 20
+TIMES = 10
 HELD_s = {"mute_at_connect": 3.0, "wrong_version": 3.0}  # of these nothing moves: until the error
 HELD_IN_s = 0.5  # of all others
-OPEN, MET, MISSED = "not judged", "met", "missed"
+# bar, what was asked, what was seen, whether met, whether run in full
+Found = tuple[str, str, object, bool, bool]
 
 
 def bars(result: dict[str, Any]) -> list[dict[str, Any]]:
@@ -14,21 +17,21 @@ def bars(result: dict[str, Any]) -> list[dict[str, Any]]:
     parts = {"end_to_end": _end_to_end, "kill9": _kill9, "faults": _faults, "overhead": _overhead}
     rows = []
     for part, read in parts.items():
-        for bar, asked, seen, is_met, is_whole in read(result[part]) if part in result else ():
-            verdict = (
-                (MET if is_met else MISSED) if is_whole and result["runs"][part]["judged"] else OPEN
-            )
+        if part not in result:
+            continue
+        is_judged = result["runs"][part]["judged"]
+        for bar, asked, seen, is_met, is_whole in read(result[part]):
+            verdict = "not judged"
+            if is_whole and is_judged:
+                verdict = "met" if is_met else "missed"
             rows.append({"bar": bar, "asked": asked, "seen": seen, "verdict": verdict})
     return rows
 
 
-# bar, what was asked, what was seen, whether met, whether run in full
-Found = tuple[str, str, object, bool, bool]
-
-
 def _end_to_end(seen: dict[str, Any]) -> Iterator[Found]:
     whole = seen["episodes"] >= EPISODES
-    lowest, highest = seen["hz_lowest"], seen["hz_highest"]
+    lowest = seen["hz_lowest"]
+    highest = seen["hz_highest"]
     in_beat = 29.7 <= lowest <= highest <= 30.3
     yield "mean rate of each episode", "30.0 ± 0.3 Hz", f"{lowest} to {highest} Hz", in_beat, whole
     ratio = seen["jitter_ratio"]
@@ -44,30 +47,24 @@ def _end_to_end(seen: dict[str, Any]) -> Iterator[Found]:
 
 
 def _kill9(seen: dict[str, Any]) -> Iterator[Found]:
-    trials, lost, resumed = seen["trials"], seen["saved_episodes_lost"], seen["resumed"]
-    yield f"saved episodes lost in {trials} kills", "0", lost, not lost, trials >= KILLS
-    yield "sessions that went on after a kill", "all", resumed, resumed == trials, trials >= KILLS
+    trials = seen["trials"]
+    lost = seen["saved_episodes_lost"]
+    resumed = seen["resumed"]
+    whole = trials >= KILLS
+    yield f"saved episodes lost in {trials} kills", "0", lost, not lost, whole
+    yield "sessions that went on after a kill", "all", resumed, resumed == trials, whole
 
 
 def _faults(faults: dict[str, Any]) -> Iterator[Found]:
     for name, seen in faults.items():
-        trials, right = seen["trials"], seen["right_outcome"]
-        yield (
-            f"{name}: right outcome",
-            "all",
-            f"{right} of {trials}",
-            right == trials,
-            trials >= TIMES,
-        )
-        worst_s, within_s = seen["worst_hold_s"], HELD_s.get(name, HELD_IN_s)
+        trials = seen["trials"]
+        right = seen["right_outcome"]
+        whole = trials >= TIMES
+        yield f"{name}: right outcome", "all", f"{right} of {trials}", right == trials, whole
+        worst_s = seen["worst_hold_s"]
+        within_s = HELD_s.get(name, HELD_IN_s)
         if worst_s is not None:
-            yield (
-                f"{name}: held",
-                f"≤ {within_s} s",
-                f"{worst_s} s",
-                worst_s <= within_s,
-                trials >= TIMES,
-            )
+            yield f"{name}: held", f"≤ {within_s} s", f"{worst_s} s", worst_s <= within_s, whole
 
 
 def _overhead(seen: dict[str, Any]) -> Iterator[Found]:

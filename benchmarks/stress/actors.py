@@ -1,4 +1,4 @@
-"""Who acts in a cell: a policy, the expert by the true wrench, or the expert by what a worn sensor is read as."""
+"""Who acts in a cell: a policy, or the expert by the true wrench or by a mounted sensor."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -29,7 +29,8 @@ class Arm:
 
     name: str
     sensor: str = "tactip:1"  # in words
-    # stock: any LeRobot policy of cameras and state; expert: by the true wrench; reads: by the worn sensor
+    # stock: any LeRobot policy of cameras and state; expert: by the true wrench; reads: by the
+    # mounted sensor
     acts: Literal["policy", "stock", "expert", "reads"] = "policy"
     policies: tuple[str, ...] = ()  # checkpoint folders that take turns
     calibration: str = ""  # folder; of a policy's sensor
@@ -37,25 +38,20 @@ class Arm:
     refitted: bool = False
     monitor: Literal["stop", "off"] = "stop"  # of a policy's sensor
     few: bool = False  # acts in the first scenes alone
-    masked: bool = False  # a policy whose touch carries nothing
 
 
 def play(
     arm: Arm, level: str, words: str, operator: str, dose: float, cell: str, seed: int, first: int
 ) -> Row:
-    """Let an arm act in one scene with a sensor in words, under an operator of the scene if it is one."""
-    of_scene = SCENE_OPERATORS.get(operator)
-    return disturbed(
-        arm, level, words, of_scene.disturb(dose) if of_scene else Disturbance(), cell, seed, first
-    )
+    """Let an arm act in one scene with a sensor in words, under an operator of the scene if any.
 
-
-def disturbed(
-    arm: Arm, level: str, words: str, disturbance: Disturbance, cell: str, seed: int, first: int
-) -> Row:
-    """Let an arm act in one disturbed scene. An episode that a refused sensor stops counts as aborted."""
+    An episode that a refused sensor stops counts as aborted.
+    """
     worker_process()
     torch.manual_seed(seed)
+    disturbance = Disturbance()
+    if operator in SCENE_OPERATORS:
+        disturbance = SCENE_OPERATORS[operator].disturb(dose)
     act = {"policy": _policy, "stock": _stock, "expert": _expert, "reads": _reads}[arm.acts]
     try:
         env, result = act(arm, level, words, disturbance, seed, first)
@@ -66,20 +62,16 @@ def disturbed(
 
 def row_of(cell: str, env: WipeEnv, result: EpisodeResult) -> Row:
     """Return what is kept of an episode."""
-    share, ended_s = (
-        float(result.metrics.get(name, 0.0)) for name in ("in_band_share", "duration_s")
-    )
-    events = bool(result.slippage), bool(result.excess_force)
-    event_s = first_event_s(env.trace, env.limits)
     return Row(
         cell,
         env.scene.seed,
         bool(result.clean),
         result.outcome,
-        share,
-        *events,
-        round(ended_s, 3),
-        event_s,
+        float(result.metrics.get("in_band_share", 0.0)),
+        bool(result.slippage),
+        bool(result.excess_force),
+        round(float(result.metrics.get("duration_s", 0.0)), 3),
+        first_event_s(env.trace, env.limits),
     )
 
 
@@ -89,14 +81,16 @@ Played = tuple[WipeEnv, EpisodeResult]
 def _policy(
     arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int
 ) -> Played:
-    calibration = arm.calibration + words.removeprefix(arm.sensor) * arm.refitted
+    calibration = arm.calibration
+    if arm.refitted:
+        calibration += words.removeprefix(arm.sensor)
     rig = Rig(level, right_sensor=words, right_calibration=calibration, monitor=arm.monitor)
-    controller = _controller(whose_turn(seed - first, arm.policies), rig, arm.masked)
-    worn = (rig.mounted["left"], rig.mounted["right"])
+    controller = _controller(whose_turn(seed - first, arm.policies), rig)
     env = DisturbedEnv(
         disturbance,
         level,
-        *worn,
+        rig.mounted["left"],
+        rig.mounted["right"],
         drawn=controller.reads,
         expose_wrench=controller.needs_true_wrench,
     )
@@ -104,19 +98,16 @@ def _policy(
 
 
 @lru_cache(maxsize=64)
-def _controller(policy: str, rig: Rig, masked: bool) -> PolicyController:
-    controller = policy_on_rig(policy, rig)[1]
-    controller.policy.touch.masked |= masked
-    return controller
+def _controller(policy: str, rig: Rig) -> PolicyController:
+    return policy_on_rig(policy, rig)[1]
 
 
 def _stock(
     arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int
 ) -> Played:
     env = DisturbedEnv(disturbance, level, right_sensor=words, drawn=())
-    return env, roll_out(
-        env, _stock_controller(whose_turn(seed - first, arm.policies)), seed
-    ).result
+    controller = _stock_controller(whose_turn(seed - first, arm.policies))
+    return env, roll_out(env, controller, seed).result
 
 
 _stock_controller = lru_cache(maxsize=8)(StockController)

@@ -10,12 +10,12 @@ import numpy as np
 from benchmarks.stress.operators import Operator
 from lerobot_env_uniforce_wiping import SceneParams, WipeEnv
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ
-from lerobot_env_uniforce_wiping.mjcf import SolverSettings
 from lerobot_env_uniforce_wiping.touch import PadImages
 from uniforce_vtla.contact.worn_in_words import wear
 from uniforce_vtla.evaluation.episode import WIPING_PHASE
 
-PUSH_EVERY, PUSH_STEPS = round(2 * CONTROL_HZ), round(0.2 * CONTROL_HZ)
+PUSH_EVERY = round(2 * CONTROL_HZ)
+PUSH_STEPS = round(0.2 * CONTROL_HZ)
 EXCHANGE_AFTER = round(0.5 * CONTROL_HZ)  # steps of wiping
 WORDINGS = (  # none of them was demonstrated; from close to far
     "wipe the whiteboard with 6 newtons",
@@ -37,7 +37,6 @@ class Disturbance:
     late_steps: int = 0  # actions are executed so much later
     push_N: float = 0.0  # on the hand, for .2 s every 2 s, in a direction drawn each time
     task: str = ""  # said instead of the scene's text
-    substeps: int = SolverSettings.substeps  # physics steps per force sample
     # worn right from half a second of wiping on, with its own reference; the pad's springs stay
     exchanged: str = ""
 
@@ -47,7 +46,7 @@ class DisturbedEnv(WipeEnv):
 
     def __init__(self, disturbance: Disturbance, *usual: Any, **options: Any) -> None:
         super().__init__(*usual, **options)
-        self._disturbance, self.solver = disturbance, SolverSettings(disturbance.substeps)
+        self._disturbance = disturbance
 
     def scene_of(self, seed: int) -> SceneParams:
         return self._disturbance.scene(super().scene_of(seed))
@@ -57,14 +56,17 @@ class DisturbedEnv(WipeEnv):
         super().start(seed)
         self.task = self.task_description = self._disturbance.task or self.task
         self._waiting: deque[np.ndarray] = deque()
-        self._wiped, self._rng = 0, np.random.default_rng([seed, 47])
+        self._wiped = 0
+        self._rng = np.random.default_rng([seed, 47])
 
     def advance(self, action: np.ndarray) -> bool:
         """Take one step, late and pushed as the disturbance says."""
         self._waiting.append(action)
-        late = len(self._waiting) <= self._disturbance.late_steps
+        due = self.sim.target.copy()
+        if len(self._waiting) > self._disturbance.late_steps:
+            due = self._waiting.popleft()
         self._push()
-        over = super().advance(self.sim.target.copy() if late else self._waiting.popleft())
+        over = super().advance(due)
         self._wiped += self.phase == WIPING_PHASE
         if self._wiped == EXCHANGE_AFTER and self._disturbance.exchanged:
             self._exchange()
@@ -76,14 +78,15 @@ class DisturbedEnv(WipeEnv):
         if step == 0:
             direction = self._rng.standard_normal(3)
             self._next_push_N = self._disturbance.push_N * direction / np.linalg.norm(direction)
-        self.sim.push_N = self._next_push_N if step >= PUSH_EVERY - PUSH_STEPS else np.zeros(3)
+        self.sim.push_N = np.zeros(3)
+        if step >= PUSH_EVERY - PUSH_STEPS:
+            self.sim.push_N = self._next_push_N
 
     def _exchange(self) -> None:
         if "right" in self._touch:
             seed = self.scene.seed
-            self._touch["right"] = PadImages(
-                wear(self._disturbance.exchanged)(seed), "right", seed + 1
-            )
+            unit = wear(self._disturbance.exchanged)(seed)
+            self._touch["right"] = PadImages(unit, "right", seed + 1)
             self._follow()
 
 
@@ -110,7 +113,9 @@ def _scaled(*names: str) -> Callable[[float], Disturbance]:
 
 
 def _times(value: Any, factor: float) -> Any:
-    return tuple(v * factor for v in value) if isinstance(value, tuple) else value * factor
+    if isinstance(value, tuple):
+        return tuple(part * factor for part in value)
+    return value * factor
 
 
 def _hidden(name: str, sd: str) -> Callable[[float], Disturbance]:

@@ -1,7 +1,7 @@
-"""A monitor of a sensor's health: fit a kind's range of latents; say which faults it notices while the expert wipes."""
+"""A monitor of a sensor's health: fit a kind's range of latents; say which faults it notices."""
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -27,10 +27,10 @@ from uniforce_vtla.tokenizer.worn_heads import WornSequences, draw_worn
 
 EVERY = 2  # steps between two looks, as tiny takes them
 LOOKS = 8  # that make half a second
-# of the largest distance seen in clean wipes: in free air, and while something is held (at 1.1 four of 25 + 25 demos,
-# which wear these sensors on the other finger, went over it by 2 %)
-FREE_MARGIN, RUN_MARGIN = 1.1, 1.25
-KINDS = ("tactip", "gelsight", "uskin")
+# of the largest distance seen in clean wipes: in free air, and while something is held (at 1.1
+# four of 25 + 25 demos, which wear these sensors on the other finger, went over it by 2 %)
+FREE_MARGIN = 1.1
+RUN_MARGIN = 1.25
 # development scenes, and units that no benchmark wears
 LIMITS = [(39_700 + n, 20 + n) for n in range(16)]
 CLEAN = [(39_720 + n, 40 + n) for n in range(40)]
@@ -74,22 +74,22 @@ class Watched:
         return max(self.free, self.run)
 
 
-def watch(level: str, sensor: str, seed: int, usual: LatentRange, tokenizer: Tokenizer) -> Watched:
-    """Let the expert wipe by the true wrench with ``sensor`` on its right finger; stop at a refused frame."""
-    env, distances, refused, steps = (
-        WipeEnv(level, right_sensor=sensor, drawn=("right",)),
-        [],
-        False,
-        0,
-    )
+def watch(level: str, sensor: str, seed: int, usual: LatentRange, size: str) -> Watched:
+    """Let the expert wipe by the true wrench with ``sensor`` right; stop at a refused frame."""
+    worker_process()
+    tokenizer = Tokenizer.from_pretrained(size)
+    env = WipeEnv(level, right_sensor=sensor, drawn=("right",))
+    distances = []
+    refused = False
+    step = 0
     try:
-        for steps, _ in enumerate(walk(env, WipeExpert(), seed)):
-            if steps % EVERY == 0:
+        for step, _ in enumerate(walk(env, WipeExpert(), seed)):
+            if step % EVERY == 0:
                 latents = encode_now(env, "right", tokenizer).as_subclass(torch.Tensor)
                 distances.append(float(usual.distance(latents)))
     except SensorError:
         refused = True
-    return watched(np.array(distances), usual, steps / env.metadata["render_fps"], refused)
+    return watched(np.array(distances), usual, step / env.metadata["render_fps"], refused)
 
 
 def watched(distances: np.ndarray, usual: LatentRange, seconds: float, refused: bool) -> Watched:
@@ -97,35 +97,33 @@ def watched(distances: np.ndarray, usual: LatentRange, seconds: float, refused: 
     if len(distances) < LOOKS:
         return Watched(0.0, 0.0, seconds if refused else np.inf, seconds, refused)
     monitor = HealthMonitor(usual, "right", LOOKS)
-    free, run = zip(*(monitor.judge(float(distance)) for distance in distances), strict=True)
-    first = next(
-        (k for k, ratios in enumerate(zip(free, run, strict=True), 1) if max(ratios) > 1), np.inf
-    )
-    return Watched(max(free), max(run), float(first * seconds / len(distances)), seconds, refused)
-
-
-def _job(level: str, sensor: str, seed: int, usual: LatentRange, size: str) -> Watched:
-    worker_process()
-    return watch(level, sensor, seed, usual, Tokenizer.from_pretrained(size))
+    ratios = np.array([monitor.judge(float(distance)) for distance in distances])  # (n, 2)
+    alarms = np.flatnonzero((ratios > 1).any(axis=1))
+    alarm_s = np.inf
+    if len(alarms):
+        alarm_s = float((alarms[0] + 1) * seconds / len(distances))
+    free, run = ratios.max(axis=0).tolist()
+    return Watched(free, run, alarm_s, seconds, refused)
 
 
 def _watch_all(
     config: MonitorCommand, rows: Iterable[tuple[str, int]], usual: LatentRange, desc: str
 ) -> list[Watched]:
-    jobs = [delayed(_job)(config.level, sensor, seed, usual, config.size) for sensor, seed in rows]
+    jobs = []
+    for sensor, seed in rows:
+        jobs.append(delayed(watch)(config.level, sensor, seed, usual, config.size))
     found = Parallel(config.workers, return_as="generator")(jobs)
     return list(tqdm(found, total=len(jobs), desc=desc, disable=None))
 
 
 def fit(config: MonitorCommand, kind: str) -> Path:
-    """Fit a kind's range to drawn contacts of many units, set its limits by clean wipes of others, store it."""
+    """Fit a kind's range to drawn contacts of many units; set its limits by clean wipes; store."""
     tokenizer = Tokenizer.from_pretrained(config.size)
     latents, _ = draw_worn(WornSequences(), kind, tokenizer)
     usual = LatentRange.fit(latents.flatten(0, 1), kind, tokenizer.hash)
     usual.free_limit = usual.run_limit = 1.0
-    seen = _watch_all(
-        config, [(f"{kind}:{unit}", seed) for seed, unit in LIMITS], usual, f"clean wipes, {kind}"
-    )
+    rows = [(f"{kind}:{unit}", seed) for seed, unit in LIMITS]
+    seen = _watch_all(config, rows, usual, f"clean wipes, {kind}")
     usual.free_limit = round(FREE_MARGIN * max(one.free for one in seen), 3)
     usual.run_limit = round(RUN_MARGIN * max(one.run for one in seen), 3)
     return usual.save(Path(config.folder) / f"latent_range_{kind}")
@@ -136,50 +134,52 @@ def faults(config: MonitorCommand, kind: str) -> dict[str, Any]:
     usual = LatentRange.from_pretrained(kind, config.size)
     clean_rows = [(f"{kind}:{unit}", seed) for seed, unit in CLEAN[: config.clean]]
     clean = _watch_all(config, clean_rows, usual, f"clean, {kind}")
-    false = [one for one in clean if one.score > 1]
     hours = sum(one.seconds for one in clean) / 3600
-    found: dict[str, Any] = {
-        "free_limit": usual.free_limit,
-        "run_limit": usual.run_limit,
-        "clean": {"wipes": len(clean), "hours": round(hours, 3), "false_alarms": len(false)},
-        "largest_clean": {
-            "free": max(one.free for one in clean),
-            "run": max(one.run for one in clean),
-        },
-        "operators": {},
-    }
+    operators = {}
     for name, operator in OPERATORS.items():
         cells = []
         for dose in operator.doses:
-            worn = [
-                (worn_with(operator, f"{kind}:{unit}", dose), seed)
-                for seed, unit in FAULTY[: config.faulty]
-            ]
-            rows = [(sensor, seed) for sensor, seed in worn if sensor]
+            rows = []
+            for seed, unit in FAULTY[: config.faulty]:
+                words = worn_with(operator, f"{kind}:{unit}", dose)
+                if words:
+                    rows.append((words, seed))
             if rows:
                 seen = _watch_all(config, rows, usual, f"{name} {dose:g}, {kind}")
                 cells.append({"dose": dose, **summary(seen, clean)})
         if cells:
-            found["operators"][name] = {"unit": operator.unit, "cells": cells}
-    return found
-
-
-def auroc(odd: Sequence[float], usual: Sequence[float]) -> float:
-    """Return the chance that a score of ``odd`` lies above one of ``usual``."""
-    return round(float(mannwhitneyu(odd, usual).statistic / (len(odd) * len(usual))), 3)
+            operators[name] = {"unit": operator.unit, "cells": cells}
+    return {
+        "free_limit": usual.free_limit,
+        "run_limit": usual.run_limit,
+        "clean": {
+            "wipes": len(clean),
+            "hours": round(hours, 3),
+            "false_alarms": sum(one.score > 1 for one in clean),
+        },
+        "largest_clean": {
+            "free": max(one.free for one in clean),
+            "run": max(one.run for one in clean),
+        },
+        "operators": operators,
+    }
 
 
 def summary(seen: list[Watched], clean: list[Watched]) -> dict[str, Any]:
     """Return how one dose is noticed: share of wipes, median time, AUROC against clean wipes."""
     scores = [np.inf if one.refused else one.score for one in seen]
+    usual = [one.score for one in clean]
+    auroc = mannwhitneyu(scores, usual).statistic / (len(scores) * len(usual))
     noticed = [one for one in seen if one.refused or one.score > 1]
-    times_s = [min(one.alarm_s, one.seconds) for one in noticed]
+    after_s = None
+    if noticed:
+        after_s = round(float(np.median([min(one.alarm_s, one.seconds) for one in noticed])), 2)
     return {
         "n": len(seen),
         "noticed": len(noticed),
         "refused": sum(one.refused for one in seen),
-        "auroc": auroc(scores, [one.score for one in clean]),
-        "after_s": round(float(np.median(times_s)), 2) if times_s else None,
+        "auroc": round(float(auroc), 3),
+        "after_s": after_s,
         "free": round(float(np.mean([one.free for one in seen])), 2),
         "run": round(float(np.mean([one.run for one in seen])), 2),
     }
@@ -197,10 +197,10 @@ def main(config: MonitorCommand) -> None:
     for kind, rows in found.items():
         print(f"{kind}: {rows['clean']}")
         for name, row in rows["operators"].items():
-            said = "  ".join(
-                f"{cell['dose']:g}: {cell['noticed']}/{cell['n']}" for cell in row["cells"]
-            )
-            print(f"  {name:20} [{row['unit']}] noticed {said}")
+            said = ""
+            for cell in row["cells"]:
+                said += f"  {cell['dose']:g}: {cell['noticed']}/{cell['n']}"
+            print(f"  {name:20} [{row['unit']}] noticed{said}")
     content = {"level": config.level, "size": config.size, "kinds": found}
     print(f"written to {write_json(Path(config.out), content | provenance())}")
 

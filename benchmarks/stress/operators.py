@@ -1,6 +1,7 @@
 """The operators: a fault, its five doses from mild to severe, and the dose that must not matter.
 
-Ids of RoboTactile's suite where the fault is the same; further ones in the same manner (docs/stress.md).
+Ids of RoboTactile's suite where the fault is the same; further ones in the same manner
+(docs/stress.md).
 """
 
 from dataclasses import dataclass

@@ -1,7 +1,8 @@
-"""Roll faults out: paired scenes, each dose beside one that must not matter, and what the counts say.
+"""Roll faults out: paired scenes, a dose that must not matter beside each, and the counts.
 
-All cells act in the same scenes. Each arm has its expert beside it: for a sensor's faults the one that reads the faulty
-sensor, for the scene's faults the one with the true wrench, so that an impossible cell isn't blamed on the policy.
+All cells act in the same scenes. Each arm has its expert beside it: for a sensor's faults the one
+that reads the faulty sensor, for the scene's faults the one with the true wrench, so that an
+impossible cell isn't blamed on the policy.
 """
 
 import math
@@ -24,6 +25,7 @@ FEWEST = 25  # scenes: of fewer even a dose that costs nothing would have a boun
 # a misread press between these is near a cliff; the level fails readings by 15 %, .9 N
 NEAR_N = (0.2, 4.0)
 ALL_OPERATORS: dict[str, Operator] = {**OPERATORS, **SCENE_OPERATORS}
+Doses = dict[str, list[float]]  # operator → doses
 
 
 @dataclass(frozen=True)
@@ -37,18 +39,15 @@ class Cell:
     @property
     def words(self) -> str:
         """Sensor of the right finger."""
-        faulty = self.operator in OPERATORS
-        worn = (
-            worn_with(OPERATORS[self.operator], self.arm.sensor, self.dose)
-            if faulty
-            else self.arm.sensor
-        )
+        if self.operator not in OPERATORS:
+            return self.arm.sensor
+        worn = worn_with(OPERATORS[self.operator], self.arm.sensor, self.dose)
         assert worn is not None
         return worn
 
     @property
     def benign(self) -> bool:
-        """Whether its dose changes nothing: a few scenes show that, since then each ends as without the fault."""
+        """Whether its dose changes nothing; a few scenes show that."""
         return bool(self.operator) and self.dose == ALL_OPERATORS[self.operator].benign
 
     @property
@@ -62,46 +61,50 @@ class Cell:
         return f"{self.arm.name}, {self.fault}" if self.operator else self.arm.name
 
 
-def near_cliffs(screened: Mapping[str, Any], most: int = 3) -> dict[str, list[float]]:
-    """Return operator → the doses to roll out: whose misread press is near what the level forgives, and the named one.
+def near_cliffs(screened: Mapping[str, Any], most: int = 3) -> Doses:
+    """Return the doses to roll out: misread about as much as the level forgives, and the named one.
 
     Args:
-        screened: one sensor's rows of the screen.
+        screened: one sensor's rows of stress_screen.json.
         most: doses per operator beside the named one.
     """
-    found = {}
+    found: Doses = {}
     for name, cells in screened.items():
         if name == "none":
             continue
-        misread = {cell["dose"]: cell["press_error_N"] for cell in cells[1:]}
-        # None: refused
-        errors = {
-            dose: math.inf if error is None else abs(error) for dose, error in misread.items()
-        }
-        near = [dose for dose, error in errors.items() if NEAR_N[0] <= error <= NEAR_N[1]] or list(
-            errors
-        )[-1:]
+        errors = {}
+        for cell in cells[1:]:
+            misread_N = cell["press_error_N"]
+            errors[cell["dose"]] = (
+                math.inf if misread_N is None else abs(misread_N)
+            )  # None: refused
+        near = [dose for dose, error_N in errors.items() if NEAR_N[0] <= error_N <= NEAR_N[1]]
+        if not near:
+            near = list(errors)[-1:]
         wanted = {*near[:most], OPERATORS[name].named}
-        found[name] = [dose for dose in errors if dose in wanted]
-    return {name: doses for name, doses in found.items() if doses}
+        doses = [dose for dose in errors if dose in wanted]
+        if doses:
+            found[name] = doses
+    return found
 
 
-def of_the_scene(most: int = 3) -> dict[str, list[float]]:
-    """Return operator → its middle doses, which no screen can choose: as many as ``most``, at least the named one."""
+def of_the_scene(most: int = 3) -> Doses:
+    """Return the middle doses of a scene's faults, ``most`` of each, at least the named one."""
     side = (max(most, 1) - 1) // 2
-    return {
-        name: list(operator.doses[2 - side : 3 + side])
-        for name, operator in SCENE_OPERATORS.items()
-    }
+    found: Doses = {}
+    for name, operator in SCENE_OPERATORS.items():
+        found[name] = list(operator.doses[2 - side : 3 + side])
+    return found
 
 
 def cells_of(arm: Arm, doses: Mapping[str, Sequence[float]]) -> list[Cell]:
-    """Return an arm's cells: without a fault, each operator's benign dose, and the doses to roll out."""
+    """Return an arm's cells: no fault, each operator's benign dose, the doses to roll out."""
     cells = [Cell(arm)]
     for name, wanted in doses.items():
         benign = ALL_OPERATORS[name].benign
         if name in SCENE_OPERATORS or worn_with(OPERATORS[name], arm.sensor, benign) is not None:
-            cells += [Cell(arm, name, dose) for dose in (benign, *wanted)]
+            for dose in (benign, *wanted):
+                cells.append(Cell(arm, name, dose))
     return cells
 
 
@@ -114,21 +117,22 @@ def roll(
     benign: int = 4,
     acting: tuple[str, ...] = ("",),
 ) -> dict[str, dict[int, Row]]:
-    """Return cell → scene → row; what stands in ``path`` is kept, each new episode is added to it.
+    """Return cell → scene → row; rows in ``path`` are kept, each new episode is added to it.
 
-    Benign doses, and arms that act in ``few``, act in the first ``benign`` scenes. Arms whose names don't begin with
-    one of ``acting`` play no new episode.
+    Benign doses, and arms that act in ``few``, act in the first ``benign`` scenes. Arms whose
+    names don't begin with one of ``acting`` play no new episode.
 
     Raises ContractError: another process adds to ``path`` now.
     """
     job = delayed(play)
-    episodes = (
-        (c.name, seed, job(c.arm, level, c.words, c.operator, c.dose, c.name, seed, seeds.start))
-        for seed in seeds
-        for c in cells
-        if c.arm.name.startswith(acting)
-        and (seed - seeds.start < benign or not (c.benign or c.arm.few))
-    )
+    episodes = []
+    for seed in seeds:
+        for c in cells:
+            few = c.benign or c.arm.few
+            if not c.arm.name.startswith(acting) or (few and seed - seeds.start >= benign):
+                continue
+            call = job(c.arm, level, c.words, c.operator, c.dose, c.name, seed, seeds.start)
+            episodes.append((c.name, seed, call))
     return by_cell([Row(**row) for row in played(path, episodes, workers)], cells, seeds)
 
 
@@ -142,7 +146,7 @@ def by_cell(rows: Iterable[Row], cells: Sequence[Cell], seeds: range) -> dict[st
 
 
 def summarise(cells: Sequence[Cell], rows: Mapping[str, Mapping[int, Row]]) -> dict[str, Any]:
-    """Return, per operator of one arm, counts and the breaking dose: the first that loses more than the margin.
+    """Return counts per operator of one arm, and the first dose that loses more than the margin.
 
     ``judged`` is False where scenes are too few to tell; there is no breaking dose then.
     """
@@ -153,23 +157,22 @@ def summarise(cells: Sequence[Cell], rows: Mapping[str, Mapping[int, Row]]) -> d
         counted = [counts(rows[cell.name]) for cell in faulty]
         lower = [_lower_bound(rows[cell.name], usual) for cell in faulty]
         judged = all(one["n"] >= FEWEST for one in counted)
-        breaking = [
-            cell.dose
-            for cell, bound in zip(faulty, lower, strict=True)
-            if judged and bound < -MARGIN
-        ]
+        doses = [cell.dose for cell in faulty]
+        breaking_dose = None
+        if judged:
+            breaks = (dose for dose, bound in zip(doses, lower, strict=True) if bound < -MARGIN)
+            breaking_dose = next(breaks, None)
+        unharmed = rows[benign.name]
         found[name] = {
             "unit": ALL_OPERATORS[name].unit,
-            "doses": [cell.dose for cell in faulty],
+            "doses": doses,
             **{key: [one[key] for one in counted] for key in found[""]},
             "lower_bound": [round(bound, 3) for bound in lower],
-            "benign": counts(rows[benign.name])["clean"],
-            "benign_n": len(rows[benign.name]),
-            "benign_alike": all(
-                _alike(row, usual.get(seed)) for seed, row in rows[benign.name].items()
-            ),
+            "benign": counts(unharmed)["clean"],
+            "benign_n": len(unharmed),
+            "benign_alike": all(_alike(row, usual.get(seed)) for seed, row in unharmed.items()),
             "judged": judged,
-            "breaking_dose": breaking[0] if breaking else None,
+            "breaking_dose": breaking_dose,
         }
     return found
 
@@ -190,38 +193,47 @@ def counts(rows: Mapping[int, Row]) -> dict[str, float]:
 def repeatability(cells: Sequence[Cell], rows: Mapping[str, Mapping[int, Row]]) -> dict[str, int]:
     """Return how many cells there are, and in how many every other scene agrees with the rest.
 
-    They agree where the 95 % interval of their difference holds zero. To ask that each share lie in the other's
-    interval is too much: of two runs of one truth a fifth to a half would not.
+    They agree where the 95 % interval of their difference holds zero. To ask that each share lie
+    in the other's interval is too much: of two runs of one truth a fifth to a half would not.
     """
     agree = []
-    for cell in (cell for cell in cells if not (cell.benign or cell.arm.few)):
-        clean = [
-            [row.clean for seed, row in rows[cell.name].items() if seed % 2 == half]
-            for half in (0, 1)
-        ]
-        if all(clean):
-            one, other = (wilson(sum(half), len(half)) for half in clean)
-            agree.append(_zero_within(one, other))
+    for cell in cells:
+        if cell.benign or cell.arm.few:
+            continue
+        halves: tuple[list[bool], list[bool]] = ([], [])
+        for seed, row in rows[cell.name].items():
+            halves[seed % 2].append(row.clean)
+        if all(halves):
+            even = wilson(sum(halves[0]), len(halves[0]))
+            odd = wilson(sum(halves[1]), len(halves[1]))
+            agree.append(_zero_within(even, odd))
     return {"cells": len(agree), "agree": sum(agree)}
 
 
 def _zero_within(one: Proportion, other: Proportion) -> bool:
-    """Return whether the interval of two shares' difference holds zero: Newcombe's, from both Wilson intervals."""
+    """Return whether Newcombe's interval of the difference of two shares holds zero."""
     higher, lower = sorted((one, other), key=lambda share: -share.k / share.n)
-    p, q = higher.k / higher.n, lower.k / lower.n
+    p = higher.k / higher.n
+    q = lower.k / lower.n
     return p - q <= math.hypot(p - higher.low, lower.high - q)
 
 
 def mean_corruption_error(arm: Mapping[str, Any], without_touch: Mapping[str, Any]) -> float | None:
-    """Return the mean over operators of an arm's failures over those of a policy without touch (ImageNet-C's mCE).
+    """Return ImageNet-C's mCE: failures over a touchless policy's, mean over operators, or None.
 
-    A sensor's fault doesn't reach a policy without touch: its failures without a fault stand there. None: no operator.
+    A sensor's fault doesn't reach a policy without touch: its failures without a fault stand there.
     """
+    usual = without_touch.get("")
     ratios = []
-    for name in filter(None, arm):
-        here = arm[name]
-        there = without_touch.get(name) or {key: [without_touch[""][key]] for key in ("n", "clean")}
-        failed, fails = (1 - sum(row["clean"]) / sum(row["n"]) for row in (here, there))
+    for name, here in arm.items():
+        if not name:
+            continue
+        if name in without_touch:
+            there = without_touch[name]
+            fails = 1 - sum(there["clean"]) / sum(there["n"])
+        else:
+            fails = 1 - usual["clean"] / usual["n"]  # type: ignore[index]
+        failed = 1 - sum(here["clean"]) / sum(here["n"])
         ratios.append(failed / max(fails, 1e-9))
     return round(sum(ratios) / len(ratios), 3) if ratios else None
 
@@ -234,6 +246,6 @@ def _lower_bound(faulty: Mapping[int, Row], usual: Mapping[int, Row]) -> float:
     seeds = sorted(faulty.keys() & usual.keys())
     if not seeds:
         return -1.0  # all may be lost
-    return non_inferior(
-        [faulty[s].clean for s in seeds], [usual[s].clean for s in seeds], MARGIN
-    ).lower
+    with_fault = [faulty[seed].clean for seed in seeds]
+    without = [usual[seed].clean for seed in seeds]
+    return non_inferior(with_fault, without, MARGIN).lower

@@ -1,4 +1,4 @@
-"""Any LeRobot policy of cameras and measured state as a controller: how a policy from elsewhere is scored."""
+"""Any LeRobot policy of cameras and measured state as a controller, to be scored as ours."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ from torch.nn.functional import interpolate
 
 
 class StockController:
-    """Loads a checkpoint's folder by LeRobot's own factories; executes what its own queue gives, one action a look."""
+    """Loads a checkpoint by LeRobot's own factories; executes its queue, one action a look."""
 
     def __init__(self, folder: str) -> None:
         config = PreTrainedConfig.from_pretrained(folder)

@@ -20,7 +20,7 @@ EARLY_s = 0.5  # a warning that comes later is none
 
 
 def first_event_s(trace: EpisodeTrace, limits: ScoreLimits) -> float | None:
-    """Return when an episode first slipped, pressed too hard or lost what it held; None: it never did."""
+    """Return when an episode first slipped, pressed too hard or let go; None: never."""
     if not _has_event(trace, limits):
         return None
     without, having = 0, len(trace.time_s)
@@ -47,7 +47,8 @@ def warned(watched: Mapping[int, Row], unwatched: Mapping[int, Row]) -> dict[str
     """Return what became of the scenes in which the unwatched twin failed.
 
     Returns:
-        ``failures`` of the twin; of them ``warned`` early enough, and ``averted`` by a new reference.
+        ``failures`` of the twin; of them ``warned`` early enough, and ``averted`` by a new
+        reference.
     """
     pairs = [(watched[seed], row.event_s) for seed, row in unwatched.items() if seed in watched]
     failed = [(row, event_s) for row, event_s in pairs if event_s is not None]

@@ -1,1 +1,1 @@
-"""Attacks on the robot's guards, on stored files and on the command line; one JSON, ``docs/results/trust.json``."""
+"""Attacks on the robot's guards and on stored files; one JSON, ``docs/results/trust.json``."""

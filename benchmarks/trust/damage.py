@@ -1,4 +1,4 @@
-"""Damage datasets and checkpoints in every named way, see what refuses them: ``python -m benchmarks.trust.damage``."""
+"""Damage datasets and checkpoints in every named way, and see what refuses them."""
 
 import logging
 import os
@@ -39,17 +39,16 @@ class DamageConfig:
 
 def try_damage(damage: Damage, whole: Path, folder: Path) -> dict[str, Any]:
     """Return the table's row of one kind; checkpoints are always checked in full."""
-    depths = ("full",) if damage.of == "checkpoint" else ("full", "quick")
-    lines = {verify: damage.refused(whole, folder / verify, verify) for verify in depths}
-    for verify in lines:
-        shutil.rmtree(folder / verify)
-    said = {
-        verify: _verdict(lines.get(verify, lines["full"]), damage.said)
-        for verify in ("full", "quick")
-    }
+    row = {"kind": damage.name, "of": damage.of}
+    line = damage.refused(whole, folder / "full", "full")
+    row["full"] = row["quick"] = _verdict(line, damage.said)
     copy = str(folder / "full" / whole.name)  # of this run, so no part of a message
-    message = (lines["full"] or "").replace(f"{copy}{os.sep}", "").replace(copy, "ROOT")
-    return {"kind": damage.name, "of": damage.of, **said, "message": message}
+    row["message"] = (line or "").replace(f"{copy}{os.sep}", "").replace(copy, "ROOT")
+    shutil.rmtree(folder / "full")
+    if damage.of != "checkpoint":
+        row["quick"] = _verdict(damage.refused(whole, folder / "quick", "quick"), damage.said)
+        shutil.rmtree(folder / "quick")
+    return row
 
 
 def _verdict(line: str | None, said: str) -> str:
@@ -61,54 +60,60 @@ def _verdict(line: str | None, said: str) -> str:
 def seconds(folder: Path, frames: int) -> dict[str, Any]:
     """Return how long checking 50 episodes takes (quick: medians of three), and their size."""
     root = record_synthetic(folder / "long", EPISODES, frames)
-    size = sum(path.stat().st_size for path in root.rglob("*") if path.is_file())
     quick = np.median([_once(root, "quick") for _ in range(TIMES)], axis=0).tolist()
     full = _once(root, "full")
-    times = {"quick_s_50_episodes": quick[0], "quick_cpu_s_50_episodes": quick[1]}
-    times |= {"full_s_50_episodes": full[0], "full_cpu_s_50_episodes": full[1]}
-    return times | {
+    return {
+        "quick_s_50_episodes": quick[0],
+        "quick_cpu_s_50_episodes": quick[1],
+        "full_s_50_episodes": full[0],
+        "full_cpu_s_50_episodes": full[1],
         "frames_per_episode": frames,
-        "size_MB": size / 1e6,
+        "size_MB": sum(path.stat().st_size for path in root.rglob("*") if path.is_file()) / 1e6,
         "load_average": os.getloadavg()[0],
     }
 
 
 def _once(root: Path, verify: str) -> tuple[float, float]:
     """Return the seconds one check took, on the clock and of all cores."""
-    began_s, began_cpu_s = time.perf_counter(), time.process_time()
+    began_s = time.perf_counter()
+    began_cpu_s = time.process_time()
     check_dataset(root, verify)
     return time.perf_counter() - began_s, time.process_time() - began_cpu_s
 
 
 def attack(frames: int) -> dict[str, Any]:
+    rows = []
     with tempfile.TemporaryDirectory() as work:
         folder = Path(work)
         whole = record_whole(folder)
         check_dataset(whole["dataset"], "full")
-        every = tqdm((*DATASET_DAMAGES, *CHECKPOINT_DAMAGES), desc="damages")
-        rows = [try_damage(damage, whole.get(damage.of, damage.sound), folder) for damage in every]
+        for damage in tqdm((*DATASET_DAMAGES, *CHECKPOINT_DAMAGES), desc="damages"):
+            rows.append(try_damage(damage, whole.get(damage.of, damage.sound), folder))
         timed = seconds(folder, frames)
-    counts = {f"accepted_{v}": sum(row[v] == "accepted" for row in rows) for v in ("full", "quick")}
-    unnamed = sum("refused, not named" in row.values() for row in rows)
-    kinds = {"kinds": len(rows), "kinds_of": dict(Counter(row["of"] for row in rows))}
-    return kinds | counts | {"not_named": unnamed} | timed | {"rows": rows}
+    return {
+        "kinds": len(rows),
+        "kinds_of": dict(Counter(row["of"] for row in rows)),
+        "accepted_full": sum(row["full"] == "accepted" for row in rows),
+        "accepted_quick": sum(row["quick"] == "accepted" for row in rows),
+        "not_named": sum("refused, not named" in row.values() for row in rows),
+        **timed,
+        "rows": rows,
+    }
 
 
 @command(DamageConfig)
 def main(config: DamageConfig) -> int:
-    """Do all damage, write the table, print what was accepted; 1 where the full check accepted any."""
+    """Do all damage, write the table, print what was accepted; 1 if a full check accepted any."""
     logging.disable(logging.WARNING)  # copies without hashes say so
     found = attack(config.frames)
     path = update(Path(config.out), "damage", found)
     for row in found["rows"]:
-        if {row["full"], row["quick"]} != {"refused"}:
-            print(
-                f"{row['of']}, {row['kind']}: full {row['full']}, quick {row['quick']}. {row['message']}"
-            )
+        if row["full"] != "refused" or row["quick"] != "refused":
+            verdicts = f"full {row['full']}, quick {row['quick']}"
+            print(f"{row['of']}, {row['kind']}: {verdicts}. {row['message']}")
     accepted = f"{found['accepted_full']} accepted by full, {found['accepted_quick']} by quick"
-    print(
-        f"{found['kinds']} kinds, {accepted}; quick {found['quick_s_50_episodes']:.1f} s; written to {path}"
-    )
+    quick = f"quick {found['quick_s_50_episodes']:.1f} s"
+    print(f"{found['kinds']} kinds, {accepted}; {quick}; written to {path}")
     return int(bool(found["accepted_full"] or found["not_named"]))
 
 

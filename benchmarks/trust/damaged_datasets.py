@@ -33,7 +33,7 @@ Change = Callable[[int, np.ndarray], np.ndarray | None]
 
 
 def record_whole(folder: Path) -> dict[str, Path]:
-    """Record a small dataset with raw frames and cards, no two pictures alike, and build its view."""
+    """Record a small dataset with raw frames and cards, all pictures unlike, and build its view."""
     root, rng = folder / "dataset", np.random.default_rng(0)
     shapes = dict.fromkeys(FINGERS, RAW_SHAPE)
     with EpisodeRecorder(
@@ -57,7 +57,7 @@ def _frame(episode: int, step: int, rng: np.random.Generator) -> dict[str, Any]:
     return frame
 
 
-# --- files and what is in them ------------------------------------------------------------------------------------
+# --- files and what is in them ---
 
 
 def video(root: Path, key: str = LEFT, episode: int = HIT) -> Path:

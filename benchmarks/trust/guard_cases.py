@@ -1,9 +1,9 @@
-"""Drive the robot's whole chain, from ``send_action`` to the pose on the wire, with random limits, states and actions.
+"""Drive the robot's whole chain, from action to pose, with random limits, states and actions.
 
-``guard_oracle`` judges each pose and each action. Beside that: what is wrong stops the arm within one tick under its
-own name, what is right is never refused, nothing is sent after a fault, and after ``recover`` the first target is the
-measured pose. In a share of the episodes the stream's own target is replaced by one that drifts, jumps or is no
-number, so that the last check stands alone.
+``guard_oracle`` judges each pose and each action. Beside that: what is wrong stops the arm within
+one tick under its own name, what is right is never refused, nothing is sent after a fault, and
+after ``recover`` the first target is the measured pose. In a share of the episodes the stream's own
+target is replaced by one that drifts, jumps or is no number, so that the last check stands alone.
 """
 
 import tempfile
@@ -64,7 +64,7 @@ class Clock:
 
 @dataclass
 class ScriptedArm:
-    """Moves as its name says, and says what can't be now and then; keeps each target and where it was then."""
+    """Moves as its name says, at times says what can't be; keeps each target and its time."""
 
     clock: Clock
     rng: np.random.Generator
@@ -206,7 +206,7 @@ class Episode:
         self._begin(lambda: self.robot._start_stream(self.hand))  # type: ignore[arg-type]
 
     def step(self) -> None:
-        """Send one action and let the stream tick a few times; the clock may stand still or leap."""
+        """Send one action and let the stream tick a few times; the clock may stand or leap."""
         try:
             if self.rng.random() < 0.9:
                 self._act()
@@ -231,7 +231,8 @@ class Episode:
         self.held: np.ndarray | None = None
         self.first = len(self.arm.sent)  # of the poses since this start
         real = self.stream._target
-        self.stream._target = lambda now_s: self._meddle(real(now_s), now_s)  # type: ignore[method-assign]
+        target = lambda now_s: self._meddle(real(now_s), now_s)  # noqa: E731
+        self.stream._target = target  # type: ignore[method-assign]
 
     def _act(self) -> None:
         action, sound = random_action(self.rng, self.arm.axes)
@@ -324,7 +325,7 @@ class Episode:
 
 
 def drive(episodes: int, seed: int = 0) -> dict[str, Any]:
-    """Run episodes of ``STEPS`` actions; return how many actions, poses and faults there were, and each violation."""
+    """Run episodes of ``STEPS`` actions; return the counts of each kind, and each violation."""
     rng, faults = np.random.default_rng(seed), Counter[str]()
     counts: dict[str, Any] = {"actions": episodes * STEPS, "sent": 0, "violations": []}
     with (

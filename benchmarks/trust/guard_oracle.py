@@ -1,4 +1,4 @@
-"""Rules of the guards, written a second time. Axes: x, y, z m, yaw rad, of an action width m; base frame."""
+"""Rules of the guards, written a second time. Axes: x, y, z, width m, yaw rad; base frame."""
 
 import math
 from typing import Any
@@ -6,15 +6,18 @@ from typing import Any
 import numpy as np
 
 SLACK = 1e-5  # m or rad; a rounding is no violation
-HERE_m, HERE_rad = 1e-3, 1e-2  # as near to the arm as this a target pulls at nothing
+HERE_m = 1e-3  # as near to the arm as this a target pulls at nothing
+HERE_rad = 1e-2
 
 
-Limits = Any  # low, high, step_m, step_rad, speed_m_s, speed_rad_s, speed_width_m_s, longest_gap_s
+# low, high, step_m, step_rad, speed_m_s, speed_rad_s, speed_width_m_s, longest_gap_s
+Limits = Any
 
 
 def pose_of(axes: np.ndarray) -> np.ndarray:
     """(4, 4) of a hand that points down and closes along the base's x axis at yaw 0."""
-    c, s = np.cos(axes[3]), np.sin(axes[3])
+    c = np.cos(axes[3])
+    s = np.sin(axes[3])
     return np.array([[-s, c, 0, axes[0]], [c, s, 0, axes[1]], [0, 0, -1, axes[2]], [0, 0, 0, 1.0]])
 
 
@@ -32,26 +35,27 @@ def wrong_pose(
     elapsed_s: float,
     slack: float = SLACK,
 ) -> list[str]:
-    """Return what is wrong with a pose (4,) on its way to an arm that is ``here`` and was sent ``last`` before."""
+    """Return what is wrong with a pose (4,) for an arm that is ``here`` and was sent ``last``."""
     if not np.isfinite(pose).all():
         return ["finite"]
     before = here if last is None else last
     gap_s = limits.longest_gap_s
-    allowed_s = gap_s if last is None else min(max(elapsed_s, 0.0), gap_s)
+    allowed_s = _allowed_s(limits, last, elapsed_s)
     corners = np.array([before, here])
     lowest = np.minimum(corners.min(0), limits.low[:4]) - slack
     highest = np.maximum(corners.max(0), limits.high[:4]) + slack
-    at_arm = _gap(pose, here) <= HERE_m + slack and _turn(pose, here) <= HERE_rad + slack
-    slow = _gap(pose, before) <= limits.speed_m_s * allowed_s + slack
-    slow &= _turn(pose, before) <= limits.speed_rad_s * allowed_s + slack
-    near = _gap(pose, here) <= limits.step_m + limits.speed_m_s * gap_s + slack
-    near &= _turn(pose, here) <= limits.step_rad + limits.speed_rad_s * gap_s + slack
-    rules = {
-        "box": ((lowest <= pose) & (pose <= highest)).all(),
-        "rate": slow or at_arm,
-        "near": near,
-    }
-    return [name for name, holds in rules.items() if not holds]
+    at_arm = _within(pose, here, HERE_m, HERE_rad, slack)
+    wrong = []
+    if not ((lowest <= pose) & (pose <= highest)).all():
+        wrong.append("box")
+    reach = limits.speed_m_s * allowed_s, limits.speed_rad_s * allowed_s
+    if not at_arm and not _within(pose, before, *reach, slack):
+        wrong.append("rate")
+    far_m = limits.step_m + limits.speed_m_s * gap_s
+    far_rad = limits.step_rad + limits.speed_rad_s * gap_s
+    if not _within(pose, here, far_m, far_rad, slack):
+        wrong.append("near")
+    return wrong
 
 
 def wrong_action(
@@ -65,26 +69,34 @@ def wrong_action(
     if not np.isfinite(sent).all():
         return ["finite"]
     before = measured if last is None else last
-    allowed_s = (
-        limits.longest_gap_s if last is None else min(max(elapsed_s, 0.0), limits.longest_gap_s)
-    )
-    lowest, highest = (
-        np.minimum(before, limits.low) - SLACK,
-        np.maximum(before, limits.high) + SLACK,
-    )
-    inside = ((np.array(limits.low) <= measured) & (measured <= limits.high)).all()
-    rules = {
-        "box": ((lowest <= sent) & (sent <= highest)).all(),
-        "rate": _gap(sent, before) <= limits.speed_m_s * allowed_s + SLACK
-        and _turn(sent, before) <= limits.speed_rad_s * allowed_s + SLACK
-        and abs(sent[4] - before[4]) <= limits.speed_width_m_s * allowed_s + SLACK,
-        "step": not inside
-        or (
-            _gap(sent, measured) <= max(limits.step_m, _gap(before, measured)) + SLACK
-            and _turn(sent, measured) <= max(limits.step_rad, _turn(before, measured)) + SLACK
-        ),
-    }
-    return [f"action {name}" for name, holds in rules.items() if not holds]
+    allowed_s = _allowed_s(limits, last, elapsed_s)
+    lowest = np.minimum(before, limits.low) - SLACK
+    highest = np.maximum(before, limits.high) + SLACK
+    wrong = []
+    if not ((lowest <= sent) & (sent <= highest)).all():
+        wrong.append("action box")
+    reach = limits.speed_m_s * allowed_s, limits.speed_rad_s * allowed_s
+    closes_m = abs(sent[4] - before[4])
+    too_fast = closes_m > limits.speed_width_m_s * allowed_s + SLACK
+    if too_fast or not _within(sent, before, *reach):
+        wrong.append("action rate")
+    step_m = max(limits.step_m, _gap(before, measured))
+    step_rad = max(limits.step_rad, _turn(before, measured))
+    is_inside = ((np.array(limits.low) <= measured) & (measured <= limits.high)).all()
+    if is_inside and not _within(sent, measured, step_m, step_rad):
+        wrong.append("action step")
+    return wrong
+
+
+def _allowed_s(limits: Limits, last: np.ndarray | None, elapsed_s: float) -> float:
+    """Return the time for which motion is allowed since what was sent before."""
+    if last is None:
+        return float(limits.longest_gap_s)
+    return min(max(elapsed_s, 0.0), limits.longest_gap_s)
+
+
+def _within(a: np.ndarray, b: np.ndarray, m: float, rad: float, slack: float = SLACK) -> bool:
+    return _gap(a, b) <= m + slack and _turn(a, b) <= rad + slack
 
 
 def _gap(a: np.ndarray, b: np.ndarray) -> float:

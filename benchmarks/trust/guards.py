@@ -1,4 +1,4 @@
-"""Attack the robot's guards: every bad setting, then the whole chain with random limits, states and actions."""
+"""Attack the robot's guards: every bad setting, then the whole chain with random inputs."""
 
 import logging
 import math
@@ -25,7 +25,7 @@ CHUNK = 100
 
 @dataclass
 class GuardsConfig:
-    """Count bad settings refused and bad poses sent; a newly found violation is printed with its seed.
+    """Count bad settings refused and bad poses sent; a new violation is printed with its seed.
 
     Example: python -m benchmarks.trust.guards episodes=2000 out=docs/results/trust.json
     """
@@ -44,6 +44,14 @@ NEEDS: dict[type, dict[str, Any]] = {
 }
 
 
+BAD_GAINS: tuple[dict[str, Any], ...] = (
+    {"stiffness_N_m": (3000.0,) * 3, "clip_m": (0.05,) * 3},
+    # each product is 60 N, but with the hand turned by a right angle 3000 N/m meet 0.05 m
+    {"stiffness_N_m": (1200.0, 3000.0, 0.0), "clip_m": (0.05, 0.02, 0.01)},
+    {"stiffness_N_m": (100.0,) * 3, "rotation_Nm_rad": (300.0,) * 3, "clip_rad": 0.5},
+)
+
+
 def bad_values(allowed: Range) -> list[Any]:
     """Return values outside a range, and values that are no numbers."""
     outside = [
@@ -53,8 +61,9 @@ def bad_values(allowed: Range) -> list[Any]:
         -abs(allowed.high) - 1.0,
         1e9,
     ]
-    edge = [allowed.low] if allowed.above else []
-    return [math.nan, math.inf, -math.inf, "0.1", None, True, *outside, *edge]
+    if allowed.above:
+        outside.append(allowed.low)
+    return [math.nan, math.inf, -math.inf, "0.1", None, True, *outside]
 
 
 def bad_settings() -> Iterator[tuple[type, dict[str, Any], str]]:
@@ -62,25 +71,18 @@ def bad_settings() -> Iterator[tuple[type, dict[str, Any], str]]:
     for kind, needed in NEEDS.items():
         for name, allowed in HARD_LIMITS[kind.__name__].items():
             sound = getattr(kind(**needed), name)
-            for place, row in enumerate(allowed if isinstance(allowed, tuple) else (allowed,)):
+            if isinstance(allowed, Range):
+                for value in bad_values(allowed):
+                    yield kind, needed | {name: value}, name
+                continue
+            for place, row in enumerate(allowed):
                 for value in bad_values(row):
-                    wrong = (
-                        (*sound[:place], value, *sound[place + 1 :])
-                        if isinstance(sound, tuple)
-                        else value
-                    )
+                    wrong = (*sound[:place], value, *sound[place + 1 :])
                     yield kind, needed | {name: wrong}, name
-            if isinstance(sound, tuple):
-                yield kind, needed | {name: sound[1:]}, name
+            yield kind, needed | {name: sound[1:]}, name
     yield GuardLimits, {"low": (0.5, 0, 0, 0, 0), "high": (0.4, 0.1, 0.1, 0.1, 0.05)}, "box"
-    yield Gains, {"stiffness_N_m": (3000.0,) * 3, "clip_m": (0.05,) * 3}, "gains"
-    # each product is 60 N, but with the hand turned by a right angle 3000 N/m meet 0.05 m
-    yield Gains, {"stiffness_N_m": (1200.0, 3000.0, 0.0), "clip_m": (0.05, 0.02, 0.01)}, "gains"
-    yield (
-        Gains,
-        {"stiffness_N_m": (100.0,) * 3, "rotation_Nm_rad": (300.0,) * 3, "clip_rad": 0.5},
-        "gains",
-    )
+    for gains in BAD_GAINS:
+        yield Gains, gains, "gains"
     for name, kind in NESTED.items():
         unchecked = type("Loose", (kind,), {"__post_init__": lambda self: None})
         for value in (None, {}, unchecked(**NEEDS[kind])):
@@ -91,7 +93,8 @@ def bad_settings() -> Iterator[tuple[type, dict[str, Any], str]]:
 
 def try_all() -> dict[str, Any]:
     """Return how many were tried and refused, and those that were accepted."""
-    tried, accepted = 0, []
+    tried = 0
+    accepted = []
     for kind, settings, field in bad_settings():
         tried += 1
         try:
@@ -107,18 +110,22 @@ def try_all() -> dict[str, Any]:
 
 def attack(episodes: int, seed: int) -> dict[str, Any]:
     """Return the table's row: settings tried and refused, poses sent, violations."""
-    counts, violations, faults = Counter[str](), list[str](), Counter[str]()
+    counts = Counter[str]()
+    faults = Counter[str]()
+    violations: list[str] = []
     for chunk in tqdm(range(0, episodes, CHUNK), desc="episodes"):
         own = seed + chunk // CHUNK
         found = drive(min(CHUNK, episodes - chunk), own)
-        counts.update({"actions": found["actions"], "sent_cases": found["sent"]})
-        violations += [f"seed {own}: {what}" for what in found["violations"]]
+        counts.update(actions=found["actions"], sent_cases=found["sent"])
         faults.update(found["faults"])
-    return (
-        try_all()
-        | counts
-        | {"violations": len(violations), "examples": violations[:10], "faults": dict(faults)}
-    )
+        violations += [f"seed {own}: {what}" for what in found["violations"]]
+    return {
+        **try_all(),
+        **counts,
+        "violations": len(violations),
+        "examples": violations[:10],
+        "faults": dict(faults),
+    }
 
 
 @command(GuardsConfig)

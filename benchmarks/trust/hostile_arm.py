@@ -1,17 +1,19 @@
-"""The stand-in arm with every fault of its wire, by name: ``python -m benchmarks.trust.hostile_arm 127.0.0.2``.
+"""The stand-in arm with faults by name: ``python -m benchmarks.trust.hostile_arm 127.0.0.2``.
 
 Nothing here was ever run on hardware. Each entry says where the fault comes from:
 
 * ``DOCUMENTED``: Franka's manuals, headers or published client name it as something the robot does.
 * ``REPORTED``: users of real robots have written of it in public.
-* ``INVENTED``: no source; what a broken cable, memory or clock might do, and a client has to survive it.
+* ``INVENTED``: no source; what a broken cable or clock might do, and a client has to survive it.
 
-A fault is begun by ``{"do": "fault", "name": NAME}`` on standard input and taken back by the name ``none``. What
-has happened stays so: a dropped connection, a reflex, an object that slipped out. One fault at a time.
+A fault is begun by ``{"do": "fault", "name": NAME}`` on standard input and taken back by the name
+``none``. What has happened stays so: a dropped connection, a reflex, an object that slipped out.
+One fault at a time.
 
-Faults of the states corrupt what is sent, never the arm: ``describe()`` says where it really is. Where the client
-can't answer (``starve``), the stand-in doesn't wait for it and drives the arm by the last torque at 1 kHz. A real arm
-stops after 20 lost packets; the order ``miss_rule`` makes this one do so too.
+Faults of the states corrupt what is sent, never the arm: ``describe()`` says where it really is.
+Where the client can't answer (``starve``), the stand-in doesn't wait for it and drives the arm by
+the last torque at 1 kHz. A real arm stops after 20 lost packets; the order ``miss_rule`` makes this
+one do so too.
 """
 
 import argparse
@@ -20,6 +22,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -47,7 +50,9 @@ NO_STATE_BYTES = (0, 1, 8, HAND_STATE_BYTES - 1, STATE_BYTES - 1, STATE_BYTES + 
 SOURCE = random.Random(0)
 KEPT = 200  # states sent, for faults that send them again
 MIDWAY_s = 0.05  # a command of the hand is under way for
-MOVING_m_s, MOVING_rad_s = 0.002, 0.02  # of the tool; below both the arm is at rest
+MOVING_m_s = 0.002  # of the tool; below both the arm is at rest
+MOVING_rad_s = 0.02
+LOOK_s = 1 / 30  # between two looks
 
 
 class Babble(p.Header):
@@ -70,8 +75,8 @@ class HostileArm(ArmService):
     def mend(self) -> None:
         """Take back every fault of the wire.
 
-        ``outgoing`` turns a state into datagrams. ``starved``: the client can't know of a tick, so none waits for it.
-        ``takes_commands``: whether commands arrive.
+        ``outgoing`` turns a state into datagrams. ``starved``: the client can't know of a tick, so
+        none waits for it. ``takes_commands``: whether commands arrive.
         """
         self.outgoing: Callable[[RobotState], Iterable[bytes]] | None = None
         self.starved, self.takes_commands = False, True
@@ -122,7 +127,8 @@ class HostileHand(HandService):
     def mend(self) -> None:
         """Take back every fault of the wire.
 
-        ``outgoing`` turns a state into datagrams. ``hung``: the fingers stand still and no command is answered.
+        ``outgoing`` turns a state into datagrams. ``hung``: the fingers stand still and no command
+        is answered.
         """
         self.outgoing: Callable[[p.HandState], Iterable[bytes]] | None = None
         self.hung = False
@@ -169,11 +175,11 @@ class Fault:
     end: Act = lambda arm, hand: None  # what has to be taken back beside the wire
 
 
-# --- the arm's states ------------------------------------------------------------------------------------------------
+# --- the arm's states ---
 
 
 def corrupt(change: Change) -> Act:
-    """Return what changes the numbers of each state that is sent; the arm's own stay as they are."""
+    """Return what changes the numbers of each state sent; the arm's own stay as they are."""
 
     def changed(state: RobotState) -> Iterable[bytes]:
         floats = state.floats.copy()
@@ -226,7 +232,7 @@ def send_old(arm: HostileArm, hand: HostileHand) -> None:
     starve(lambda: SOURCE.choices(sent, k=FLOOD))(arm, hand)
 
 
-# --- connections -----------------------------------------------------------------------------------------------------
+# --- connections ---
 
 
 def babble(service: HostileArm | HostileHand) -> None:
@@ -254,7 +260,7 @@ def reflex(bit: ErrorBit) -> Act:
     return lambda arm, _: arm.reflex(frozenset({bit}))
 
 
-# --- the hand --------------------------------------------------------------------------------------------------------
+# --- the hand ---
 
 
 def hand_sends(datagrams: Callable[[], Iterable[bytes]]) -> Act:
@@ -377,7 +383,7 @@ class Faults:
             FAULTS[self.name].watch(self.arm, self.hand)
 
     def describe(self) -> dict[str, object]:
-        """Return the fault that lasts, and when the last one began: the robot's time and CLOCK_MONOTONIC."""
+        """Return the fault that lasts, and when the last began: robot's time, CLOCK_MONOTONIC."""
         return {"name": self.name, **self._last}
 
     def _end(self) -> None:
@@ -414,6 +420,13 @@ class HostileStandIn(StandIn):
     """A running ``HostileServer``; ``do("fault", name=…)`` breaks it."""
 
     module = "benchmarks.trust.hostile_arm"
+
+    def look_after(self, for_s: float) -> dict[str, Any]:
+        """Return what it shows once its own clock, slow on a busy machine, went on by ``for_s``."""
+        end_ms = self.do("look")["arm"]["milliseconds"] + 1e3 * for_s
+        while (look := self.do("look"))["arm"]["milliseconds"] < end_ms:
+            time.sleep(LOOK_s)
+        return look
 
 
 if __name__ == "__main__":

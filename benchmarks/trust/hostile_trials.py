@@ -1,7 +1,7 @@
-"""The robot against faults of the stand-in: ``hostile_trials.py FAULT,… TIMES ADDRESS OUT``.
+"""The robot against faults of the stand-in: ``hostile_trials.py FAULT,… TIMES FOLDER``.
 
-A program of its own, since a client may hang. Adds a row per trial to the ledger in the folder OUT, and skips what is
-there, so it can be begun again. Nothing here was ever run on hardware.
+A program of its own, since a client may hang. Adds a row per trial to the fault's ledger in the
+folder, and skips what is there. Nothing here was ever run on hardware.
 """
 
 import contextlib
@@ -10,17 +10,17 @@ import logging
 import os
 import sys
 import tempfile
-import threading
 import time
-from collections import Counter
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.ledger import Ledger
+from benchmarks.recorder.rig import new_address
+from benchmarks.trust.attempts import begun
 from benchmarks.trust.hostile_arm import HostileStandIn
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka.guards import GuardLimits
@@ -28,21 +28,20 @@ from uniforce_vtla.errors import RobotError
 from uniforce_vtla.hand import LOST_s
 from uniforce_vtla.keys import AXES
 
-ROWS = "trials"  # the ledger's file
 PERIOD_s = 1 / 30
-UNDER_WAY_s, NOTICE_s = 0.6, 15.0
+UNDER_WAY_s = 0.6
+NOTICE_s = 15.0
 AFTER_s = 0.7  # of the robot's own time, in which the arm is looked at
 STUCK_s = 45.0  # no trial takes so long
-STARTS = 5
 HOLD_s = LEARN_s = 0.5  # the bars
 STILL_m = 0.001  # how far the fingers may go from then on
-# a sleeper that wakes so late was on a machine that ran others meanwhile
-NAP_s, STARVED_s = 0.005, 0.06
-SWAY_m, SWAY_s = 0.015, 1.0  # up to 0.09 m/s
+SWAY_m = 0.015
+SWAY_s = 1.0  # up to 0.09 m/s
 BOX = GuardLimits(low=(0.2, -0.3, 0.1, -np.pi, 0.0), high=(0.7, 0.3, 0.6, np.pi, 0.08))
 HELD_m = 0.03  # the object
 
-CONNECTION, BROKEN = ("connection",), ("bad_state", "jump", "speed", "connection", "force")
+CONNECTION = ("connection",)
+BROKEN = ("bad_state", "jump", "speed", "connection", "force")
 RIGHT_NAMES: dict[str, tuple[str, ...]] = {
     "nan_state": ("bad_state",),
     "inf_state": ("bad_state",),
@@ -77,10 +76,11 @@ RIGHT_NAMES: dict[str, tuple[str, ...]] = {
     "slip_out": ("grasp_lost",),
 }
 GRASPING = ("slip_out",)
-MIDWAY = ("hung_hand", "hand_dropped_midway", "hand_garbage_reply")  # need a command of the hand
-# No state arrives that a client could answer: a real arm ends the motion after 20 lost packets, and so does this one.
+# No state arrives that a client could answer: a real arm ends the motion after 20 lost packets, and
+# so does this one.
 STARVING = ("stopped_clock", "state_flood_old", "silent_arm", "garbage_state", "wrong_length_state")
-# The client reads these only when it expects an answer: the trial stops the arm, then asks for recovery.
+# The client reads these only when it expects an answer: the trial stops the arm, then asks for
+# recovery.
 AT_NEXT_ANSWER = ("arm_garbage_reply",)
 
 
@@ -88,42 +88,29 @@ AT_NEXT_ANSWER = ("arm_garbage_reply",)
 class Trial:
     """Result of one fault."""
 
-    fault: str
+    kind: str  # the fault
     named: str  # the fault the caller was given, "" for none
     message: str
-    # robot's own clock, from the first moment at which the fault could be known until the arm was at rest
+    # robot's own clock, from when the fault could be known until the arm was at rest
     hold_s: float
-    # robot's own clock, from then until the caller knew; the wall's, where the robot is dead or the caller waits for
-    # ``recover``
+    # robot's own clock, from then until the caller knew; the wall's, where the robot is dead or
+    # the caller waits for ``recover``
     learnt_s: float
-    sent_after: int  # actions that were taken after the caller had learnt
-    ended_s: float
+    sent_after: int = 0  # actions that were taken after the caller had learnt
     fingers_m: float = 0.0  # way of the fingers from ``HOLD_s`` after the caller knew
-    # how often it was begun in vain: a busy machine stopped the arm before, or for another reason
+    # how often it was begun in vain: a busy machine stopped the arm, or for another reason
     starved: int = 0
     late_s: float = 0.0  # by how much a sleeper beside it woke too late, at most
+    ended_s: float = field(default_factory=time.time)
 
-
-class Sleeper(threading.Thread):
-    """Measures for how long the machine ran others in one piece: a starved one stops the arm for another reason."""
-
-    def __init__(self) -> None:
-        super().__init__(daemon=True)
-        self.late_s, self._runs = 0.0, True
-
-    def run(self) -> None:
-        """Sleep, and note by how much each sleep was too long, until asked to end."""
-        while self._runs:
-            then_s = time.monotonic()
-            time.sleep(NAP_s)
-            self.late_s = max(self.late_s, time.monotonic() - then_s - NAP_s)
-
-    def __enter__(self) -> "Sleeper":
-        self.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._runs = False
+    @property
+    def is_right(self) -> bool:
+        """Whether it was named, held and known in time, and no action was taken afterwards."""
+        # there ``recover`` waits
+        in_time = self.learnt_s <= LEARN_s or self.kind in AT_NEXT_ANSWER
+        is_named = self.named in RIGHT_NAMES[self.kind]
+        is_held = self.hold_s <= HOLD_s and self.fingers_m <= STILL_m
+        return is_named and in_time and is_held and not self.sent_after
 
 
 def connect(fci: HostileStandIn, folder: Path) -> UniforceFranka:
@@ -147,7 +134,7 @@ def drive(
 
 
 def trial(fault: str, address: str, folder: Path) -> Trial:
-    """Begin a fault while the arm moves, go on until the caller learns, then look at what the arm did."""
+    """Begin a fault while the arm moves, go on until the caller learns, then look at the arm."""
     with HostileStandIn(address) as fci:
         robot = connect(fci, folder)
         try:
@@ -164,36 +151,11 @@ def trial(fault: str, address: str, folder: Path) -> Trial:
 
 
 def begun_trial(fault: str, address: str, folder: Path) -> Trial:
-    """Return a trial; what a starved machine stopped, before the fault or for another reason, is tried again, counted.
-
-    The last of ``STARTS`` counts, whatever came of it; RobotError: it never began.
-    """
-    for starved in range(STARTS):
-        with Sleeper() as sleeper:
-            try:
-                found = trial(fault, address, folder)
-            except RobotError as error:  # a fault's own error is caught where it is awaited
-                print(f"{fault}: not begun: {error}", file=sys.stderr)
-                if starved == STARTS - 1:
-                    raise
-                continue
-        found = replace(found, starved=starved, late_s=round(sleeper.late_s, 3))
-        if is_right(asdict(found)) or found.late_s < STARVED_s:
-            break
-        print(
-            f"{fault}: a starved machine, late by {found.late_s} s: {found.message}",
-            file=sys.stderr,
-        )
-    return found
-
-
-def is_right(row: dict[str, Any]) -> bool:
-    """Return whether the fault was named, the arm held and the fault known in time, and no action taken afterwards."""
-    # there ``recover`` waits
-    in_time = row["learnt_s"] <= LEARN_s or row["fault"] in AT_NEXT_ANSWER
-    named = row["named"] in RIGHT_NAMES[row["fault"]]
-    is_held = row["hold_s"] <= HOLD_s and row["fingers_m"] <= STILL_m
-    return named and in_time and is_held and not row["sent_after"]
+    """Return a trial; what a starved machine stopped is tried again, and counted."""
+    found, starved, late_s = begun(
+        fault, lambda: trial(fault, address, folder), lambda row: row.is_right
+    )
+    return replace(found, starved=starved, late_s=late_s)
 
 
 def _break(
@@ -220,7 +182,7 @@ def _break(
         hold_s, rate = _hold_s(fci, known_s)
         took_s = rate * max(learnt_s - known_s, 0.0)
     times_s = round(hold_s, 4), round(took_s, 4)
-    return Trial(fault, named, message, *times_s, sent_after, time.time(), round(fingers_m, 5))
+    return Trial(fault, named, message, *times_s, sent_after, round(fingers_m, 5))
 
 
 def _fingers_m(fci: HostileStandIn, learnt_s: float) -> float:
@@ -241,15 +203,8 @@ def _stop_and_recover(robot: UniforceFranka, fci: HostileStandIn, fault: str, st
     begun_s = time.monotonic()
     named, message = _told(robot.recover)
     learnt_s = time.monotonic() - begun_s
-    return Trial(
-        fault,
-        named,
-        message,
-        round(hold_s, 4),
-        round(learnt_s, 4),
-        _sends(robot, start),
-        time.time(),
-    )
+    times_s = round(hold_s, 4), round(learnt_s, 4)
+    return Trial(fault, named, message, *times_s, _sends(robot, start))
 
 
 def _told(call: Callable[[], object]) -> tuple[str, str]:
@@ -271,7 +226,7 @@ def _order(fci: HostileStandIn, fault: str) -> None:
 
 
 def knowable_s(robot: UniforceFranka, fci: HostileStandIn, fault: str, ordered_s: float) -> float:
-    """Return the first moment at which the fault could be known: at once, at a deadline, when a reading is too old."""
+    """Return when the fault could first be known: at once, or when a reading is too old."""
     hand, struck_s = robot._hand, fci.do("look")["hand"]["struck_s"]
     assert hand is not None
     if fault in ("hung_hand", "hand_garbage_reply"):  # the client waits for the rest of an answer
@@ -292,12 +247,10 @@ def _sends(robot: UniforceFranka, start: dict[str, float]) -> int:
 
 
 def _hold_s(fci: HostileStandIn, known_s: float) -> tuple[float, float]:
-    """Return how long the arm moved after ``known_s`` in its own time, infinity while it moves, and its rate."""
-    end_ms = fci.do("look")["arm"]["milliseconds"] + 1e3 * AFTER_s
-    # on a busy machine its clock is slow
-    while (look := fci.do("look"))["arm"]["milliseconds"] < end_ms:
-        time.sleep(PERIOD_s)
-    arm, fault = look["arm"], look["fault"]
+    """Return how long the arm moved after ``known_s``, infinity while it moves, and its rate."""
+    look = fci.look_after(AFTER_s)
+    arm = look["arm"]
+    fault = look["fault"]
     rate = (arm["milliseconds"] - fault["at_ms"]) / max(
         1e3 * (time.monotonic() - fault["at_s"]), 1.0
     )
@@ -308,21 +261,21 @@ def _hold_s(fci: HostileStandIn, known_s: float) -> tuple[float, float]:
 
 
 def main() -> None:
-    """Run what OUT lacks; ends early after a fault that leaves a client hanging."""
-    faults, times, address, out = sys.argv[1:5]
+    """Run what the folder lacks; ends early after a fault that leaves a client hanging."""
+    faults, times, out = sys.argv[1:4]
     logging.disable(logging.WARNING)
     rows = Ledger(Path(out))
-    there = Counter(row["fault"] for row in rows.read(ROWS))
+    address = new_address()
     with tempfile.TemporaryDirectory() as folder:
         for fault in faults.split(","):
-            for _ in range(there[fault], int(times)):
+            for _ in range(len(rows.read(fault)), int(times)):
                 # into the log; works also where a client keeps the GIL
                 faulthandler.dump_traceback_later(STUCK_s)
                 row = begun_trial(fault, address, Path(folder))
                 faulthandler.cancel_dump_traceback_later()
-                rows.add(ROWS, asdict(row))
+                rows.add(fault, asdict(row))
                 if fault in AT_NEXT_ANSWER:
-                    # the client hangs, and takes memory without end: the next trial gets a new process
+                    # the client hangs, and takes memory without end: a new process goes on
                     return
 
 

@@ -1,4 +1,4 @@
-"""Ways to damage a file, and what one kind of damage is: done to a copy, which is then loaded as a user would."""
+"""Ways to damage a file: done to a copy, which is then loaded as a user would."""
 
 import json
 import shutil
@@ -28,7 +28,7 @@ class Damage:
     sound: Path = Path()  # the shipped checkpoint that is copied
 
     def refused(self, whole: Path, folder: Path, verify: str = "full") -> str | None:
-        """Return the error's line after damaging a copy of ``whole`` inside ``folder``; None where it was accepted."""
+        """Return the error's line after damaging a copy of ``whole``; None if it was accepted."""
         copy = Path(shutil.copytree(whole, folder / whole.name))
         if not self.hashed:
             (copy / HASHES).unlink()

@@ -1,34 +1,21 @@
-"""Would the attack notice a broken guard? Each mutation breaks one place of a copy of the package."""
+"""Would the attack notice a broken guard? Each mutation breaks one place of a copy of the robot."""
 
-import importlib.util
-import logging
-import multiprocessing
-import shutil
 import sys
-import tempfile
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from tqdm import tqdm
-
-import uniforce_robots
-from benchmarks.ledger import update
+from benchmarks.trust.broken_copy import Mutation, broken, try_all
 from uniforce_cli.boundary import command
-from uniforce_vtla.errors import ContractError, expected
 
-PACKAGE = Path(str(importlib.util.find_spec("uniforce_robots.franka").origin)).parent  # type: ignore[union-attr]
-SEEDS, EPISODES = 8, 25
-SEND, GUARDS, STREAM, STATE, ROBOT = (
-    "state_check.py",
-    "guards.py",
-    "stream.py",
-    "state_check.py",
-    "robot.py",
-)
+SEEDS = 8
+EPISODES = 25
+SEND = "uniforce_robots/franka/state_check.py"
+GUARDS = "uniforce_robots/franka/guards.py"
+STREAM = "uniforce_robots/franka/stream.py"
+STATE = SEND
+ROBOT = "uniforce_robots/franka/robot.py"
 # A last check without its look at NaN is none of these: its box refuses NaN, too.
-# name: file, what stands there, what is put in its place
-MUTATIONS: dict[str, tuple[str, str, str]] = {
+MUTATIONS: dict[str, Mutation] = {
     "sent: box unchecked": (SEND, "self._require_box(target, last, here)", "pass"),
     "sent: box 1 cm wider": (SEND, "self._low) - ROUNDING", "self._low) - 0.01"),
     "sent: rate unchecked": (SEND, "self._require_rate(target, last, here, elapsed_s)", "pass"),
@@ -141,8 +128,6 @@ MUTATIONS: dict[str, tuple[str, str, str]] = {
     ),
     "robot: unguarded": (ROBOT, "self.guards(wanted, measured, self._clock())", "wanted"),
 }
-# once, they take seconds; never the package itself
-PRELOAD = ["lerobot.robots", "uniforce_robots.sensors"]
 
 
 @dataclass
@@ -156,50 +141,27 @@ class MutationsConfig:
 
 
 def notice(name: str) -> str:
-    """Return the first violation found on a package with this mutation, "" for a survivor; needs a fresh process."""
-    file, old, new = MUTATIONS[name]
-    logging.disable(logging.CRITICAL)
-    with tempfile.TemporaryDirectory() as folder:
-        copy = Path(shutil.copytree(PACKAGE, Path(folder) / PACKAGE.name))
-        text = (copy / file).read_text()
-        if text.count(old) != 1:
-            raise ContractError(
-                expected(name, f"{old!r} once in {file}", text.count(old), "Mend the table.")
-            )
-        (copy / file).write_text(text.replace(old, new))
-        uniforce_robots.__path__.insert(0, folder)  # the copy is found before the package itself
+    """Return the first violation found with this mutation, "" for a survivor; a fresh process."""
+    with broken(name, MUTATIONS[name]):
         from benchmarks.trust.guard_cases import drive
 
-        tried = sys.modules["uniforce_robots.franka"].__file__ or ""
-        if not tried.startswith(folder):
-            raise ContractError(
-                expected(name, f"cases on the copy in {folder}", tried, "Is it preloaded?")
-            )
-        return next(
-            (found[0] for seed in range(SEEDS) if (found := drive(EPISODES, seed)["violations"])),
-            "",
-        )
+        for seed in range(SEEDS):
+            violations = drive(EPISODES, seed)["violations"]
+            if violations:
+                return str(violations[0])
+    return ""
 
 
 @command(MutationsConfig)
 def main(config: MutationsConfig) -> int:
     """Try all, write the table, print the survivors; 1 where there are any."""
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(PRELOAD)
-    with ProcessPoolExecutor(2, mp_context=context, max_tasks_per_child=1) as pool:
-        found = tqdm(pool.map(notice, MUTATIONS), total=len(MUTATIONS), desc="mutations")
-        table = dict(zip(MUTATIONS, found, strict=True))
-    survivors = [name for name, found in table.items() if not found]
-    row = {
-        "tried": len(table),
-        "noticed": len(table) - len(survivors),
-        "survivors": survivors,
-        "table": table,
-    }
-    path = update(Path(config.out), "mutations", row)
-    print(
-        f"{row['noticed']} of {row['tried']} noticed; survivors: {survivors or 'none'}; written to {path}"
-    )
+    from benchmarks.ledger import update
+
+    table = try_all(notice, list(MUTATIONS))
+    survivors = [name for name, seen in table.items() if not seen]
+    noticed = len(table) - len(survivors)
+    row = {"tried": len(table), "noticed": noticed, "survivors": survivors, "table": table}
+    print(f"written to {update(Path(config.out), 'mutations', row)}")
     return int(bool(survivors))
 
 

@@ -1,8 +1,9 @@
 """LeRobot's own rollout over stand-ins while something fails: ``rollout_trials.py KIND TIMES OUT``.
 
-The robot is ours, the policy the shipped one. It runs as a whole, but the moves it answers are replaced by a sway, so
-that the arm moves for certain when the fault comes. A program of its own, so that one that hangs can be ended; it adds
-a row per trial to the ledger in the folder OUT. Nothing here was ever run on hardware.
+The robot is ours, the policy the shipped one. It runs as a whole, but the moves it answers are
+replaced by a sway, so that the arm moves for certain when the fault comes. A program of its own, so
+that one that hangs can be ended; it adds a row per trial to the ledger in the folder OUT. Nothing
+here was ever run on hardware.
 """
 
 import itertools
@@ -26,9 +27,10 @@ from lerobot.rollout import RolloutConfig
 from lerobot.scripts.lerobot_rollout import rollout
 
 from benchmarks.ledger import Ledger
-from benchmarks.recorder.rig import new_address
+from benchmarks.recorder.rig import CAMERAS, SCENE_CYCLE, new_address
+from benchmarks.trust.attempts import begun
 from benchmarks.trust.hostile_arm import HostileStandIn
-from benchmarks.trust.hostile_trials import STARTS, AFTER_s, HOLD_s, Sleeper, STARVED_s
+from benchmarks.trust.hostile_trials import AFTER_s, HOLD_s
 from lerobot_policy_pi05_uniforce.action import NetworkUnits
 from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
@@ -44,19 +46,22 @@ from uniforce_vtla.keys import AXES
 
 # where the demonstrations were; the hand open
 START = dict(zip(AXES, (0.495, -0.02, 0.06, 0.0, 0.08), strict=True))
-NEAR_m, LEAD_s = 0.01, 30.0
-SWAY_m, SWAY_s, Y = 0.015, 1.0, AXES.index("y.pos")  # up to 0.09 m/s
+NEAR_m = 0.01
+LEAD_s = 30.0
+SWAY_m = 0.015
+SWAY_s = 1.0  # up to 0.09 m/s
+Y = AXES.index("y.pos")
 STEP_s = 1 / 30
 BEGUN_steps = 15  # of the policy: what it answers before the robot is connected is a tenth of them
 UNDER_WAY_s = (0.7, 1.5)  # then the arm goes on for so long before something fails
 NOTICE_s = 6.0  # the rollout goes on for so long, if nobody notices
-LAG_s = (0.35, 0.04)  # of a stream that lags: silent, alive
+LAG_s = {"stall": 0.35, "none": 0.04}  # of a stream that lags: silent, alive
 FREE = ("rest_s=2", "press_s=0")  # nothing is touched
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A fault, and the names by which it may be reported: an exception's class, or the fault of a RobotError."""
+    """A fault, and the names it may be reported by: an exception's or a RobotError's."""
 
     breaks: Callable[["Rig"], object]
     names: tuple[str, ...]
@@ -75,14 +80,16 @@ class Sway:
         sampled = self.real(model, *inputs, **kwargs)
         if self.fault == "raises":
             raise RuntimeError("CUDA error: an illegal memory access was encountered")
-        settings, chunk = model.config.action, sampled.shape[1]
+        settings = model.config.action
+        chunk = sampled.shape[1]
         begin_s = self.steps * STEP_s
         time_s = begin_s + STEP_s * (1 + torch.arange(chunk))
         moves = torch.zeros(1, chunk, len(AXES))
         moves[0, :, Y] = SWAY_m * (
             torch.sin(2 * torch.pi * time_s / SWAY_s) - np.sin(2 * np.pi * begin_s / SWAY_s)
         )
-        moves += torch.nan if self.fault == "nan" else 0.0
+        if self.fault == "nan":
+            moves += torch.nan
         self.steps += model.config.n_action_steps
         units = NetworkUnits(settings.delta_scale, settings.delta_knee, chunk).to_network(moves)
         return torch.nn.functional.pad(units, (0, sampled.shape[2] - len(AXES)))
@@ -92,15 +99,15 @@ class Rig:
     """Stand-ins of two cameras, a uSkin and a TacTip, and an arm of its own for every trial."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder, self._closing = folder, ExitStack()
+        self.folder = folder
+        self._closing = ExitStack()
         self.sway = Sway(PI05UniforcePytorch.sample_actions)
         self.over = threading.Event()  # the rollout of this trial
         start = self._closing.enter_context
-        scenes = {"front": "gelsight", "wrist": "tactip"}  # any moving picture will do
-        self.cameras = {
-            name: start(StandIn("mjpeg", f"sensor={sensor}", "rest_s=1", "press_s=1"))
-            for name, sensor in scenes.items()
-        }
+        self.cameras = {}
+        for name, sensor in CAMERAS.items():
+            stand_in = StandIn("mjpeg", f"sensor={sensor}", *SCENE_CYCLE)
+            self.cameras[name] = start(stand_in)
         self.uskin = start(StandIn("slcan", "rate_hz=200", *FREE))
         self.tactip = start(StandIn("mjpeg", "sensor=tactip", *FREE))
 
@@ -115,7 +122,8 @@ class Rig:
         """Have an arm, and everything whole, the arm where the demonstrations were."""
         for stand_in in (*self.cameras.values(), self.uskin, self.tactip):
             stand_in.inject("none")
-        self.sway.fault, self.sway.steps = "", 0
+        self.sway.fault = ""
+        self.sway.steps = 0
         self.over.clear()
         with HostileStandIn(new_address()) as self.fci:
             self._lead()
@@ -137,27 +145,19 @@ class Rig:
 
     def rollout(self) -> None:
         """Run LeRobot's program; it raises what ends it."""
-        scene: dict[str, Any] = {
-            "width": 224,
-            "height": 224,
-            "capture_width": 640,
-            "capture_height": 480,
-        }
-        cameras: dict[str, Any] = {
-            name: UniforceSceneCameraConfig(source=stand_in.address, **scene)
-            for name, stand_in in self.cameras.items()
-        }
+        capture: dict[str, Any] = {"capture_width": 640, "capture_height": 480}
+        cameras: dict[str, Any] = {}
+        for name, stand_in in self.cameras.items():
+            cameras[name] = UniforceSceneCameraConfig(
+                source=stand_in.address, width=224, height=224, **capture
+            )
         cameras["tactile_left"] = UniforceUskinConfig(
             finger="left",
             source=self.uskin.address,
             max_age_ms=200.0,  # as the cameras': 100 ms end a rollout on a busy machine
         )
         cameras["tactile_right"] = UniforceTactileCameraConfig(
-            sensor="tactip",
-            finger="right",
-            source=self.tactip.address,
-            capture_width=640,
-            capture_height=480,
+            sensor="tactip", finger="right", source=self.tactip.address, **capture
         )
         policy = PreTrainedConfig.from_pretrained(shipped_checkpoint())
         policy.pretrained_path = shipped_checkpoint()
@@ -176,16 +176,21 @@ class Rig:
 
     def lag(self, stand_in: StandIn) -> None:
         """Let a stream come in bursts until the rollout is over."""
-        for fault, for_s in itertools.cycle(zip(("stall", "none"), LAG_s, strict=True)):
+        for fault in itertools.cycle(LAG_s):
             stand_in.inject(fault)
-            if self.over.wait(for_s):
+            if self.over.wait(LAG_s[fault]):
                 return
 
 
-def _stand_in(which: Callable[[Rig], StandIn], fault: str, *names: str) -> Kind:
-    if fault == "lag":
-        return Kind(lambda rig: rig.lag(which(rig)), names)
-    return Kind(lambda rig: which(rig).inject(fault), names)
+def _stand_in(which: Callable[[Rig], StandIn]) -> Callable[..., Kind]:
+    """Return what makes a fault of a stand-in."""
+
+    def kind(fault: str, *names: str) -> Kind:
+        if fault == "lag":
+            return Kind(lambda rig: rig.lag(which(rig)), names)
+        return Kind(lambda rig: which(rig).inject(fault), names)
+
+    return kind
 
 
 def _arm(fault: str, *names: str) -> Kind:
@@ -196,28 +201,21 @@ def _policy(fault: str, name: str) -> Kind:
     return Kind(lambda rig: setattr(rig.sway, "fault", fault), (name,))
 
 
-def _finger(rig: Rig) -> StandIn:
-    return rig.tactip
-
-
-def _taxels(rig: Rig) -> StandIn:
-    return rig.uskin
-
-
-def _camera(rig: Rig) -> StandIn:
-    return rig.cameras["front"]
-
-
-FROZEN, STALE, LOST = "FrozenSensorError", "StaleSensorError", "LostSensorError"
+_finger = _stand_in(lambda rig: rig.tactip)
+_taxels = _stand_in(lambda rig: rig.uskin)
+_camera = _stand_in(lambda rig: rig.cameras["front"])
+FROZEN = "FrozenSensorError"
+STALE = "StaleSensorError"
+LOST = "LostSensorError"
 KINDS = {
-    "finger_frozen": _stand_in(_finger, "freeze", FROZEN),
-    "finger_lagging": _stand_in(_finger, "lag", STALE),
-    "finger_unplugged": _stand_in(_finger, "stop", LOST, STALE),
-    "taxels_frozen": _stand_in(_taxels, "freeze", FROZEN),
-    "taxels_unplugged": _stand_in(_taxels, "unplug", LOST, STALE),
-    "camera_frozen": _stand_in(_camera, "freeze", FROZEN),
-    "camera_lagging": _stand_in(_camera, "lag", STALE),
-    "camera_gone": _stand_in(_camera, "stop", LOST, STALE),
+    "finger_frozen": _finger("freeze", FROZEN),
+    "finger_lagging": _finger("lag", STALE),
+    "finger_unplugged": _finger("stop", LOST, STALE),
+    "taxels_frozen": _taxels("freeze", FROZEN),
+    "taxels_unplugged": _taxels("unplug", LOST, STALE),
+    "camera_frozen": _camera("freeze", FROZEN),
+    "camera_lagging": _camera("lag", STALE),
+    "camera_gone": _camera("stop", LOST, STALE),
     "arm_frozen": _arm("frozen_state", "frozen"),
     "arm_silent": _arm("stopped_clock", "connection"),
     "arm_reflex": _arm("reflex", "reflex"),
@@ -252,7 +250,8 @@ class Breaker(threading.Thread):
 
     def __init__(self, rig: Rig, kind: Kind) -> None:
         super().__init__(daemon=True)
-        self._rig, self._kind = rig, kind
+        self._rig = rig
+        self._kind = kind
         self.at_ms: int | None = None  # the robot's own clock; None: nothing was broken
         self.at_s = 0.0
 
@@ -267,7 +266,8 @@ class Breaker(threading.Thread):
         while (look := self._rig.fci.do("look")["arm"])["held_since_ms"] is not None:
             if self._rig.over.wait(STEP_s):
                 return
-        self.at_ms, self.at_s = look["milliseconds"], time.monotonic()
+        self.at_ms = look["milliseconds"]
+        self.at_s = time.monotonic()
         self._kind.breaks(self._rig)
 
 
@@ -279,7 +279,8 @@ def trial(name: str, rig: Rig) -> Trial:
     with rig.arm() as fci:
         breaker = Breaker(rig, KINDS[name])
         breaker.start()
-        named, message = "", ""
+        named = ""
+        message = ""
         try:
             rig.rollout()
         except Exception as error:  # whatever ends LeRobot's program
@@ -297,45 +298,23 @@ def trial(name: str, rig: Rig) -> Trial:
 
 def hold_s(fci: HostileStandIn, broken_ms: int) -> float:
     """Return how long the arm moved on, by its own clock; infinity while it moves."""
-    end_ms = fci.do("look")["arm"]["milliseconds"] + 1e3 * AFTER_s
-    while (look := fci.do("look")["arm"])["milliseconds"] < end_ms:
-        time.sleep(STEP_s)
-    if look["held_since_ms"] is None:
+    arm = fci.look_after(AFTER_s)["arm"]
+    if arm["held_since_ms"] is None:
         return float("inf")
-    return max(look["last_moving_ms"] - broken_ms, 0) / 1e3
-
-
-def begun_trial(name: str, rig: Rig) -> Trial:
-    """Return a trial; what a starved machine stopped, before the fault or for another reason, is tried again, counted.
-
-    The last of ``STARTS`` counts, whatever came of it; RuntimeError, RobotError: it never began.
-    """
-    for starved in range(STARTS):
-        with Sleeper() as sleeper:
-            try:
-                found = replace(trial(name, rig), starved=starved)
-            except (RuntimeError, FaultError) as error:
-                print(f"not begun: {error}", file=sys.stderr)
-                if starved == STARTS - 1:
-                    raise
-                continue
-        if found.is_right or sleeper.late_s < STARVED_s:
-            break
-        print(
-            f"{name}: a starved machine, late by {sleeper.late_s:.2f} s: {found}", file=sys.stderr
-        )
-    return found
+    return max(arm["last_moving_ms"] - broken_ms, 0) / 1e3
 
 
 def main() -> None:
     """Run what OUT lacks."""
-    name, times, folder = sys.argv[1], int(sys.argv[2]), Path(sys.argv[3])
+    name, times, out = sys.argv[1:4]
+    folder = Path(out)
     logging.disable(logging.ERROR)  # of LeRobot's loop, which says at every step how slow it is
     torch.set_num_threads(1)
     rows = Ledger(folder)
     with Rig(folder) as rig:
-        for _ in range(len(rows.read(name)), times):
-            rows.add(name, asdict(begun_trial(name, rig)))
+        for _ in range(len(rows.read(name)), int(times)):
+            found, starved, _ = begun(name, lambda: trial(name, rig), lambda row: row.is_right)
+            rows.add(name, asdict(replace(found, starved=starved)))
 
 
 if __name__ == "__main__":

@@ -1,21 +1,12 @@
-"""Would the sessions notice a broken stop? Each mutation breaks one place of a copy of the two packages it lies in."""
+"""Would the sessions notice a broken stop? Each mutation breaks one place of a copy."""
 
-import importlib.util
-import logging
-import multiprocessing
-import shutil
 import sys
-import tempfile
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from tqdm import tqdm
-
+from benchmarks.trust.broken_copy import Mutation, broken, try_all
 from uniforce_cli.boundary import command
-from uniforce_vtla.errors import ContractError, expected
 
-PACKAGES = ("uniforce_robots", "uniforce_vtla")
 SESSIONS = 250  # at most; most breaks are seen within ten
 HAND = "uniforce_vtla/hand.py"
 STREAM = "uniforce_robots/franka/stream.py"
@@ -26,11 +17,11 @@ BASE = "uniforce_robots/teleop/base.py"
 INTEGRATOR = "uniforce_robots/teleop/integrator.py"
 SESSION = "uniforce_robots/recorder/session.py"
 EPISODE = "uniforce_robots/recorder/episode.py"
-# Left out, since another layer does the same and nothing moves either way: keys that are not forgotten at a start (a
-# deflected device is refused there), letters of a note that steer (a note holds, and its end is a start), and a hand
-# that is levelled at once (what is sent is checked for its speed).
-# name: file, what stands there, what is put in its place
-MUTATIONS: dict[str, tuple[str, str, str]] = {
+# Left out, since another layer does the same and nothing moves either way: keys that are not
+# forgotten at a start (a deflected device is refused there), letters of a note that steer (a note
+# holds, and its end is a start), and a hand that is levelled at once (what is sent is checked for
+# its speed).
+MUTATIONS: dict[str, Mutation] = {
     "hand: goes on after a stop": (HAND, "self._stop_wanted = True", "pass"),
     "hand: keeps the wish over a stop": (
         HAND,
@@ -80,7 +71,8 @@ MUTATIONS: dict[str, tuple[str, str, str]] = {
     "teleop: the last target goes on": (
         INTEGRATOR,
         "self._target = np.array(measured, dtype=np.float64)\n        self._low",
-        'self._target = getattr(self, "_target", np.array(measured, dtype=np.float64))\n        self._low',
+        'self._target = getattr(self, "_target", np.array(measured, dtype=np.float64))\n'
+        "        self._low",
     ),
     "session: a fault is forgotten at once": (SESSION, "        self._is_off = True\n", ""),
     "session: begins without a hold": (
@@ -118,36 +110,16 @@ class StopMutationsConfig:
 
 
 def notice(name: str) -> str:
-    """Return the first thing that moved on a package with this mutation, "" for a survivor; needs a fresh process."""
-    file, old, new = MUTATIONS[name]
-    logging.disable(logging.CRITICAL)
-    with tempfile.TemporaryDirectory() as folder:
-        for package in PACKAGES:
-            source = importlib.util.find_spec(package)
-            shutil.copytree(Path(str(source and source.origin)).parent, Path(folder) / package)
-        copy = Path(folder) / file
-        text = copy.read_text()
-        if text.count(old) != 1:
-            raise ContractError(
-                expected(name, f"{old!r} once in {file}", text.count(old), "Mend the table.")
-            )
-        copy.write_text(text.replace(old, new))
-        sys.path.insert(0, folder)  # the copies are found before the packages themselves
-        for loaded in [module for module in sys.modules if module.partition(".")[0] in PACKAGES]:
-            del sys.modules[loaded]
+    """Return what moved first with this mutation, "" for a survivor; in a fresh process."""
+    with broken(name, MUTATIONS[name]):
         from benchmarks.trust.stop_sessions import explore
         from benchmarks.trust.stop_world import SimWorld
 
-        tried = [str(sys.modules[package].__file__) for package in PACKAGES]
-        if not all(path.startswith(folder) for path in tried):
-            raise ContractError(
-                expected(name, f"sessions on the copies in {folder}", tried, "Are they preloaded?")
-            )
         try:
             explore(SESSIONS, SimWorld)
         except AssertionError as error:
             return str(error).partition("\n")[0]
-        return ""
+    return ""
 
 
 @command(StopMutationsConfig)
@@ -156,16 +128,11 @@ def main(config: StopMutationsConfig) -> int:
     # imports the package, which a mutation must do first
     from benchmarks.trust.stop_sessions import store
 
-    names = [name for name in MUTATIONS if config.only in name]
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(2, mp_context=context, max_tasks_per_child=1) as pool:
-        found = tqdm(pool.map(notice, names), total=len(names), desc="mutations")
-        table = dict(zip(names, found, strict=True))
-    survivors = [name for name, found in table.items() if not found]
-    noticed = len(table) - len(survivors)
-    path = store(Path(config.out), {"mutations": [noticed, len(table)], "mutation_table": table})
-    print(f"{noticed} of {len(table)} noticed; survivors: {survivors or 'none'}; written to {path}")
-    return int(bool(survivors))
+    table = try_all(notice, [name for name in MUTATIONS if config.only in name])
+    noticed = sum(bool(seen) for seen in table.values())
+    found = {"mutations": [noticed, len(table)], "mutation_table": table}
+    print(f"written to {store(Path(config.out), found)}")
+    return int(noticed < len(table))
 
 
 if __name__ == "__main__":

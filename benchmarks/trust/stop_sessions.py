@@ -1,7 +1,8 @@
-"""Whole sessions in any order of commands, stops, faults and hands: after a stop nothing moves until a new wish.
+"""Whole sessions in any order of commands, stops and faults: after a stop nothing moves unasked.
 
-The session's own code runs in a thread of its own, which asks what a person does at every tick; hypothesis answers.
-Between sessions the robot is driven directly, as LeRobot's loop drives it for a policy.
+The session's own code runs in a thread of its own, which asks what a person does at every tick;
+hypothesis answers. Between sessions the robot is driven directly, as LeRobot's loop drives it for
+a policy.
 """
 
 import json
@@ -71,6 +72,7 @@ SAVING_ticks = 9  # for which an episode is saved; its encoders may take much lo
 TEXT = "abcdefghijklmnopqrstuvwxyz"
 COMMANDS = ("space", "esc", "enter", "y", "f", "g", "x", "r", "v", "t", "T", "V", "backspace")
 ROBOT_STOPS = ("reflex", "user_stop")  # which end no loop
+ORDERED_STOPS = (*ROBOT_STOPS, "guide", "jump", "nan")
 STOPS = ("esc", "t", "T")  # commands that hold, whatever the phase
 TELEOPS: dict[str, Callable[[], UniforceTeleoperator]] = {
     "keyboard": lambda: UniforceKeyboard(UniforceKeyboardConfig()),
@@ -182,7 +184,7 @@ class Store:
 
 
 class Person(KeyOperator):
-    """Gives the other thread the word at each tick, holds keys down, and notes when the phase changes."""
+    """Gives the other thread the word at each tick, holds keys down, notes changes of phase."""
 
     def __init__(self, world: World, keys: TerminalKeys) -> None:
         super().__init__(keys)
@@ -335,11 +337,11 @@ class StopMachine(RuleBasedStateMachine):
             self.world.sleep(0.5)
         finally:
             self.world.close()
-        kind = "sessions" if self.steps >= 20 else "shorter"
-        moved, violations = self.watch.moves > 0, len(self.watch.violations)
-        type(self).counts.update(
-            {kind: 1, "steps": self.steps, "moved": moved, "violations": violations}
-        )
+        counts = type(self).counts
+        counts["sessions"] += self.steps >= 20
+        counts["steps"] += self.steps
+        counts["moved"] += self.watch.moves > 0
+        counts["violations"] += len(self.watch.violations)
         type(self).wrongs.extend(self.watch.violations)
         assert not self.watch.violations, self.watch.violations[0]
 
@@ -352,8 +354,7 @@ class StopMachine(RuleBasedStateMachine):
         if session is not None and session.crash is not None:
             type(self).wrongs.append(f"the session died of {session.crash!r}")
             raise AssertionError("the session died") from session.crash
-        violations = [*self.watch.violations]
-        assert not violations, violations[0]
+        assert not self.watch.violations, self.watch.violations[0]
         if session is not None and session.is_over:
             self.session = None
 
@@ -371,6 +372,18 @@ class StopMachine(RuleBasedStateMachine):
             if mend in self.world.orders:
                 self.world.order(mend)
 
+    @property
+    def _live(self) -> Session:
+        assert self.session is not None
+        return self.session
+
+    def _move(self, key: str, axis: int, down: int, before: int) -> None:
+        """Hold a key down, or push the cap, for some ticks."""
+        if self._live.cap is None:
+            self.steer(key, down, before)
+        else:
+            self.push(axis, 1.0, before)
+
     def _get_well(self) -> None:
         """Mend and recover where something was wrong."""
         if not self._is_well:
@@ -382,14 +395,14 @@ class StopMachine(RuleBasedStateMachine):
         robot = self.robot
         return robot._stream is not None and robot._fault is None and robot._stream.fault is None
 
-    # --- a person at the keys and the cap --------------------------------------------------------------------------
+    # --- a person at the keys and the cap ---
 
     @precondition(lambda self: self.session)
     @rule(key=st.sampled_from(sorted(KEYS)), down=st.integers(1, 40), ticks=TICKS)
     def steer(self, key: str, down: int, ticks: int) -> None:
         """Hold a steering key down for a while."""
-        session, now_s = self.session, self.world.clock()
-        assert session is not None
+        session = self._live
+        now_s = self.world.clock()
         free = session.person.held.get(key, 0) <= 0
         rested = now_s >= session.person.pressed_s.get(key, 0.0) + PULSE_S
         if free and rested and session.is_live and self._is_well:
@@ -401,36 +414,32 @@ class StopMachine(RuleBasedStateMachine):
     @rule(key=st.sampled_from(COMMANDS), ticks=TICKS)
     def order(self, key: str, ticks: int) -> None:
         """Press a key of the session."""
-        assert self.session is not None
-        if key in STOPS and not self.session.keys.is_text:
-            self._stop(f"{key} in {self.session.person.phase.value}", at_once=True)
-        self.session.keys.press(key)
+        session = self._live
+        if key in STOPS and not session.keys.is_text:
+            self._stop(f"{key} in {session.person.phase.value}", at_once=True)
+        session.keys.press(key)
         self._wait(ticks)
 
     @precondition(lambda self: self.session)
     @rule(text=st.text(TEXT, min_size=1, max_size=6))
     def type_a_note(self, text: str) -> None:
         """Begin a note and type it, a letter a tick."""
-        assert self.session is not None
-        if not self.session.keys.is_text:
-            self._stop(f"a note in {self.session.person.phase.value}", at_once=True)
+        session = self._live
+        if not session.keys.is_text:
+            self._stop(f"a note in {session.person.phase.value}", at_once=True)
         for key in ("t", *text):
-            self.session.keys.press(key)
-            if not self.session.is_over:
+            session.keys.press(key)
+            if not session.is_over:
                 self._wait(1)
 
     @precondition(lambda self: self.session and self.session.cap)
     @rule(axis=st.integers(0, 7), share=st.sampled_from([-1.0, 0.4, 1.0]), ticks=TICKS)
     def push(self, axis: int, share: float, ticks: int) -> None:
         """Push the cap or a button."""
-        session = self.session
-        assert session is not None and session.cap is not None
-        if (
-            not session.cap.state.any()
-            and session.is_live
-            and self._is_well
-            and session.cap.is_plugged
-        ):
+        session = self._live
+        assert session.cap is not None
+        is_at_rest = not session.cap.state.any()
+        if is_at_rest and session.is_live and self._is_well and session.cap.is_plugged:
             self.watch.wished()
         session.cap.state[axis] = share * FULL if axis < 6 else 1.0
         self._wait(ticks)
@@ -439,16 +448,16 @@ class StopMachine(RuleBasedStateMachine):
     @rule(ticks=TICKS)
     def let_go(self, ticks: int) -> None:
         """Let go of the cap."""
-        assert self.session is not None and self.session.cap is not None
-        self.session.cap.state[:] = 0
+        assert self._live.cap is not None
+        self._live.cap.state[:] = 0
         self._wait(ticks)
 
     @precondition(lambda self: self.session and self.session.cap)
     @rule(gone=st.integers(0, 10), ticks=TICKS)
     def replug(self, gone: int, ticks: int) -> None:
-        """Unplug the cap and plug it in again, pushed or not; for no tick at all it is back before anybody looked."""
-        session = self.session
-        assert session is not None and session.cap is not None
+        """Unplug the cap and plug it in again, pushed or not; ``gone`` ticks later."""
+        session = self._live
+        assert session.cap is not None
         self._stop("an unplugged cap")
         session.cap.is_plugged = False
         if gone:
@@ -467,7 +476,7 @@ class StopMachine(RuleBasedStateMachine):
         if self.session is not None and not self.session.is_over:
             self.replug(0, 20)
 
-    # --- the robot, its sensors and its computer ---------------------------------------------------------------------
+    # --- the robot, its sensors and its computer ---
 
     @rule(data=st.data(), ticks=TICKS)
     def break_or_mend(self, data: st.DataObject, ticks: int) -> None:
@@ -496,18 +505,16 @@ class StopMachine(RuleBasedStateMachine):
     @rule(error=st.sampled_from([SensorError("frozen"), KeyError("oh"), None]), ticks=TICKS)
     def see(self, error: Exception | None, ticks: int) -> None:
         """Let the observation fail from now on, or be well again."""
-        assert self.session is not None
-        if error is not None and self.session.person.phase is Phase.RUNNING:
+        if error is not None and self._live.person.phase is Phase.RUNNING:
             self._stop("a sensor")
-        self.session.rig.fault = error
+        self._live.rig.fault = error
         self._wait(ticks)
 
     @precondition(lambda self: self.session)
     @rule(long=st.sampled_from([8, 15, 30]), ticks=TICKS)
     def stall(self, long: int, ticks: int) -> None:
         """Let the next observation take longer than the robot waits for an action."""
-        assert self.session is not None
-        self.session.rig.stall_ticks = long
+        self._live.rig.stall_ticks = long
         self._wait(ticks)
 
     @precondition(lambda self: self.session)
@@ -518,18 +525,13 @@ class StopMachine(RuleBasedStateMachine):
         after=st.integers(15, 25),
     )
     def move_and_stop(self, data: st.DataObject, down: int, before: int, after: int) -> None:
-        """Move, most of all the fingers, and stop on the way in any manner; then let some time pass."""
-        session = self.session
-        assert session is not None
+        """Move, most of all the fingers, stop on the way in any manner, and let time pass."""
+        session = self._live
         if session.cap is None:
             self.steer(data.draw(st.sampled_from(["p", "o", "w", "s", "c", "j"])), down, before)
         else:
             self.push(data.draw(st.sampled_from([0, 1, 2, 5, 6, 7])), 1.0, before)
-        orders = [
-            order
-            for order in self.world.orders
-            if order in ("reflex", "user_stop", "guide", "jump", "nan")
-        ]
+        orders = [order for order in self.world.orders if order in ORDERED_STOPS]
         how = data.draw(
             st.sampled_from(["space", "esc", "t", "y", "x", "stall", "sensor", "replug", *orders])
         )
@@ -554,12 +556,8 @@ class StopMachine(RuleBasedStateMachine):
     @rule(key=st.sampled_from(["w", "s", "c", "j"]), before=st.integers(4, 12))
     def begin_on_the_way(self, key: str, before: int) -> None:
         """Begin an episode while the arm is on its way to where that one starts."""
-        session = self.session
-        assert session is not None
-        if session.cap is None:
-            self.steer(key, before + 2, before)
-        else:
-            self.push(0, 1.0, before)
+        session = self._live
+        self._move(key, 0, before + 2, before)
         if not session.is_over:
             self.order("space", 12)
 
@@ -570,13 +568,9 @@ class StopMachine(RuleBasedStateMachine):
         between=st.integers(1, 4),
     )
     def pause_and_go_on(self, key: str, before: int, between: int) -> None:
-        """Pause for a moment and go on while the key or the cap is held: nobody asks for motion anew."""
-        session = self.session
-        assert session is not None
-        if session.cap is None:
-            self.steer(key, 60, before)
-        else:
-            self.push(0, 1.0, before)
+        """Pause for a moment and go on while the key or cap is held: nobody wishes anew."""
+        session = self._live
+        self._move(key, 0, 60, before)
         for ticks in (between, 12):
             if not session.is_over and session.person.phase in (Phase.RUNNING, Phase.PAUSED):
                 self._stop("a short pause", at_once=True)
@@ -586,9 +580,8 @@ class StopMachine(RuleBasedStateMachine):
     @precondition(lambda self: self.session)
     @rule(ticks=TICKS)
     def revive(self, ticks: int) -> None:
-        """Mend all that is broken and bring the session back to where it runs, without a new wish."""
-        session = self.session
-        assert session is not None
+        """Mend all that is broken and bring the session back to where it runs, with no new wish."""
+        session = self._live
         self._mend()
         session.rig.fault = None
         if session.keys.is_text:
@@ -604,15 +597,14 @@ class StopMachine(RuleBasedStateMachine):
             session.keys.press("space")
             self._wait(ticks)
 
-    # --- between sessions: a policy's loop ---------------------------------------------------------------------------
+    # --- between sessions: a policy's loop ---
 
     @precondition(lambda self: self.session)
     @rule()
     def end_session(self) -> None:
         """End the session by Ctrl-C."""
-        assert self.session is not None
         self._stop("Ctrl-C")
-        self.session.finish()
+        self._live.finish()
         self.session = None
 
     @precondition(lambda self: not self.session)
@@ -660,7 +652,7 @@ class StopMachine(RuleBasedStateMachine):
     @precondition(lambda self: not self.session)
     @rule(by_rad=st.sampled_from([-0.13, 0.13]), way_m=st.sampled_from([-0.01, 0.01, 0.05]))
     def tilt_and_move(self, by_rad: float, way_m: float) -> None:
-        """Lead the hand until it is tilted, let go, and wish it somewhere near: it may turn upright slowly alone."""
+        """Lead the hand until it is tilted, let go, and wish it somewhere near."""
         self._stop("led by hand")
         self.world.order("guide")
         self.world.sleep(0.1)
@@ -678,7 +670,7 @@ class StopMachine(RuleBasedStateMachine):
     def act_and_stop(self, width_m: float, how: str, mends: bool) -> None:
         """Move arm and fingers, stop on the way, perhaps recover, and wish to stay.
 
-        Where the stop was a fault, or the robot's own, the loop first goes on with what it wished before.
+        After a fault, or the robot's own stop, the loop first goes on with what it wished before.
         """
         self._get_well()
         self.act([0.05, 0.0, -0.03, 0.1], width_m, 8)
@@ -729,10 +721,12 @@ class StopMachine(RuleBasedStateMachine):
 def explore(
     times: int, make_world: Callable[[], World], steps: int = STEPS, at_random: bool = False
 ) -> Counter[str]:
-    """Run sessions until ``times`` of at least 20 steps were run; return the counts. Raises what goes wrong.
+    """Run sessions until ``times`` of at least 20 steps were run; return the counts.
 
-    The same sessions each time, unless ``at_random``. In real time no session can be repeated: hypothesis, which finds
-    that out now and then, begins anew, and what went wrong is kept.
+    The same sessions each time, unless ``at_random``. In real time no session can be repeated:
+    hypothesis, which finds that out now and then, begins anew, and what went wrong is kept.
+
+    Raises AssertionError: something moved, or a session died.
     """
     counts: Counter[str] = Counter()
     wrongs: list[str] = []
@@ -757,7 +751,7 @@ def explore(
 
 @dataclass
 class SessionsConfig:
-    """Drive whole sessions in any order on a set clock and over the stand-in; count what moved after a stop.
+    """Drive whole sessions in any order, on a set clock and over the stand-in; count what moved.
 
     Example: python -m benchmarks.trust.stop_sessions times=2000 out=docs/results/trust.json
     """
@@ -780,7 +774,7 @@ def _explore_real(times: int) -> Counter[str]:
 
 
 def store(path: Path, found: dict[str, Any]) -> Path:
-    """Put what was found beside what stands under ``sessions`` already; the totals are of both worlds."""
+    """Put what was found beside what stands under ``sessions``; totals are of both worlds."""
     before = json.loads(path.read_text()).get("sessions", {}) if path.is_file() else {}
     whole = before | found
     for total in ("tried", "steps", "violations"):
@@ -788,32 +782,27 @@ def store(path: Path, found: dict[str, Any]) -> Path:
     return update(path, "sessions", whole)
 
 
-def _line(counts: Counter[str]) -> dict[str, int]:
-    """Return a world's line of the result; sessions of fewer than 20 steps aren't counted as tried."""
-    tried = {"tried": counts["sessions"], "moved": counts["moved"]}
-    return tried | {name: counts[name] for name in ("steps", "violations")}
+def _store(path: Path, world: str, counts: Counter[str]) -> None:
+    """Store a world's line; sessions of fewer than 20 steps aren't counted as tried."""
+    line = {"tried": counts["sessions"]}
+    for name in ("moved", "steps", "violations"):
+        line[name] = counts[name]
+    print(f"{world}: {line}; written to {store(path, {world: line})}", flush=True)
 
 
 @command(SessionsConfig)
 def main(config: SessionsConfig) -> int:
     """Run both, write the counts of each as soon as it is done; 1 where anything moved."""
-    out = Path(config.out)
+    simulated, real = WORLDS
     try:
         if config.real:
-            real = _line(_explore_real(config.real))
-            print(
-                f"over the stand-in: {real}; written to {store(out, {'over_the_standin': real})}",
-                flush=True,
-            )
+            _store(Path(config.out), real, _explore_real(config.real))
         if config.times:
             shares = [config.times // WORKERS] * WORKERS
-            with ProcessPoolExecutor(
-                WORKERS, mp_context=multiprocessing.get_context("spawn")
-            ) as pool:
-                simulated = _line(sum(pool.map(_explore_simulated, shares), Counter[str]()))
-            print(
-                f"on the set clock: {simulated}; written to {store(out, {'simulated': simulated})}"
-            )
+            spawn = multiprocessing.get_context("spawn")
+            with ProcessPoolExecutor(WORKERS, mp_context=spawn) as pool:
+                counts = sum(pool.map(_explore_simulated, shares), Counter[str]())
+            _store(Path(config.out), simulated, counts)
     except AssertionError:  # something moved: hypothesis says what was done before
         traceback.print_exc()
         return 1

@@ -1,7 +1,8 @@
-"""Two robots for whole sessions: one on a clock that is set, and one behind the stand-in; and what really moved.
+"""Two robots for sessions, on a set clock or behind the stand-in; and what really moved.
 
-Both run the product's own code from the session down to the last check. ``Watch`` knows nothing of that code: it is
-told when a stop and when a new wish came, and looks at where the arm, the hand and the fingers really are.
+Both run the product's own code from the session down to the last check. ``Watch`` knows nothing of
+that code: it is told when a stop and when a new wish came, and looks at where the arm, the hand and
+the fingers really are.
 """
 
 import tempfile
@@ -26,7 +27,8 @@ from uniforce_vtla.hand import HandCommand, HandReading
 
 TICK_s = 0.01
 BRAKE_s = 0.4  # after a fault or a silence; from then on nothing may move
-# After a hold that was ordered: sooner than any watchdog would stop it, so that a hold that does nothing is seen.
+# After a hold that was ordered: sooner than any watchdog would stop it, so that a hold that does
+# nothing is seen.
 HOLD_s = 0.1
 # The stand-in's arm swings out on its spring, and its clock is slow on a busy computer.
 STANDIN_BRAKE_s = 1.0
@@ -38,7 +40,8 @@ READING_s = 0.1  # between two readings of the hand
 # how a person leads the arm by hand, out of its box soon
 GUIDED_m_s = np.array([-0.1, 0.05, -0.02])
 WIDEST_m = 0.08
-# Slow, so that what goes on after a stop goes on for long: an arm that was at its target at once would hide it.
+# Slow, so that what goes on after a stop goes on for long: an arm that was at its target at once
+# would hide it.
 ARM_m_s, ARM_rad_s = 0.04, 0.15
 FINGERS = HandSettings(speed_m_s=0.02)
 
@@ -57,7 +60,7 @@ class Watch:
         self._rest: tuple[np.ndarray, float] | None = None
 
     def stopped(self, why: str, now_s: float, at_once: bool = False) -> None:
-        """Note a stop; ``at_once``: a hold that somebody ordered, not one that has to be noticed first."""
+        """Note a stop; ``at_once``: somebody ordered it, it needn't be noticed first."""
         self._why, self._since_s, self._rest = why, now_s, None
         self._rests_in_s = self._hold_s if at_once else self._brake_s
 
@@ -66,7 +69,7 @@ class Watch:
         self._since_s = None
 
     def sent(self, before: np.ndarray, target: np.ndarray) -> None:
-        """Compare two targets in a row, (4, 4): a hand is turned upright slowly, and only on its way."""
+        """Compare two targets in a row, (4, 4): a hand is turned slowly, only on its way."""
         levelled_rad = _tilt_rad(before) - _tilt_rad(target)
         way_m = float(np.linalg.norm(target[:3, 3] - before[:3, 3]))
         if levelled_rad > LEVELS_rad_m * way_m + ROUNDING_rad:
@@ -74,7 +77,7 @@ class Watch:
             self.violations.append(f"the hand was sent upright by {how}")
 
     def look(self, pose: np.ndarray, width_m: float, now_s: float, by_hand: bool) -> None:
-        """Take where the hand is, (4, 4), and how far the fingers are apart; ``by_hand``: a person moves it."""
+        """Take where the hand is, (4, 4), the fingers' width; ``by_hand``: a person moves it."""
         if self._seen is not None:
             seen, seen_m = self._seen
             self.moves += bool(
@@ -167,7 +170,7 @@ class SimArm:
 
 
 class SimHand:
-    """Fingers that go at their speed, close on an object, and say where they are ten times a second."""
+    """Fingers that go at their speed, close on an object, and report ten times a second."""
 
     def __init__(self, world: "SimWorld") -> None:
         self._world = world

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.gates import needed
 from benchmarks.gates.__main__ import GATES, Gate, main
 from benchmarks.gates.blind import BlindScript, BlindSettings
 from benchmarks.gates.fitting import STYLES
@@ -108,25 +107,3 @@ def test_a_run_scores_every_script_and_a_second_one_goes_on(
         and written["must_pass"]["expert"]["n"] == 1
     )
     assert "DOES NOT HOLD" in capsys.readouterr().out or written["all_hold"]
-
-
-def test_a_chart_of_the_level_counts_its_scenes_alone_and_is_drawn(tmp_path: Path) -> None:
-    rows = [
-        {
-            "cell": f"{actor}, {operator} {factor:g}",
-            "seed": seed,
-            "clean": actor == "expert" or factor == 0,
-        }
-        for operator, factor in needed.cells()
-        for actor in ("expert", "open loop")
-        for seed in (3, 4, 99)
-    ]
-    found = needed.curves(rows, range(3, 5))
-    pull = found["pull, sd per axis, N"]
-    assert pull["expert"] == {"values": [0, 1, 2, 3, 4], "clean": [2] * 5, "n": [2] * 5}
-    assert pull["open loop"]["clean"] == [2, 0, 0, 0, 0] and "V+T" not in pull
-    assert needed.draw(found, tmp_path / "needed.png").stat().st_size > 5000
-
-
-def test_the_level_itself_is_on_both_axes_of_its_chart() -> None:
-    assert [factor for _, factor in needed.cells()].count(1.0) == len(needed.AXES)

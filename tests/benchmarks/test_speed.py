@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks import policy_speed
 from benchmarks.policy.latency import CASES, BenchCase, bench_case
-from benchmarks.policy.touch import bench_touch, bench_training
+from benchmarks.policy.touch import bench_training
 from benchmarks.policy_speed import main
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings
 
@@ -38,14 +38,6 @@ def test_twenty_steps_of_bases_code_learn_touch_and_leave_the_tokenizer() -> Non
     assert report["losses"][-1] < 0.8 * report["losses"][0]
     assert all(min(norms) > 0 for norms in report["gradient_norms"].values())
     assert report["tokenizer_unchanged"] and report["steps"] == 20 == len(report["losses"])
-
-
-def test_touch_is_timed_in_turns_with_none() -> None:
-    report = bench_touch(BenchCase("small", prompt=12, settings=SMALL), "cpu", rounds=2, steps=2)
-    assert report["tokens"] == 32
-    assert set(report["call_ms"]) == {"none", "prefix", "suffix"}
-    assert set(report["train_step_ms"]) == {"none", "prefix", "suffix"}
-    assert report["call_ratio_to_none"]["none"] == 1
 
 
 @pytest.mark.parametrize(

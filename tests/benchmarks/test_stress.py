@@ -1,4 +1,4 @@
-"""Stress: operators of the screen, and what is read of a faulty sensor."""
+"""Stress: operators, rollouts, the monitor, and the page."""
 
 import json
 from dataclasses import asdict, replace
@@ -10,16 +10,15 @@ from lerobot.policies.act import ACTConfig
 from lerobot.policies.act.modeling_act import ACTPolicy
 from lerobot.policies.factory import make_pre_post_processors
 
-from benchmarks.stress import balance, rollouts
+from benchmarks.stress import rollouts
 from benchmarks.stress.__main__ import CALIBRATED, StressCommand, check_ledger
 from benchmarks.stress.__main__ import arms as arms_of
 from benchmarks.stress.actors import Arm, play
 from benchmarks.stress.disturbed import EXCHANGED, SCENE_OPERATORS, Disturbance, DisturbedEnv
 from benchmarks.stress.monitor import summary, watched
 from benchmarks.stress.operators import OPERATORS, worn_with
-from benchmarks.stress.other_readers import fit_readers
 from benchmarks.stress.page import draw, monitor_row, one_table, retention
-from benchmarks.stress.readings import ReadsWorn, read_scenes
+from benchmarks.stress.readings import ReadsWorn
 from benchmarks.stress.rollouts import (
     cells_of,
     mean_corruption_error,
@@ -30,7 +29,6 @@ from benchmarks.stress.rollouts import (
     summarise,
 )
 from benchmarks.stress.row import Row
-from benchmarks.stress.screen import against, others_against, screen_cell
 from benchmarks.stress.stock import StockController
 from benchmarks.stress.warning import first_event_s, warned
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
@@ -67,35 +65,6 @@ def test_every_operator_has_five_doses_and_a_sensor_that_can_have_it() -> None:
         for one in filter(None, words):
             wear(one)
     assert worn_with(OPERATORS["M2 flicker"], "uskin:2", 0.1) is None
-
-
-def test_a_duller_sensor_is_read_as_less_press_and_a_benign_dose_as_the_same(
-    tokenizer, head
-) -> None:
-    readers = fit_readers("touch", "uskin:2", SCENE, tokenizer, pressed_N=1.0)
-
-    def cell(words: str) -> dict:
-        return screen_cell("touch", words, SCENE, tokenizer, head, readers)
-
-    usual, benign, dull = (cell(f"uskin:2{fault}") for fault in ("", "+gain=1", "+gain=0.55"))
-    assert usual == benign and usual["refused_share"] == 0 and usual["press_slope"] > 0.5
-    misread_N = against(dull, usual)
-    assert against(benign, usual) == 0 and misread_N is not None and misread_N < -1
-    assert (
-        against({"refused_share": 1.0}, usual) is None
-        and others_against({"refused_share": 1.0}, usual) == {}
-    )
-    others = others_against(dull, usual)
-    assert (
-        set(others) == {"tokenizer", "untrained encoder", "hand descriptors"}
-        and others["hand descriptors"] < 0
-    )
-    assert set(others_against(benign, usual).values()) == {0.0}
-
-
-def test_frames_that_are_refused_are_counted(tokenizer) -> None:
-    found = read_scenes("touch", "right", "tactip:1+lost=0.5", SCENE, tokenizer)
-    assert found.refused > 0 and len(found.latent) == 0
 
 
 def test_the_reading_expert_regulates_by_what_the_head_reads(tokenizer, head) -> None:
@@ -143,7 +112,7 @@ def test_a_calibration_with_the_fault_is_worn_where_there_is_one(tmp_path) -> No
         sensor: {"none": {}} | {n: [{}, cell] for n, cell in faulty.items()}
         for sensor in ("tactip:1", "uskin:2")
     }
-    (tmp_path / "screen.json").write_text(json.dumps({"screened": screened}))
+    (tmp_path / "stress_screen.json").write_text(json.dumps({"screened": screened}))
     for name in (
         "tactip-1+gain=1.6",
         "tactip-1-loads",
@@ -153,7 +122,7 @@ def test_a_calibration_with_the_fault_is_worn_where_there_is_one(tmp_path) -> No
         (tmp_path / name).mkdir()
     found = {
         arm.name: (arm, doses)
-        for arm, doses in arms_of(StressCommand(work=str(tmp_path), calibrations=str(tmp_path)))
+        for arm, doses in arms_of(StressCommand(facts=str(tmp_path), calibrations=str(tmp_path)))
     }
     arm, doses = found["policy on tactip:1, calibrated"]
     assert arm.refitted and doses == {"G2 keener": [1.6]}
@@ -395,23 +364,6 @@ def test_a_monitors_alarm_is_timed_and_clean_wipes_are_told_from_faulty_ones() -
     refused = watched(calm[:3], usual, 0.2, refused=True)
     found = summary([faulty, refused], [clean, clean])
     assert (found["auroc"], found["noticed"], found["refused"]) == (1.0, 2, 1)
-
-
-def test_wipes_of_a_finger_that_is_wrong_in_scale_are_told_from_clean_ones() -> None:
-    clean = [1.0, 1.05, 1.1]
-    found = balance.cell([2.0, 0.5], clean)
-    assert (found["n"], found["noticed"], found["auroc"]) == (2, 2, 1.0)
-    assert balance.cell(clean, clean)["noticed"] == 0
-    # every wipe was refused or ended before it was judged
-    assert balance.cell([], clean)["auroc"] is None
-
-
-@pytest.mark.slow
-def test_a_keener_sensor_reads_more_than_the_other_finger() -> None:
-    usual, keener = (
-        balance.wipe("touch", "uskin:1", f"tactip:1+gain={gain}", 39_600) for gain in (1, 1.6)
-    )
-    assert usual is not None and keener is not None and keener > 1.2 * usual
 
 
 def test_a_ledger_of_another_policy_is_refused(tmp_path) -> None:

@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
-from benchmarks.speed.canonicalizer import bench_canonicalizer
 from uniforce_robots.standins.scene import Scene, frame_cycle
 from uniforce_vtla.contact.simulator import TactileSimulator
 from uniforce_vtla.contact.virtual import as_virtual
@@ -79,13 +78,6 @@ def test_unknown_sensor(sensor):
 def test_unknown_finger():
     with pytest.raises(ContractError, match="finger"):
         Canonicalizer("uskin").pair(COUNTS, COUNTS, finger="thumb")
-
-
-def test_bench_reports_every_sensor_and_its_anchor():
-    report = bench_canonicalizer(seconds=0.3)
-    assert set(report["canonicalize_hz"]) == set(list_sensors())
-    assert all(rate > 5 for rate in report["canonicalize_hz"].values())
-    assert report["anchors"]["adaptive_threshold_hz"] > report["canonicalize_hz"]["gelsight"]
 
 
 # --- the seven real uSkin trials -----------------------------------------------------------------------------------

@@ -1,7 +1,6 @@
-"""Every verb and benchmark: a few of the bad inputs of ``python -m benchmarks.trust.command_line``, and its help."""
+"""Every verb and benchmark: a few bad inputs made from its options, and its help."""
 
 import contextlib
-import importlib
 import importlib.util
 import resource
 import subprocess
@@ -9,26 +8,25 @@ import sys
 import tomllib
 
 import pytest
-
-from benchmarks.trust.bad_words import Room
-from benchmarks.trust.command_line import (
-    COMMANDS,
+from bad_words import Room
+from command_trials import (
     MODULES,
     PUBLISHED,
     ROOT,
     entry,
+    exit_code,
     hashes,
     judge,
     prepare,
     trials,
 )
-from benchmarks.trust.command_worker import Ended, _code
+
 from uniforce_cli import main as command
 from uniforce_cli.boundary import REFUSED
 from uniforce_vtla.arguments import Option, options_of
 from uniforce_vtla.options import Existing, Names, Pattern, Plain, Range, Writable
 
-NAMES = sorted(COMMANDS)
+NAMES = sorted(MODULES)
 SHARE = 3  # of each command
 
 
@@ -44,9 +42,9 @@ def test_bad_inputs_end_in_one_line(name, room, monkeypatch, capfd) -> None:
     if name not in command.VERBS:  # a benchmark looks at a file when it comes to it
         every = [trial for trial in every if trial.bad.kind not in FILES]
     for trial in every[:: len(every) // SHARE]:
-        code = _code(entry(name), trial.words)
-        ended = Ended(code, "".join(capfd.readouterr()))
-        assert judge(trial, ended) == "one_line", f"{trial.words}: {ended}"
+        code = exit_code(entry(name), trial.words)
+        said = "".join(capfd.readouterr())
+        assert judge(trial, code, said) == "one_line", f"{trial.words}: {code}: {said}"
     assert hashes(ROOT / PUBLISHED) == published
 
 
@@ -61,7 +59,7 @@ def test_every_file_or_folder_of_a_wrong_kind_is_a_users_error(
     monkeypatch.chdir(room.folder.parent / "work")
     for trial in trials(name, room):
         if trial.bad.kind in FILES:
-            code, said = _code(entry(name), trial.words), capfd.readouterr().err.splitlines()
+            code, said = exit_code(entry(name), trial.words), capfd.readouterr().err.splitlines()
             assert code == REFUSED and said[-1].startswith(f"uniforce {name}: "), (
                 f"{trial.words}: {code} {said[-1:]}"
             )
@@ -80,7 +78,10 @@ ADDRESSES = (
 
 @pytest.mark.parametrize("source", ADDRESSES)
 def test_a_source_that_is_none_is_a_users_error(source: str, capfd) -> None:
-    assert _code(entry("touch"), ["sensor=tactip", f"source={source}", "tokenizer=nano"]) == REFUSED
+    assert (
+        exit_code(entry("touch"), ["sensor=tactip", f"source={source}", "tokenizer=nano"])
+        == REFUSED
+    )
     assert capfd.readouterr().err.splitlines()[-1].startswith("uniforce touch: ")
 
 
@@ -98,7 +99,7 @@ EPISODES = ("[99]", "[-1]", "[]", "[0, 0]", "[0.5]", "3", "all", "[a]", "{a: 1}"
 @pytest.mark.parametrize("episodes", EPISODES)
 def test_episodes_that_are_not_there_are_named(data, episodes, room, tmp_path, capfd) -> None:
     words = [*TRAINED, f"dataset.root={room.folder / data}", f"output_dir={tmp_path / 'out'}"]
-    assert _code(entry("train"), [*words, f"dataset.episodes={episodes}"]) == REFUSED
+    assert exit_code(entry("train"), [*words, f"dataset.episodes={episodes}"]) == REFUSED
     assert (
         capfd.readouterr()
         .err.splitlines()[-1]
@@ -116,14 +117,14 @@ def test_a_run_to_go_on_with_names_its_settings(given: str, tmp_path, capfd) -> 
         "steps=6",
         *([f"config_path={given.format(run=tmp_path)}"] if given else []),
     ]
-    assert _code(entry("train"), words) == REFUSED
+    assert exit_code(entry("train"), words) == REFUSED
     assert "config_path: expected a checkpoint's train_config.json" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["garbage", "empty", "latin1", "list", "number", "object"])
 def test_settings_of_a_run_that_are_none_are_a_users_error(name: str, room, capfd) -> None:
     for file in (room.folder / name, room.damaged(name, "config.json") / "config.json"):
-        assert _code(entry("train"), ["resume=true", f"config_path={file}"]) == REFUSED
+        assert exit_code(entry("train"), ["resume=true", f"config_path={file}"]) == REFUSED
         assert capfd.readouterr().err.splitlines()[-1].startswith("uniforce train: ")
 
 
@@ -152,7 +153,7 @@ def test_nothing_is_written_into_published_results_by_default(name: str) -> None
 @pytest.mark.parametrize("name", sorted(MODULES))
 def test_help_teaches_with_an_example(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     with contextlib.suppress(SystemExit):
-        importlib.import_module(MODULES[name]).main(["--help"])
+        entry(name)(["--help"])
     said = capsys.readouterr().out
     assert ("uniforce " if name in command.VERBS else "python -m benchmarks.") + name in said
 

@@ -17,11 +17,11 @@ from huggingface_hub.errors import OfflineModeIsEnabled
 from huggingface_hub.utils import filter_repo_objects
 from policy_samples import small_config
 
-from benchmarks.policy import text_tokenizer
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy
 from lerobot_policy_pi05_uniforce import make_pi05_uniforce_pre_post_processors as make_processors
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TouchSettings
 from lerobot_policy_pi05_uniforce.model_card import model_card
+from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import FOLDER
 from uniforce_cli import share
 from uniforce_cli.score import content_of
 from uniforce_datasets.cards import read_card
@@ -64,7 +64,7 @@ def trained(tmp_path: Path) -> tuple[Path, torch.Tensor]:
     """A checkpoint as the trainer leaves it, its text tokenizer in a folder of its own, and what it answers."""
     torch.manual_seed(0)
     torch.set_num_threads(1)
-    text_tokenizer.build(tmp_path / "words")
+    shutil.copytree(FOLDER, tmp_path / "words")
     tactile = TokenizerConfig(
         side=64, patch=8, width=16, depth=1, decoder_depth=1, heads=2, embed_hidden=0
     )

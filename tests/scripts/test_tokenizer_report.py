@@ -12,7 +12,6 @@ from benchmarks.probes.labelled_set import set_facts
 from benchmarks.probes.report_sets import REPORT_SETS
 from benchmarks.probes.zero_shot import Table
 from benchmarks.tokenizer_report import TokenizerReportCommand, main, measure
-from uniforce_vtla.arguments import choose, parse
 from uniforce_vtla.contact.virtual import as_virtual
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
 from uniforce_vtla.tokenizer.force_head import HeadTrainingConfig
@@ -22,15 +21,6 @@ def test_a_table_needs_a_frozen_set(tmp_path: Path, capsys: pytest.CaptureFixtur
     folders = [f"{name}={tmp_path}" for name in ("results", "facts", "cache")]
     assert main(["set=hetero_hard_v2", *folders]) == 2
     assert "freeze=true" in capsys.readouterr().err
-
-
-def test_every_row_can_be_named_on_the_command_line() -> None:
-    tokenizer = Tokenizer.random(TokenizerConfig(width=16, depth=1, heads=2))
-    makers = tokenizer_report.trained(Table({}, {}), tokenizer, 1)
-    for name in makers:
-        assert list(choose(makers, name)) == [name]  # and no comma
-        assert parse(TokenizerReportCommand, [f"only=mean,{name}"]).only == f"mean,{name}"
-        assert parse(TokenizerReportCommand, [f"only={name}"]).only == name  # no YAML hides in it
 
 
 def test_one_row_measured_anew_leaves_the_rest_of_the_table(

@@ -107,11 +107,13 @@ def made_up(seed: int) -> EpisodeForces:
     phase = np.digitize(t, [1.2, 2.0])
     trace = EpisodeTrace(t, press, grip, grip, *[flat] * 6, phase, rated_depth_mm=(1.5, 5.0))
     true = np.concatenate([force, force], axis=1) * NATURAL_UNITS
-    noise = {f: 0.01 * rng.standard_normal(true.shape) * NATURAL_UNITS for f in FINGERS}
-    noisy = {f: (true + off).astype(np.float32) for f, off in noise.items()}
+    fingers = {}
+    for finger in FINGERS:
+        noise = 0.01 * rng.standard_normal(true.shape) * NATURAL_UNITS
+        fingers[finger] = (true + noise).astype(np.float32), force
     sensors = {"left": "gelsight", "right": "tactip"}
     place = np.stack([flat, flat, np.interp(t, [0.8, 1.5], [0.1, 0.2])], axis=1)
-    return EpisodeForces(noisy, dict.fromkeys(FINGERS, force), sensors, place, (0.9, 0.9), trace)
+    return EpisodeForces(fingers, sensors, place, (0.9, 0.9), trace)
 
 
 def heads() -> dict[str, DescriptorHead]:
@@ -132,11 +134,12 @@ def test_heads_read_what_the_descriptors_hold_and_judge_by_it() -> None:
 @pytest.mark.slow
 def test_a_described_episode_is_a_whole_wipe_of_both_fingers() -> None:
     """One short look: the scene's own frames described, forces beside them."""
-    episode = next(described_episodes("touch", range(70_500, 70_501)))
+    (episode,) = described_episodes("touch", range(70_500, 70_501))
     n = len(episode.trace.time_s)
     assert episode.sensors == {"left": "gelsight", "right": "tactip"}
     for finger in FINGERS:
-        described, force = episode.described[finger] / NATURAL_UNITS, episode.force_N[finger]
+        described, force = episode.fingers[finger]
+        described = described / NATURAL_UNITS
         assert described.shape == (n, 6) and force.shape == (n, 3)
         moved = np.abs(described - described[force[:, 2] < 0.02].mean(axis=0)).mean(axis=1)
         assert moved[force[:, 2] > 3.0].mean() > 3 * moved[force[:, 2] < 0.02].mean()

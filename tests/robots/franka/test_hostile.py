@@ -1,25 +1,25 @@
 """Every named fault of the stand-in against the real client, once; ``make faults`` runs each ten times."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import psutil
 
 from benchmarks.trust.hostile import attack, summarise
 from benchmarks.trust.hostile_arm import FAULTS
-from benchmarks.trust.hostile_trials import RIGHT_NAMES, begun_trial, is_right
+from benchmarks.trust.hostile_trials import RIGHT_NAMES, Trial, begun_trial
 
 
 def test_every_fault_holds_the_arm_and_is_named(tmp_path: Path) -> None:
     assert set(RIGHT_NAMES) == set(FAULTS)
     rows = attack(list(RIGHT_NAMES), 1, tmp_path)
     assert len(rows) == len(RIGHT_NAMES)
-    assert [row for row in rows if not is_right(row)] == []
+    assert [row for row in rows if not row.is_right] == []
 
 
 def test_a_wrong_name_a_late_hold_and_a_taken_action_are_seen() -> None:
-    times = {"hold_s": 0.1, "learnt_s": 0.1, "sent_after": 0, "fingers_m": 0.0}
-    right = {"fault": "reflex", "named": "reflex", **times}
-    assert is_right(right)
+    right = Trial("reflex", "reflex", "", hold_s=0.1, learnt_s=0.1)
+    assert right.is_right
     changes = [
         {"named": ""},
         {"hold_s": 0.6},
@@ -27,8 +27,8 @@ def test_a_wrong_name_a_late_hold_and_a_taken_action_are_seen() -> None:
         {"sent_after": 1},
         {"fingers_m": 0.002},
     ]
-    wrong = [right | change for change in changes]
-    assert not any(is_right(row) for row in wrong)
+    wrong = [replace(right, **change) for change in changes]
+    assert not any(trial.is_right for trial in wrong)
     line = summarise([right, *wrong])["reflex"]
     assert (line["trials"], line["named_right"], line["held"], line["sent_after"]) == (6, 5, 4, 1)
 

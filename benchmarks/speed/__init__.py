@@ -1,1 +1,0 @@
-"""Latencies and throughputs, each beside an anchor measured in the same run."""
