@@ -328,14 +328,19 @@ def make_training_dataset(
 
 def _stock_dataset(cfg: Any, stock_make_dataset: Callable[[Any], Any], verify: str) -> Any:
     """Return LeRobot's own dataset, checked before, or after it was downloaded."""
+    from uniforce_datasets.scene_transforms import spare_marker_images
+
     root = cfg.dataset.root
     if not verify:
         verify = "quick" if str(cfg.dataset.repo_id).startswith(LOCAL_NAMES) else "full"
     check_verify(verify)
     if root is not None and (Path(root) / INFO).is_file():
         check_dataset(root, verify)
-        return stock_make_dataset(cfg)
+        dataset = stock_make_dataset(cfg)
+        spare_marker_images(dataset, cfg.dataset)
+        return dataset
     dataset = stock_make_dataset(cfg)
+    spare_marker_images(dataset, cfg.dataset)
     if cfg.dataset.streaming or cfg.dataset.episodes is not None:
         logger.warning("%s isn't checked: only a part of it is downloaded.", cfg.dataset.repo_id)
         return dataset
