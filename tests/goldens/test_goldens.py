@@ -5,6 +5,7 @@ was replaced on purpose.
 """
 
 import os
+import zlib
 from pathlib import Path
 
 import cv2
@@ -152,17 +153,21 @@ def test_latents_and_newtons_of_real_frames(tokenizer: Tokenizer, head: ForceHea
     same("real_newtons", np.array(newtons))
 
 
+def drawn(name: str, *shape: int) -> torch.Tensor:
+    """Return numbers from 0 to 1 that depend on a name alone."""
+    generator = torch.Generator().manual_seed(zlib.crc32(name.encode()))
+    return torch.rand(shape, generator=generator)
+
+
 def test_the_loss_of_a_training_step() -> None:
     policy = PI05UniforcePolicy.from_pretrained(shipped_checkpoint(), warm=False)
-    generator = torch.Generator().manual_seed(3)
     batch = made_up_batch(policy.config, torch.device("cpu"))
     for key, value in batch.items():
         if value.is_floating_point():
-            noise = torch.rand(value.shape, generator=generator)
+            noise = drawn(key, *value.shape)
             # marker images are black and white
             batch[key] = (noise > 0.9).float() if "tactile" in key else 0.3 * noise
-    known = len(policy.config.action_delta_indices)
-    batch[ACTION] = 0.01 * torch.rand(1, known, len(AXES), generator=generator)
+    batch[ACTION] = 0.01 * drawn(ACTION, 1, len(policy.config.action_delta_indices), len(AXES))
     torch.manual_seed(1)
     policy.train()
     loss, _ = policy.forward(batch)
