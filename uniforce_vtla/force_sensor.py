@@ -97,6 +97,7 @@ class ForceSensor:
         if isinstance(head, str):
             head = ForceHead.from_pretrained(head, beside)
         self.newtons = None
+        self._head = head
         if head is not None:
             _same_tokenizer(head, tokenizer)
             self.newtons = Newtons(head.model, calibration, held_N)
@@ -147,6 +148,27 @@ class ForceSensor:
             force_N = to_finger_frame(canonical_N, self.finger)
         health = float("nan") if self.monitor is None else self.monitor.health
         return ForceReading(latent[0].cpu().numpy(), force_N, health)
+
+    @torch.no_grad()
+    def read_forces(self, reference: np.ndarray, current: np.ndarray) -> np.ndarray:
+        """Return (B, 3) float32 N of (B, H, W) marker images against a (H, W) reference.
+
+        In the finger's own frame; raises as ``encode``.
+        """
+        if self.newtons is None:
+            do = "Name a head."
+            raise ContractError(expected("ForceSensor", "a force head", "none", do))
+        latent = self.encode(reference[None], current)
+        return to_finger_frame(self.newtons(latent).cpu().numpy(), self.finger)
+
+    def facts(self) -> dict[str, str]:
+        """Return the hashes of everything that decides its newtons; datasets store them."""
+        facts = {"tokenizer": self.tokenizer.hash}
+        if self._head is not None:
+            facts["force_head"] = self._head.hash
+        if self.calibration is not None:
+            facts["calibration"] = self.calibration.hash
+        return facts
 
     @torch.no_grad()
     def encode(self, reference: Images, current: Images) -> torch.Tensor:

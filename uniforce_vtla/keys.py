@@ -42,6 +42,11 @@ def latent_key(slot: str) -> str:
     return f"observation.latent.{slot}"
 
 
+def force_axes(finger: Finger) -> tuple[str, str, str]:
+    """Names of a finger's newtons where they stand in the state: x right, y down, z compression."""
+    return f"{finger}_fx", f"{finger}_fy", f"{finger}_fz"
+
+
 def wrench_key(slot: str) -> str:
     """Key of a slot's true pad wrench (control), (4,) float32: fx, fy, fz N, torsion Nmm."""
     return f"observation.wrench.{slot}"

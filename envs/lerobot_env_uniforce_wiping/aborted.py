@@ -64,6 +64,7 @@ class AbortedEpisodes(gymnasium.Wrapper):
             scene.drawn,
             scene.expose_wrench,
             gripper=scene.gripper,
+            touch_in_state=scene.force_sensor is not None,
         )
         return ideal.reset(seed=seed)
 

@@ -1,7 +1,9 @@
 """The wiping scene as a gymnasium environment."""
 
+from __future__ import annotations
+
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import cv2
 import gymnasium
@@ -23,6 +25,9 @@ from uniforce_vtla.errors import ContractError, RolloutError, expected
 from uniforce_vtla.evaluation.episode import EpisodeResult, EpisodeTrace, ScoreLimits, score_episode
 from uniforce_vtla.keys import AXES, CAMERAS, tactile_name
 
+if TYPE_CHECKING:
+    from uniforce_vtla.force_sensor import ForceSensor
+
 
 class WipeEnv(gymnasium.Env):
     """Grasp the eraser, carry it to the board, wipe the word off, lift.
@@ -40,6 +45,9 @@ class WipeEnv(gymnasium.Env):
         max_steps: cut episodes earlier or later than the level does.
         render_mode: gymnasium's; pictures are always arrays.
         gripper: "servo", the level's own, or "hand", with the rules of the robot's hand.
+        touch_in_state: put the right finger's newtons behind the state and leave marker images out,
+            for policies that take every image for a camera.
+        right_calibration: folder of the right sensor's calibration; only with ``touch_in_state``.
     """
 
     metadata: ClassVar[dict[str, Any]] = {
@@ -57,8 +65,11 @@ class WipeEnv(gymnasium.Env):
         max_steps: int | None = None,
         render_mode: str | None = "rgb_array",
         gripper: str = "servo",
+        touch_in_state: bool = False,
+        right_calibration: str = "",
     ) -> None:
         require_gripper(gripper)
+        self.force_sensor = force_sensor(touch_in_state, right_calibration)
         self.level = get_level(level)
         self.gripper = gripper
         self._wear: dict[Finger, Wear] = {"left": wear(left_sensor), "right": wear(right_sensor)}
@@ -80,10 +91,13 @@ class WipeEnv(gymnasium.Env):
             return spaces.Box(0, 255, (*shape, 3), np.uint8)
 
         pixels = {name: picture((CAMERA_PX, CAMERA_PX)) for name in CAMERAS}
-        for finger in self.drawn:
-            for reference in (False, True):
-                pixels[tactile_name(finger, reference)] = picture(MARKER_IMAGE_SHAPE)
         state = spaces.Box(-10.0, 10.0, (len(AXES),), np.float32)
+        if self.force_sensor is not None:
+            state = spaces.Box(-1e3, 1e3, (len(AXES) + 3,), np.float32)
+        else:
+            for finger in self.drawn:
+                for reference in (False, True):
+                    pixels[tactile_name(finger, reference)] = picture(MARKER_IMAGE_SHAPE)
         content: dict[str, spaces.Space] = {"pixels": spaces.Dict(pixels), "agent_pos": state}
         if self.expose_wrench:
             for finger in FINGERS:
@@ -164,6 +178,8 @@ class WipeEnv(gymnasium.Env):
         self._touch = {finger: PadImages(self.worn[finger], finger, seed) for finger in self.drawn}
         self._follow()
         self._painter.reset(self._sim)
+        if self.force_sensor is not None:
+            self.force_sensor.reset()
 
     def advance(self, action: np.ndarray) -> bool:
         """Take one 1/30 s step without rendering; return whether the episode has ended.
@@ -223,14 +239,25 @@ class WipeEnv(gymnasium.Env):
             SensorError: a canonicalizer refuses its frame, as it would on a robot.
         """
         pixels = dict(zip(CAMERAS, self._painter.render(), strict=True))
-        for finger, pad in self._touch.items():
-            for reference, image in ((False, pad.image(self.sim)), (True, pad.reference)):
-                pixels[tactile_name(finger, reference)] = cv2.cvtColor(image, cv2.COLOR_GRAY2RGB)
-        observation: dict[str, Any] = {"pixels": pixels, "agent_pos": self.state}
+        state = self.state
+        if self.force_sensor is not None:
+            reading = self.force_sensor.read_markers(*self.marker_pair("right"))
+            state = np.concatenate([state, reading.force_N])  # (8,)
+        else:
+            pixels |= self._marker_pictures()
+        observation: dict[str, Any] = {"pixels": pixels, "agent_pos": state}
         if self.expose_wrench:
             for finger, wrench in self.true_wrench().items():
                 observation[f"wrench_{finger}"] = wrench
         return observation
+
+    def _marker_pictures(self) -> dict[str, np.ndarray]:
+        pictures = {}
+        for finger, pad in self._touch.items():
+            for reference, image in ((False, pad.image(self.sim)), (True, pad.reference)):
+                name = tactile_name(finger, reference)
+                pictures[name] = cv2.cvtColor(image, cv2.COLOR_GRAY2RGB)
+        return pictures
 
     def _info(self) -> dict[str, Any]:
         result = self.result()
@@ -242,6 +269,23 @@ class WipeEnv(gymnasium.Env):
     def render(self) -> np.ndarray:
         """Return the front camera's picture."""
         return self._painter.render()[0]
+
+
+def force_sensor(wanted: bool, calibration: str) -> ForceSensor | None:
+    """Return the sensor that reads the right finger's newtons; None where they aren't wanted.
+
+    Raises ContractError: a calibration that nothing is read with.
+    """
+    if not wanted:
+        if calibration:
+            do = "Set touch_in_state=true, or give it to the policy."
+            raise ContractError(
+                expected("right_calibration of the scene", "touch_in_state", calibration, do)
+            )
+        return None
+    from uniforce_vtla.force_sensor import ForceSensor
+
+    return ForceSensor("", "right", calibration=calibration or None)
 
 
 def _flat(result: EpisodeResult) -> dict[str, float]:

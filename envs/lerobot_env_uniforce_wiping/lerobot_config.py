@@ -11,6 +11,16 @@ from lerobot_env_uniforce_wiping.levels import CAMERA_PX, CONTROL_HZ, get_level
 from uniforce_vtla.contracts import FINGERS, MARKER_IMAGE_SHAPE
 from uniforce_vtla.keys import ACTION, AXES, CAMERAS, STATE, TACTILE_KEYS, camera_key
 
+# of ``WipeEnv`` that LeRobot's commands may set
+SETTINGS = (
+    "level",
+    "left_sensor",
+    "right_sensor",
+    "gripper",
+    "expose_wrench",
+    "touch_in_state",
+    "right_calibration",
+)
 GYM_ID = "uniforce_wiping/WipeWhiteboard-v0"
 if GYM_ID not in gymnasium.registry:
     gymnasium.register(GYM_ID, entry_point="lerobot_env_uniforce_wiping.aborted:make_scene")
@@ -41,6 +51,9 @@ class UniforceWipingConfig(EnvConfig):
     right_sensor: str = "tactip"
     gripper: str = "servo"  # servo, the level's own | hand, under the rules of the robot's
     expose_wrench: bool = False  # ceiling control only
+    # the right finger's newtons behind the state, no marker images: for any LeRobot policy
+    touch_in_state: bool = False
+    right_calibration: str = ""  # with touch_in_state: folder of `uniforce calibrate`
     episode_length: int | None = None  # steps; None = the level's own
     features: dict[str, PolicyFeature] = field(default_factory=_features)
     features_map: dict[str, str] = field(default_factory=dict)
@@ -49,6 +62,9 @@ class UniforceWipingConfig(EnvConfig):
         if self.expose_wrench:
             wrench = PolicyFeature(FeatureType.STATE, (4,))
             self.features = self.features | {f"observation.wrench_{f}": wrench for f in FINGERS}
+        if self.touch_in_state:
+            scene = {k: feature for k, feature in self.features.items() if k not in TACTILE_KEYS}
+            self.features = scene | {STATE: PolicyFeature(FeatureType.STATE, (len(AXES) + 3,))}
         self.features_map = self.features_map or {key: key for key in self.features}
         if self.episode_length is None:
             self.episode_length = round(get_level(self.level).time_limit_s * CONTROL_HZ)
@@ -66,5 +82,7 @@ class UniforceWipingConfig(EnvConfig):
     @property
     def gym_kwargs(self) -> dict[str, Any]:
         """Arguments of ``WipeEnv``."""
-        settings = ("level", "left_sensor", "right_sensor", "gripper", "expose_wrench")
-        return {name: getattr(self, name) for name in settings} | {"max_steps": self.episode_length}
+        settings = {"max_steps": self.episode_length}
+        for name in SETTINGS:
+            settings[name] = getattr(self, name)
+        return settings

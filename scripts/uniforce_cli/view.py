@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from uniforce_cli.boundary import Verify, by_name, command, one_thread
+from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import (
     Datasets,
     OutFolder,
@@ -49,6 +50,9 @@ class ViewConfig:
     # take demos that wiped the board with an event, or outside the band, too
     keep_events: bool = True
     keep_failures: bool = False  # take failed demos too
+    # write an ordinary LeRobot dataset, the right finger's newtons behind its state and no marker
+    # images: any LeRobot policy trains on it with lerobot-train
+    touch_in_state: bool = False
     workers: Workers = 2  # processes; each needs about 1 GB
     verify: Verify = "quick"  # how the datasets are checked first
 
@@ -78,9 +82,34 @@ def chosen(facts: EpisodeFacts, config: ViewConfig) -> bool:
     )
 
 
+def make_force_dataset(config: ViewConfig) -> Path:
+    """Write the demos with newtons in their state; return the dataset's folder."""
+    from uniforce_datasets.force_dataset import write_force_dataset
+    from uniforce_vtla.force_sensor import ForceSensor
+
+    if config.cameras:
+        do = "Leave it out: the cameras keep their names."
+        raise ContractError(expected("cameras", "none with touch_in_state", config.cameras, do))
+    return write_force_dataset(
+        [root for root in config.roots.split(",") if root],
+        config.out,
+        ForceSensor("", "right", tokenizer=config.tokenizer or None),
+        config.image_side,
+        keep=lambda facts: chosen(facts, config),
+        verify=config.verify,
+    )
+
+
 @command(ViewConfig)
 def main(config: ViewConfig) -> None:
     one_thread()
+    if config.touch_in_state:
+        out = make_force_dataset(config)
+        print(f"dataset in {out}, state with the right finger's newtons")
+        data = f"--dataset.repo_id=local/{out.name} --dataset.root={out}"
+        print(f"next: lerobot-train --policy.type=act --policy.push_to_hub=false {data}")
+        print("roll out: lerobot-eval --env.type=uniforce_wiping --env.touch_in_state=true …")
+        return
     out = make_view(config)
     facts = json.loads((out / "uniforce_view.json").read_text())
     print(f"view in {out}: {len(facts['episodes'])} episodes, {facts['num_frames']} frames")

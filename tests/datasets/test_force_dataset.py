@@ -1,0 +1,89 @@
+"""A dataset for any LeRobot policy: newtons behind the state, marker images left out."""
+
+import numpy as np
+import pytest
+import torch
+from lerobot.configs import FeatureType
+from lerobot.datasets import LeRobotDataset
+from lerobot.policies.act.configuration_act import ACTConfig
+from lerobot.policies.act.modeling_act import ACTPolicy
+from lerobot.utils.feature_utils import dataset_to_policy_features
+
+from uniforce_cli import view
+from uniforce_datasets.lossless import check_dataset
+from uniforce_datasets.source import episode_frames
+from uniforce_datasets.synthetic import record_synthetic
+from uniforce_vtla.force_sensor import ForceSensor
+from uniforce_vtla.keys import ACTION, AXES, CAMERAS, STATE, TACTILE_KEYS, camera_key, tactile_key
+
+FRAMES = 10
+
+
+@pytest.fixture(scope="module")
+def demos(tmp_path_factory):
+    return record_synthetic(tmp_path_factory.mktemp("force") / "demos", episodes=2, frames=FRAMES)
+
+
+@pytest.fixture(scope="module")
+def written(demos):
+    out = demos.parent / "forces"
+    call = [f"roots={demos}", f"out={out}", "touch_in_state=true", "tokenizer=nano"]
+    assert view.main(call) == 0
+    return out
+
+
+def test_the_state_holds_what_the_force_sensor_reads(demos, written) -> None:
+    dataset = LeRobotDataset("local/forces", root=written)
+    feature = dataset.meta.features[STATE]
+    assert list(feature["names"]) == [*AXES, "right_fx", "right_fy", "right_fz"]
+    sensor = ForceSensor("", "right", tokenizer="nano")
+    assert feature["info"] == sensor.facts()
+    source = check_dataset(demos)
+    episode = source.episodes[1]
+    images = {}
+    for is_reference in (True, False):
+        span = episode.videos[tactile_key("right", is_reference)]
+        images[is_reference] = list(episode_frames(span, FRAMES, source.fps))
+    for frame in (0, FRAMES - 1):
+        row = dataset[FRAMES + frame]
+        felt = sensor.read_markers(images[True][0][..., 0], images[False][frame][..., 0])
+        np.testing.assert_allclose(row[STATE][len(AXES) :], felt.force_N, atol=1e-4)
+        stored = source.columns((STATE, ACTION))
+        np.testing.assert_array_equal(row[STATE][: len(AXES)], stored[STATE][FRAMES + frame])
+        np.testing.assert_array_equal(row[ACTION], stored[ACTION][FRAMES + frame])
+        assert row["task"] == "wipe the dots"
+
+
+def test_marker_images_are_left_out(written) -> None:
+    dataset = LeRobotDataset("local/forces", root=written)
+    assert set(dataset.meta.camera_keys) == {camera_key(camera) for camera in CAMERAS}
+    assert not set(dataset.meta.features) & set(TACTILE_KEYS)
+
+
+def test_stock_act_takes_it(written) -> None:
+    dataset = LeRobotDataset("local/forces", root=written, delta_timestamps={ACTION: [0.0, 1 / 30]})
+    features = dataset_to_policy_features(dataset.meta.features)
+    actions = {key: one for key, one in features.items() if one.type is FeatureType.ACTION}
+    config = ACTConfig(
+        input_features={key: one for key, one in features.items() if key not in actions},
+        output_features=actions,
+        chunk_size=2,
+        n_action_steps=2,
+        dim_model=32,
+        n_heads=2,
+        dim_feedforward=32,
+        n_encoder_layers=1,
+        n_vae_encoder_layers=1,
+        pretrained_backbone_weights=None,
+        device="cpu",
+    )
+    loss, _ = ACTPolicy(config).forward(torch.utils.data.default_collate([dataset[0], dataset[5]]))
+    assert bool(loss.isfinite())
+
+
+def test_nothing_is_overwritten_and_an_empty_choice_is_refused(demos, written, capsys) -> None:
+    again = [f"roots={demos}", f"out={written}", "touch_in_state=true"]
+    assert view.main(again) == 2
+    assert "Choose another out" in capsys.readouterr().err
+    renamed = [*again[:1], f"out={written.parent / 'other'}", again[2], "cameras=front:cam_high"]
+    assert view.main(renamed) == 2
