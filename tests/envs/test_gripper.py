@@ -1,4 +1,4 @@
-"""The scene's hand: the robot's rules, bounded force, slow readings, and what is noticed without touch."""
+"""The scene's hand: the robot's rules, bounded force, slow readings, faults seen without touch."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def started(seed: int = SEED) -> WipeEnv:
 
 
 def stay(env: WipeEnv, width_m: float, steps: int) -> list[np.ndarray]:
-    """Wish a width where the hand is; return what both pads bear and the measured width, step by step."""
+    """Wish a width where the hand is; return both pads' load and the measured width by step."""
     felt = []
     wish = env.state.astype(np.float64)
     wish[4] = width_m

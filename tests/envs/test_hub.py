@@ -1,4 +1,4 @@
-"""The scene as EnvHub loads it: LeRobot's own loader reads env.py out of a hub cache, as after a download."""
+"""The scene as EnvHub loads it: LeRobot's own loader reads env.py out of a hub cache."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,7 +12,8 @@ from lerobot_env_uniforce_wiping.levels import TOUCH
 from uniforce_cli import share
 from uniforce_vtla.keys import ACTION
 
-REPOSITORY, COMMIT = "somebody/wipe-by-touch", "c" * 40
+REPOSITORY = "somebody/wipe-by-touch"
+COMMIT = "c" * 40
 
 
 @pytest.fixture

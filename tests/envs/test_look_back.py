@@ -1,4 +1,4 @@
-"""Ink wears by pressure and sliding; scripts look at the board after a sweep and wipe again where ink is left."""
+"""Ink wears by pressure and sliding; scripts look after a sweep and wipe again if ink is left."""
 
 from collections.abc import Callable
 
@@ -32,7 +32,9 @@ def env() -> WipeEnv:
 
 
 def run(env: WipeEnv, disturb: Callable[[InkField, bool], None]) -> list[str]:
-    expert, phases, done = WipeExpert(), [], False
+    expert = WipeExpert()
+    phases = []
+    done = False
     expert.reset(env)
     while not done:
         action = expert.act(env)
@@ -45,7 +47,8 @@ def run(env: WipeEnv, disturb: Callable[[InkField, bool], None]) -> list[str]:
 
 @pytest.mark.parametrize("row", [0, 1, 2])
 def test_wiping_begins_again_at_the_first_row_with_ink(env: WipeEnv, row: int) -> None:
-    ink, sweep = env.sim.ink, Sweep(env.level)
+    ink = env.sim.ink
+    sweep = Sweep(env.level)
     x_m = (
         sweep.corners[2 * row, 0] - env.level.layout.board_center_m[0] - env.scene.board_shift_m[0]
     )
@@ -84,7 +87,8 @@ def test_ink_comes_back_where_it_was_and_not_darker() -> None:
     assert back.any() and np.array_equal(ink.ink[back], 0.5 * first[back])
     assert np.abs(ink.x_m[back] - 0.02).max() <= 0.015 and 0 < ink.residual < 1
     center_m, extent_m = ink.written_box_m
-    x, y = ink.x_m[first > 0], ink.y_m[first > 0]
+    x = ink.x_m[first > 0]
+    y = ink.y_m[first > 0]
     assert np.allclose([x.min(), y.min()], center_m - extent_m / 2)
     assert np.allclose([x.max(), y.max()], center_m + extent_m / 2)
 
@@ -109,7 +113,8 @@ def test_the_share_of_episodes_is_the_one_asked_for() -> None:
     ink = InkField(draw_scene(SEED, "touch"))
     written = 0
     for seed in range(300):
-        ink.ink[:], rewrite = 0, Rewrite(seed)
+        ink.ink[:] = 0
+        rewrite = Rewrite(seed)
         for _ in range(round(7 * CONTROL_HZ)):
             rewrite.apply(ink, wiping=True)
         written += bool(ink.ink.any())
@@ -121,7 +126,7 @@ FROM_N = LEVELS["touch"].wear_from_N
 
 
 def left_after(press_N: float, slide_m: float = 0.06, off_center_m: float = 0.0) -> np.ndarray:
-    """Return the ink of a board under one felt as large as itself, scaled to an eraser's pressure."""
+    """Return the ink under one felt as large as the board, scaled to an eraser's pressure."""
     ink = InkField(draw_scene(3, "touch"))
     eraser_m2 = 0.030 * 0.060
     ink.wear *= float(np.prod(FELT_m)) / eraser_m2

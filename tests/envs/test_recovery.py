@@ -1,4 +1,4 @@
-"""An expert whose hand is pushed away comes back by its own commands: what demonstrations on a pulled arm show."""
+"""An expert whose hand is pushed away comes back by its own commands, for demonstrations."""
 
 from collections.abc import Callable, Iterator
 
@@ -18,12 +18,15 @@ def env() -> WipeEnv:
 def commands(
     env: WipeEnv, push_in: Callable[[str], bool], by_m: float, fall_s: float = 4.0
 ) -> Iterator[tuple[str, np.ndarray]]:
-    """Let the expert wipe scene 9001: yield phase and command before each step, then push where ``push_in`` says."""
-    expert, done, pushed_m = WipeExpert(), False, 0.0
+    """Let the expert wipe scene 9001: yield phase and command, then push where ``push_in`` says."""
+    expert = WipeExpert()
+    done = False
+    pushed_m = 0.0
     env.start(9001)
     expert.reset(env)
     while not done:
-        command, phase = expert.act(env), expert.phase
+        command = expert.act(env)
+        phase = expert.phase
         yield phase, command
         if push_in(phase):
             pushed_m = by_m
@@ -49,7 +52,7 @@ def test_an_expert_that_loses_the_board_stays_there_and_goes_down_again(env: Wip
 
 
 def test_an_expert_that_loses_a_clean_board_leaves_it(env: WipeEnv) -> None:
-    """Otherwise demos show a hand over a clean board that goes down, and a policy wipes to the end of its time."""
+    """Otherwise demos show a hand that goes down on a clean board, and a policy never stops."""
     phases: list[str] = []
     for phase, _ in commands(
         env, lambda phase: phase == "wipe" and phases.count("wipe") == 30, 0.03
@@ -87,7 +90,7 @@ def test_a_hand_pushed_up_in_the_air_comes_down_by_its_own_command(env: WipeEnv)
 
 
 def test_a_hand_pushed_below_its_grasp_height_comes_up_and_grips(env: WipeEnv) -> None:
-    """Without demos from there a policy that misses the moment to grip hangs below the eraser's middle for good."""
+    """Without demos from there a policy that missed the grip stays below the eraser's middle."""
     grasp_m = env.level.layout.grasp_height_m
     low: list[tuple[float, float]] = []  # commanded, measured
     for phase, command in commands(env, lambda phase: phase == "close" and not low, -0.025):

@@ -18,7 +18,7 @@ from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 
 @pytest.mark.parametrize("finger", FINGERS)
 def test_an_eraser_lost_within_a_step_leaves_the_pad_in_free_air(finger: Finger) -> None:
-    """The wrench is the step's mean, the geometry its end: the last newtons of a slide meet an empty pad."""
+    """The wrench is the step's mean, the geometry its end: a slide may end on an empty pad."""
     env = WipeEnv("touch", "gelsight:drawing", "tactip:drawing")
     env.reset(seed=3)  # the eraser stands in its tray, the pads face nothing
     free = env.observe()["pixels"][tactile_name(finger)]
@@ -50,7 +50,9 @@ def test_rigs_differ_in_the_left_fingers_marker_image_alone() -> None:
 
 def held(left: str | WornSensor, seed: int = 5, **options: Any) -> WipeEnv:
     """Return a scene whose expert has held the eraser for half a second."""
-    env, expert, steps = WipeEnv("touch", left, "tactip:drawing", **options), WipeExpert(), 0
+    env = WipeEnv("touch", left, "tactip:drawing", **options)
+    expert = WipeExpert()
+    steps = 0
     env.start(seed)
     expert.reset(env)
     while steps < 15:
@@ -60,7 +62,7 @@ def held(left: str | WornSensor, seed: int = 5, **options: Any) -> WipeEnv:
 
 
 def read(env: WipeEnv, looks: int = 8) -> np.ndarray:
-    """Return what the left finger's own head reads, (3,) N, mean over several noisy looks at one moment."""
+    """Return the left finger's own reading, (3,) N, mean of several noisy images of one moment."""
     seen = [env.observe()["pixels"] for _ in range(looks)]
     pair = [
         np.stack([p[tactile_name("left", reference)][..., 0] for p in seen])
@@ -74,9 +76,10 @@ def read(env: WipeEnv, looks: int = 8) -> np.ndarray:
 def test_raw_frames_and_canonicalizer_read_as_the_direct_drawing_does(
     kind: str, grip_N: float
 ) -> None:
-    """The fast path stands for the worn one. A flat gel under a face that covers it moves by a fifth of a pixel."""
+    """The fast path gives the same; a flat gel under a face that covers it moves by .2 px."""
     plain = drawing(as_virtual(kind))
-    fast, raw = read(held(plain)), read(held(replace(plain, direct=False)))
+    fast = read(held(plain))
+    raw = read(held(replace(plain, direct=False)))
     assert abs(fast[2] - raw[2]) < grip_N and np.abs(fast[:2] - raw[:2]).max() < 0.3
 
 

@@ -31,7 +31,8 @@ EASY_SEEDS = (1, 2, 4)
 
 @pytest.fixture(scope="module")
 def grasped() -> WipeEnv:
-    env, expert = WipeEnv(), WipeExpert()
+    env = WipeEnv()
+    expert = WipeExpert()
     env.start(SEED)
     steps_to_the_first_sweep(env, expert)
     for _ in range(8):
@@ -91,7 +92,9 @@ def test_same_seed_same_episode_and_other_seed_another() -> None:
         observation, _ = WipeEnv().reset(seed=seed)
         return [observation["agent_pos"], *observation["pixels"].values()]
 
-    first, again, other = start(7), start(7), start(8)
+    first = start(7)
+    again = start(7)
+    other = start(8)
     assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
     assert not np.array_equal(first[1], other[1]) and not np.array_equal(first[0], other[0])
 
@@ -121,7 +124,8 @@ def test_pictures_show_ink_that_goes_away(grasped: WipeEnv) -> None:
 def test_bad_action_is_refused_and_the_target_held(
     grasped: WipeEnv, action: object, error: type
 ) -> None:
-    target, control = grasped.sim.target.copy(), grasped.sim.data.ctrl.copy()
+    target = grasped.sim.target.copy()
+    control = grasped.sim.data.ctrl.copy()
     with pytest.raises(error):
         grasped.advance(action)  # type: ignore[arg-type]
     assert np.array_equal(grasped.sim.target, target) and np.array_equal(
@@ -172,8 +176,9 @@ def test_runs_without_gl_and_loads_mujoco_with_the_first_scene_only() -> None:
 
 
 def descent(seed: int, noise: ExpertNoise, level: str = "touch") -> np.ndarray:
-    """Return measured and commanded height (n, 2), m, of an expert's hand on its way down to the eraser."""
-    env, expert = WipeEnv(level), WipeExpert(noise=noise)
+    """Return measured and commanded height (n, 2), m, of an expert going down to the eraser."""
+    env = WipeEnv(level)
+    expert = WipeExpert(noise=noise)
     env.start(seed)
     expert.reset(env)
     heights = []
@@ -184,7 +189,7 @@ def descent(seed: int, noise: ExpertNoise, level: str = "touch") -> np.ndarray:
 
 
 def test_a_soft_arm_is_not_far_behind_its_command_where_the_hand_must_stop() -> None:
-    """A policy observes neither command nor stiffness: where the two differ by more, soft arms grasp too low."""
+    """A policy sees neither command nor stiffness: where they differ by more, it grasps too low."""
     leads_m = {}
     for seed in (41_018, 41_026):
         path = descent(seed, ExpertNoise(grasp_sd_m=0.0, carry_sd_m=0.0), "easy")
@@ -202,19 +207,24 @@ def test_every_expert_grasps_at_a_height_of_its_own() -> None:
 
 
 def test_a_hand_that_arrives_beside_its_row_comes_to_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A policy arrives there, too; without demos of the way back it takes another row's end for its own beginning."""
+    """A policy arrives there, too; without demos of the way back it takes a wrong row."""
     beside_m = np.array([0.008, -0.016])
     monkeypatch.setattr(WipeExpert, "_stray", lambda self: beside_m)
-    env, expert = WipeEnv("touch"), WipeExpert()
+    env = WipeEnv("touch")
+    expert = WipeExpert()
     env.start(SEED)
     expert.reset(env)
-    start, by_phase, last, done = Sweep(env.level).point(0.0), {}, env.state[:2], False
+    start = Sweep(env.level).point(0.0)
+    by_phase = {}
+    last = env.state[:2]
+    done = False
     fastest_m_s = 0.0
     while not done:
         command = expert.act(env)
         by_phase.setdefault(expert.phase, command[:2] - start)  # at the beginning of each phase
         fastest_m_s = max(fastest_m_s, float(np.linalg.norm(command[:2] - last)) * 30)
-        last, done = command[:2], env.advance(command)
+        last = command[:2]
+        done = env.advance(command)
     assert np.linalg.norm(by_phase["lower"] - beside_m) < 0.005
     assert np.linalg.norm(by_phase["wipe"]) < 0.5 * np.linalg.norm(beside_m)
     assert fastest_m_s < 0.140 and env.result().success
@@ -249,10 +259,12 @@ def test_features_follow_the_keys() -> None:
 def test_a_late_expert_answers_to_what_it_felt_before() -> None:
     """Recorded experts feel as late as pictures are: what they answer to can then be seen."""
     exact = ExpertNoise(force_sd_N=0.0, force_gain_sd=0.0)
-    env, expert = WipeEnv("easy"), WipeExpert(noise=exact, late_steps=2)
+    env = WipeEnv("easy")
+    expert = WipeExpert(noise=exact, late_steps=2)
     env.start(SEED)
     expert.reset(env)
-    grips, answered = [], []
+    grips = []
+    answered = []
     while len(grips) < 100:
         grips.append(np.mean([env.true_wrench()[finger][2] for finger in FINGERS]))
         env.advance(expert.act(env))

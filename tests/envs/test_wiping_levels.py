@@ -21,7 +21,7 @@ LOCKED = {"easy": "a6e6bd6055b0", "touch": "21ea3966703a"}
 
 
 def test_levels_are_locked() -> None:
-    """A changed level makes old scores incomparable: give it a new name, or score and train everything anew."""
+    """A changed level makes old scores incomparable: give it a new name, or score anew."""
     assert {name: level_hash(level) for name, level in LEVELS.items()} == LOCKED
 
 
@@ -40,7 +40,8 @@ def test_serpentine_is_readable_from_position_alone(name: str) -> None:
     sweep = Sweep(level)
     first_x = sweep.corners[0, 0]
     for k in range(level.rows):
-        start, stop = sweep.corners[2 * k], sweep.corners[2 * k + 1]
+        start = sweep.corners[2 * k]
+        stop = sweep.corners[2 * k + 1]
         assert start[0] == pytest.approx(first_x + k * level.row_pitch_m) == pytest.approx(stop[0])
         assert (stop[1] > start[1]) == (k % 2 == 0)
     narrowest = level.layout.eraser_width_m + level.eraser_width_offset_m[0]
@@ -59,13 +60,17 @@ def test_stiffness_is_as_likely_twice_as_half_its_middle() -> None:
 @given(st.integers(0, 2**31 - 1), st.sampled_from(sorted(LEVELS)))
 def test_writing_of_any_size_and_place_lies_where_the_eraser_goes(seed: int, name: str) -> None:
     """Every cell of the word is under the swept band, whatever the board's place and turn."""
-    scene, level = draw_scene(seed, name), LEVELS[name]
+    scene = draw_scene(seed, name)
+    level = LEVELS[name]
     ink = InkField(scene)
     rows, columns = np.nonzero(ink.ink)
-    x, y = ink.x_m[rows, columns], ink.y_m[rows, columns]
-    c, s = np.cos(scene.board_turn_rad), np.sin(scene.board_turn_rad)
+    x = ink.x_m[rows, columns]
+    y = ink.y_m[rows, columns]
+    c = np.cos(scene.board_turn_rad)
+    s = np.sin(scene.board_turn_rad)
     shift = scene.board_shift_m
-    away_x, away_y = np.abs(c * x - s * y + shift[0]), np.abs(s * x + c * y + shift[1])
+    away_x = np.abs(c * x - s * y + shift[0])
+    away_y = np.abs(s * x + c * y + shift[1])
     half_band = (level.rows - 1) * level.row_pitch_m / 2 + scene.eraser_width_m / 2
     assert away_x.max() < half_band
     assert away_y.max() < level.stroke_m / 2  # under the whole length of the eraser
@@ -85,14 +90,16 @@ def test_scenes_vary_what_a_camera_sees() -> None:
 
 
 def test_light_changes_the_picture_and_nothing_else() -> None:
-    dim, bright = WipeEnv("touch"), WipeEnv("touch")
+    dim = WipeEnv("touch")
+    bright = WipeEnv("touch")
     for env, gain in ((dim, 0.7), (bright, 1.0)):
         env.start(1)
         env.sim.scene = replace(
             env.sim.scene, light_gain=(gain, gain, gain), light_turn_rad=(0.0, 0.0, 0.0)
         )
         env._painter.reset(env.sim)
-    dark, light = dim.observe(), bright.observe()
+    dark = dim.observe()
+    light = bright.observe()
     ratio = dark["pixels"]["front"].mean() / light["pixels"]["front"].mean()
     assert ratio == pytest.approx(0.7, abs=0.03)
     assert np.array_equal(dark["pixels"]["tactile_left"], light["pixels"]["tactile_left"])

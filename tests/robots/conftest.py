@@ -1,4 +1,4 @@
-"""Stand-ins that tests of sensors and teleoperators share: a process each, started once, whole for every test."""
+"""Shared stand-ins of sensors and teleoperators: a process each, whole for every test."""
 
 import itertools
 import os

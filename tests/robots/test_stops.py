@@ -1,4 +1,4 @@
-"""After a stop nothing moves until a new wish, in sessions of any order; ``make faults`` runs thousands of them."""
+"""After a stop nothing moves until a new wish, in sessions of any order; see ``make faults``."""
 
 import logging
 import multiprocessing
@@ -34,7 +34,8 @@ def test_a_broken_stop_is_noticed() -> None:
 
 @pytest.mark.parametrize("what", ["way", "turn", "fingers"])
 def test_the_watch_sees_what_moves_after_a_stop_and_only_then(what: str) -> None:
-    watch, moved = Watch(), np.eye(4)
+    watch = Watch()
+    moved = np.eye(4)
     if what == "way":
         moved[0, 3] = 0.0011
     if what == "turn":

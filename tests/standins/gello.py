@@ -75,7 +75,8 @@ class GelloStandIn(StandInServer):
             size = 7 + int.from_bytes(self._in[5:7], "little")
             if len(self._in) < max(size, 7):
                 return
-            whole, self._in = self._in[:size], self._in[size:]
+            whole = self._in[:size]
+            self._in = self._in[size:]
             data = b""
             if (
                 checksum(whole[:-2]) == int.from_bytes(whole[-2:], "little")

@@ -1,4 +1,4 @@
-"""A SpaceMouse that delivers HID reports on a local packet socket (SOCK_SEQPACKET); see ``--help``."""
+"""A SpaceMouse: HID reports on a local packet socket (SOCK_SEQPACKET); see ``--help``."""
 
 import struct
 import sys

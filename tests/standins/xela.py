@@ -1,4 +1,4 @@
-"""xela_server with one uSkin patch: JSON over a WebSocket (RFC 6455, server side) on loopback; see ``--help``."""
+"""xela_server with one uSkin patch: JSON over a WebSocket on loopback; see ``--help``."""
 
 import json
 import socket
@@ -47,7 +47,7 @@ def fragmented(text: bytes, pieces: int) -> bytes:
 
 
 def greeting(request: bytes) -> bytes:
-    """Return the answer to a client's handshake (section 4.2.2), nothing where it asked for something else."""
+    """Return the answer to a client's handshake (section 4.2.2), nothing to another request."""
     protocol = ServerProtocol()
     protocol.receive_data(request)
     asked = [event for event in protocol.events_received() if isinstance(event, Request)]
@@ -67,7 +67,8 @@ def message(number: int, scan: np.ndarray, fault: str) -> str:
     """Return the server's text for one (16, 3) uint16 scan, with the named peculiarity."""
     words = [f"{count:04X}" for count in scan.ravel().tolist()]
     forms = {"short": ",".join(words[:30]), "list": words, "integers": scan.ravel().tolist()}
-    now, data = time.time(), forms.get(fault, ",".join(words))
+    now = time.time()
+    data = forms.get(fault, ",".join(words))
     sensor = {
         "time": now,
         "sensor": "1",

@@ -1,8 +1,11 @@
-"""An arm and a hand that do what they are asked at once, and fail when they are asked to."""
+"""An arm that does what it is asked at once, and fails when it is asked to; faults by name."""
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
+import pytest
 
 from uniforce_robots.fr3 import HAND_TO_FLANGE
 from uniforce_robots.franka.arm import ArmSetup, ArmState
@@ -14,6 +17,16 @@ START = ToolPose(np.array([0.45, 0.0, 0.3]), 0.0)
 SPEED_m_s = 1.5  # of the fake: at once for a test, possible for an arm
 
 
+@contextmanager
+def refused(
+    fault: str, kind: type[Exception] = RobotError, match: str | None = None
+) -> Iterator[None]:
+    """Expect an error with this ``fault``."""
+    with pytest.raises(kind, match=match) as caught:
+        yield
+    assert caught.value.fault == fault  # type: ignore[attr-defined]
+
+
 class FakeArm:
     def __init__(self) -> None:
         self.pose = START.ee_to_base()
@@ -23,7 +36,8 @@ class FakeArm:
         self.fault: RobotError | None = None
         self.stopped_at: list[float] = []
         self.closed = False
-        self.follows, self._pulls = True, False
+        self.follows = True
+        self._pulls = False
         self.blocks_s = 0.0  # how long its client takes for a reading
         self.success_rate = 1.0
         self.wrench_N = np.zeros(6)
@@ -51,7 +65,8 @@ class FakeArm:
         self._pulls = True
 
     def _move(self, now_s: float) -> None:
-        reach_m, self._moved_s = SPEED_m_s * min(now_s - self._moved_s, 0.015), now_s
+        reach_m = SPEED_m_s * min(now_s - self._moved_s, 0.015)
+        self._moved_s = now_s
         if self.follows and self._pulls:
             pose = self.targets[-1][1].copy()
             pose[:3, 3] = towards(self.pose[:3, 3], pose[:3, 3], reach_m)
@@ -62,7 +77,8 @@ class FakeArm:
         self.stopped_at.append(time.monotonic())
 
     def recover(self) -> None:
-        self.fault, self.mode = None, "idle"
+        self.fault = None
+        self.mode = "idle"
 
     def close(self) -> None:
         self.closed = True

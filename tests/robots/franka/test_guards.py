@@ -5,9 +5,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from robot_fakes import refused
 
 from uniforce_robots.franka.guards import GuardChain, GuardLimits
-from uniforce_vtla.errors import RobotError
 
 HERE = np.array([0.45, 0.0, 0.30, 0.0, 0.06])
 WIDE = GuardLimits(
@@ -66,7 +66,8 @@ def test_a_guard_that_begins_to_act_is_logged_once(caplog: pytest.LogCaptureFixt
 def test_outside_the_box_stay_stays_and_only_a_wish_inwards_moves() -> None:
     chain = GuardChain(GuardLimits())
     outside = np.array([0.80, 0.0, 0.30, 0.0, 0.06])
-    further, inside = np.array([0.9, 0, 0.3, 0, 0.06]), np.array([0.6, 0, 0.3, 0, 0.06])
+    further = np.array([0.9, 0, 0.3, 0, 0.06])
+    inside = np.array([0.6, 0, 0.3, 0, 0.06])
     np.testing.assert_allclose([chain(outside, outside, 0.1 * i) for i in range(3)], [outside] * 3)
     x = [
         chain(wish, outside, 1 + 0.1 * i)[0]
@@ -77,6 +78,5 @@ def test_outside_the_box_stay_stays_and_only_a_wish_inwards_moves() -> None:
 
 def test_a_measured_pose_that_is_no_number_stops() -> None:
     chain = GuardChain(GuardLimits())
-    with pytest.raises(RobotError) as caught:
+    with refused("bad_state"):
         chain(HERE, HERE * np.nan, 0.0)
-    assert caught.value.fault == "bad_state"

@@ -1,4 +1,4 @@
-"""Every named fault of the stand-in against the real client, once; ``make faults`` runs each ten times."""
+"""Every named fault of the stand-in against the real client, once; ``make faults``: ten times."""
 
 from dataclasses import replace
 from pathlib import Path

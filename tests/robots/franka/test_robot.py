@@ -1,4 +1,4 @@
-"""The LeRobot robot on a fake arm and hand: features, guarded actions, faults, and no motion after the end."""
+"""The LeRobot robot on a fake arm and hand: features, guarded actions, faults, no late motion."""
 
 import importlib.util
 import sys
@@ -14,7 +14,7 @@ import pytest
 import torch
 from hand_fakes import FakeHand
 from lerobot.robots import RobotConfig, make_robot_from_config
-from robot_fakes import START, FakeArm
+from robot_fakes import START, FakeArm, refused
 
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka import robot as module
@@ -167,14 +167,9 @@ def test_after_disconnect_nothing_moves(moving: UniforceFranka, arm: FakeArm) ->
     moving.disconnect()
     moving.disconnect()
     count = len(arm.targets)
-    with pytest.raises(RobotError) as caught:
+    with refused("ended"):
         moving.send_action(action())
-    assert (
-        caught.value.fault == "ended"
-        and len(arm.targets) == count
-        and arm.closed
-        and arm.stopped_at
-    )
+    assert len(arm.targets) == count and arm.closed and arm.stopped_at
 
 
 def test_connecting_twice_is_refused(robot: UniforceFranka) -> None:
@@ -186,7 +181,7 @@ def test_connecting_twice_is_refused(robot: UniforceFranka) -> None:
 
 @pytest.mark.slow
 def test_lerobots_rollout_does_not_lead_the_arm_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On a copy of LeRobot's module of its own: a robot of another test may have changed the one that is loaded."""
+    """On its own copy of LeRobot's module: another test's robot may have changed the loaded one."""
     pytest.importorskip(STRATEGIES, reason="this LeRobot has no rollout strategies")
     spec = importlib.util.find_spec(STRATEGIES)
     assert spec is not None and spec.loader is not None
@@ -232,7 +227,8 @@ def test_lerobot_parses_nested_settings_and_builds_it(tmp_path: Path) -> None:
 class BrokenCamera:
     """As LeRobot's cameras are; ``error`` is raised, ``image`` given, whatever they are."""
 
-    height, width = 4, 6
+    height = 4
+    width = 6
 
     def __init__(self) -> None:
         self.error: Exception | None = None
@@ -289,11 +285,11 @@ def test_a_sensor_that_is_not_well_stops_the_arm_and_is_counted(
         robot.get_observation()
     eventually(lambda: bool(arm.stopped_at))
     assert robot.guard_counts["sensor"] == 1
-    with pytest.raises(RobotError) as caught:
+    with refused("sensor"):
         robot.send_action(action())
-    assert caught.value.fault == "sensor"
     robot.recover()
-    camera.error, camera.image = None, good
+    camera.error = None
+    camera.image = good
     robot.send_action(robot.get_observation())
 
 
@@ -308,7 +304,8 @@ def test_a_camera_that_repeats_itself_stops_the_arm(robot, camera, arm, eventual
 
 
 def test_a_cameras_pictures_are_stamped_and_counted_and_one_without_stamps_is_refused() -> None:
-    camera, seen = BrokenCamera(), []
+    camera = BrokenCamera()
+    seen = []
     plain = PlainCamera("front", camera)  # type: ignore[arg-type]
     for camera.latest_timestamp in (1.0, 1.0, 2.0):
         picture = plain.picture()

@@ -1,6 +1,7 @@
-"""The 100 Hz stream on a fake arm: ramps, tilt, what only a fake can do wrong, and that every thread ends.
+"""The 100 Hz stream on a fake arm: ramps, tilt, faults of a fake, and that every thread ends.
 
-``test_checks.py`` attacks the same stream with random states and actions, ``test_stops.py`` with whole sessions.
+``test_checks.py`` attacks the same stream with random states and actions, ``test_stops.py`` with
+whole sessions.
 """
 
 import threading
@@ -11,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from robot_fakes import START, FakeArm
+from robot_fakes import START, FakeArm, refused
 
 from uniforce_robots.franka.poses import ToolPose
 from uniforce_robots.franka.stream import ArmStream, Ramp, StreamSettings
@@ -59,13 +60,13 @@ def test_a_mistake_in_a_backend_lets_the_arm_go_too(
     arm.set_target = lambda pose: 1 / 0  # type: ignore[method-assign]
     stream.submit(away(-0.01))
     eventually(lambda: bool(arm.stopped_at))
-    with pytest.raises(RobotError) as caught:
+    with refused("other", match="ZeroDivisionError"):
         stream.submit(away(0.0))
-    assert caught.value.fault == "other" and "ZeroDivisionError" in str(caught.value)
 
 
 def test_late_commands_are_logged_once(arm, stream, eventually, caplog) -> None:
-    arm.success_rate, arm.mode = 0.5, "move"
+    arm.success_rate = 0.5
+    arm.mode = "move"
     first = stream.state.time_s
     eventually(lambda: stream.state.time_s > first + 0.1)
     assert sum("in time" in record.message for record in caplog.records) == 1
@@ -76,9 +77,8 @@ def test_an_old_reading_is_not_given_out(arm: FakeArm) -> None:
     stream.start()
     stream.stop()
     time.sleep(0.1)
-    with pytest.raises(RobotError, match="younger") as caught:
+    with refused("stale", match="younger"):
         _ = stream.state
-    assert caught.value.fault == "stale"
 
 
 class WatchedHand(Hand):
@@ -129,14 +129,15 @@ def test_a_tilted_hand_is_refused_at_the_start_and_in_motion(
         time.sleep(0.02)
     eventually(lambda: stream.fault is not None)
     assert stream.fault is not None and stream.fault.fault == "tilt"
-    with pytest.raises(RobotError, match=r"within 9° of straight down, got 9°") as caught:
+    with refused("tilt", match=r"within 9° of straight down, got 9°"):
         ArmStream(arm).read_first()
-    assert caught.value.fault == "tilt"
 
 
 def test_staying_never_turns_a_hand_and_a_wished_way_levels_it(arm: FakeArm) -> None:
-    now, pose = [100.0], tilted(START, 0.1)
-    arm.pose, arm.follows = pose, False
+    now = [100.0]
+    pose = tilted(START, 0.1)
+    arm.pose = pose
+    arm.follows = False
     stream = ArmStream(arm, StreamSettings(state_age_s=1.0, stale_s=1.0), clock=lambda: now[0])
     stream.read_first()
     wishes = [START] * 30 + [away(-0.0013 * step) for step in range(30)]

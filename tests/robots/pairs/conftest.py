@@ -28,7 +28,8 @@ def marker_image(seed: int) -> np.ndarray:
     image = np.zeros(MARKER_IMAGE_SHAPE, np.uint8)
     for row in range(40, 470, 70):
         for column in range(40, 630, 75):
-            y, x = row + seed % 7, column + seed % 5
+            y = row + seed % 7
+            x = column + seed % 5
             image[y : y + 12, x : x + 12] = 255
     return image
 

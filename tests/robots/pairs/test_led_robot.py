@@ -22,8 +22,10 @@ robot:
   guards: {low: [0.3, -0.2, 0.1, -0.5, 0.0]}
   cameras:
     front: {type: uniforce_scene, source: "http://x"}
-    tactile_left: {type: uniforce_uskin, finger: left, source: /dev/x, flip: true, reference_on_connect: false}
-    tactile_right: {type: uniforce_tactile, finger: right, sensor: tactip, source: /dev/y, rotation_deg: 180}
+    tactile_left:
+      {type: uniforce_uskin, finger: left, source: /dev/x, flip: true, reference_on_connect: false}
+    tactile_right:
+      {type: uniforce_tactile, finger: right, sensor: tactip, source: /dev/y, rotation_deg: 180}
 """
 
 
@@ -39,7 +41,8 @@ def test_mounts_and_box_come_from_the_rig(config: RecordPairsConfig) -> None:
     robot = _robot(config, ["--robot.guards.step_m=0.02"])
     assert (robot.address, robot.guards.low[0], robot.guards.step_m) == ("127.0.0.7", 0.3, 0.02)
     assert set(robot.cameras) == {"tactile_left", "tactile_right"}  # nothing else is opened
-    assert robot.cameras["tactile_left"].flip and robot.cameras["tactile_right"].rotation_deg == 180  # type: ignore[attr-defined]
+    assert robot.cameras["tactile_left"].flip  # type: ignore[attr-defined]
+    assert robot.cameras["tactile_right"].rotation_deg == 180  # type: ignore[attr-defined]
     assert all(finger.reference_on_connect for finger in robot.fingers.values())
     assert (config.left_sensor, config.right_sensor) == (
         "uskin",

@@ -1,4 +1,4 @@
-"""Which pairs are kept: the score on forces made by hand, the gate on motion, and what is covered already."""
+"""Which pairs are kept: the score on forces made by hand, the gate on motion, the coverage."""
 
 from dataclasses import replace
 
@@ -44,7 +44,7 @@ def test_a_finger_that_does_not_touch_is_flagged(calm: GraspSignals) -> None:
 
 
 def test_a_strong_lean_is_flagged_and_a_light_one_is_not(calm: GraspSignals) -> None:
-    """The limit of the normals: they overrule the acceleration only far beyond the session's own spread."""
+    """Normals overrule the acceleration only far beyond the session's own spread."""
     for lean, flagged in ((0.9, True), (0.1, False)):
         right = calm.right_N.copy()
         right[LED, 2] *= 1 - lean * 0.9
@@ -101,7 +101,9 @@ LIMITS = MotionLimits()
     ("what", "reason"), [("speed", "fast"), ("acceleration", "jerked"), ("grip", "no contact")]
 )
 def test_each_limit_closes_it_and_says_why(what: str, reason: str) -> None:
-    speed, acceleration, grip = STILL.copy(), STILL.copy(), HELD.copy()
+    speed = STILL.copy()
+    acceleration = STILL.copy()
+    grip = HELD.copy()
     {"speed": speed, "acceleration": acceleration, "grip": grip}[what][10] = (
         0.0 if what == "grip" else 2.0
     )

@@ -1,4 +1,4 @@
-"""Both rigs, and the whole recorder in simulation: keeps what is good, goes on, gives up; its flags mean something."""
+"""Both rigs, and the whole recorder in simulation: it keeps good pairs, goes on, gives up."""
 
 import itertools
 from collections.abc import Iterator
@@ -89,7 +89,7 @@ def test_hopeless_grasps_are_given_up_with_the_reason(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_flags_are_right_where_the_fault_is_plain() -> None:
-    """Not the bar, which `benchmarks.pair_quality` measures on thousands of pairs: that flags mean something at all."""
+    """Flags mean something at all; `benchmarks.pair_quality` measures how much."""
     settings = GraspSettings(faults=("free", "one_finger"), frames=30)
     scored = score_session(Rehearsal("uskin", "tactip", seed=11, grasps=settings), NAMES, 6)
     found = precision_recall(scored.flagged, scored.error > LIMIT)
@@ -115,7 +115,8 @@ def test_a_reader_is_trained_saved_and_loaded(tmp_path: Path) -> None:
 
 
 def test_precision_and_recall_are_counted_right() -> None:
-    flagged, bad = np.array([1, 1, 1, 0, 0], bool), np.array([1, 1, 0, 1, 0], bool)
+    flagged = np.array([1, 1, 1, 0, 0], bool)
+    bad = np.array([1, 1, 0, 1, 0], bool)
     found = precision_recall(flagged, bad)
     assert (found["precision"], found["recall"]) == (pytest.approx(2 / 3), pytest.approx(2 / 3))
     assert np.isnan(precision_recall(flagged, np.zeros(5, bool))["recall"])
@@ -158,11 +159,9 @@ def test_an_empty_error_is_not_divided_by_nothing() -> None:
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, -np.pi / 2])
 def test_motion_is_read_off_the_poses_in_the_hands_frame(yaw: float) -> None:
-    motion, velocity, acceleration = (
-        HandMotion(),
-        np.array([0.1, -0.05, 0.02]),
-        np.array([0.5, 1.0, -0.3]),
-    )
+    motion = HandMotion()
+    velocity = np.array([0.1, -0.05, 0.02])
+    acceleration = np.array([0.5, 1.0, -0.3])
     to_base = rotation_z(yaw)[:3, :3]
     for t in np.arange(10) / 30:
         position = to_base @ (velocity * t + acceleration * t**2 / 2)
@@ -180,7 +179,8 @@ def test_a_grasp_ends_once_when_the_fingers_open() -> None:
     poses = iter([np.array([0.5, 0, 0.2, 0, width]) for width in widths])
     robot = SimpleNamespace(measured=lambda: next(poses))
     finger = SimpleNamespace(reference_image=lambda: image, async_read=lambda: image)
-    fingers, sensors = dict.fromkeys(FINGERS, finger), {"left": "gelsight", "right": "tactip"}
+    fingers = dict.fromkeys(FINGERS, finger)
+    sensors = {"left": "gelsight", "right": "tactip"}
     settings = {"steer": lambda pose: None, "clock": lambda: next(ticks) / 30}
     rig = RobotRig(robot, fingers, sensors, 30.0, 0.2, 6.0, **settings)
     frames = list(itertools.islice(rig.frames("sphere"), len(widths)))

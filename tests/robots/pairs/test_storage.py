@@ -48,7 +48,8 @@ def test_both_forms_give_the_images_back(tmp_path: Path, make_chunk: Make) -> No
     for finger in FINGERS:
         stored = list(episode_frames(source.episodes[0].videos[tactile_key(finger)], 4, 15))
         assert np.array_equal(np.stack(stored)[..., 0], images[finger])
-        column, force_N = pair_force_key(finger), [pair.force_N[finger] for pair in pairs]
+        column = pair_force_key(finger)
+        force_N = [pair.force_N[finger] for pair in pairs]
         assert np.allclose(source.columns((column,))[column], force_N, atol=1e-5)
     stored_error = source.columns((PAIR_ERROR,))[PAIR_ERROR].ravel()
     assert np.allclose(stored_error, [pair.error for pair in pairs], atol=1e-6)
@@ -62,9 +63,9 @@ def test_it_goes_on_where_it_stopped(tmp_path: Path, make_chunk: Make) -> None:
         assert store.counts.tolist() == [3, 2] and store.next_session == 1
         assert [c.force.sum() for c in store.coverage] == [3, 2]
         store.add(*make_chunk(0, 1, 2, seed=9))  # new references: another session folder
-    assert {name.split("/")[1]: len(pair[0]) for name, pair in layout(tmp_path).items() if "sphere" in name} == {
-        "session_000": 3, "session_001": 2,
-    }  # fmt: skip
+    spheres = {name: len(pair[0]) for name, pair in layout(tmp_path).items() if "sphere" in name}
+    folder = "uniforce/session_{}/gelsight_tactip/sphere"
+    assert spheres == {folder.format("000"): 3, folder.format("001"): 2}
 
 
 @pytest.mark.parametrize("damage", ["behind", "half a pair", "ahead", "gone"])

@@ -1,4 +1,4 @@
-"""A whole rig without hardware or processes: fake arm and hand, captures that break on command, a scripted person."""
+"""A rig without hardware: fake arm and hand, captures that break on command, a scripted person."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -47,11 +47,13 @@ def room_frames() -> tuple[np.ndarray, ...]:
 
 
 class FakeCapture(ScriptedCapture):
-    """Delivers frames at a rate; ``fault`` is "", "stop" (failed reads), "stall" (silence) or "freeze"."""
+    """Deliver frames at a rate; ``fault``: "", "stop" (failed reads), "stall" or "freeze"."""
 
     def __init__(self, frames: tuple[np.ndarray, ...], rate_hz: float = FPS) -> None:
         super().__init__()
-        self.frames, self.period_s, self.fault = frames, 1 / rate_hz, ""
+        self.frames = frames
+        self.period_s = 1 / rate_hz
+        self.fault = ""
         self._due_s = time.monotonic()
 
     def isOpened(self) -> bool:  # noqa: N802
@@ -70,7 +72,8 @@ class FakeCapture(ScriptedCapture):
 
 class FakeRig:
     def __init__(self, folder: Path, monkeypatch) -> None:
-        self.arm, self.hand = FakeArm(), FakeHand(takes_s=0.02)
+        self.arm = FakeArm()
+        self.hand = FakeHand(takes_s=0.02)
         monkeypatch.setattr(robot_module, "make_backend", lambda config: (self.arm, self.hand))
         tactile = {"capture_width": 640, "capture_height": 480, "reference_samples": 3}
         rows, columns = SMALL
@@ -126,7 +129,8 @@ class Sway(Teleoperator):
 
     action_features = dict.fromkeys(AXES, float)
     feedback_features: dict[str, type] = {}  # noqa: RUF012
-    is_calibrated, is_connected = True, False
+    is_calibrated = True
+    is_connected = False
 
     def connect(self, calibrate: bool = True) -> None:
         self.is_connected = True
@@ -161,7 +165,7 @@ def sway(folder: Path) -> Sway:
 
 
 class Script(Operator):
-    """Says what a function says: it gets the phase and how often it was asked in this phase's stretch."""
+    """Say what a function says, given the phase and how often it was asked in it."""
 
     def __init__(self, say: Callable[[Phase, int], Sequence[Command | Event]]) -> None:
         self._say = say

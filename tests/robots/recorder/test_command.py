@@ -80,7 +80,8 @@ def test_what_cannot_be_is_refused_with_a_reason(words, reason, tmp_path, capsys
 def test_a_root_that_cannot_be_ends_before_the_first_episode(
     words, root, tmp_path, capsys, monkeypatch
 ) -> None:
-    file, full = tmp_path / "file", tmp_path / "full"
+    file = tmp_path / "file"
+    full = tmp_path / "full"
     file.write_text("mine")
     full.mkdir()
     (full / "letter.txt").write_text("mine")

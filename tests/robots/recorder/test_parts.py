@@ -1,4 +1,4 @@
-"""Disk guard, steering, operators, beat, live view, faults' names, and what is built from a command line."""
+"""Disk guard, steering, operators, beat, live view, faults' names, devices of a command line."""
 
 import io
 import os
@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from lerobot.teleoperators import Teleoperator
 from recording_fakes import Sway, SwayConfig, sway
+from robot_fakes import refused
 
 from uniforce_datasets.features import dataset_features
 from uniforce_robots.recorder import disk_guard
@@ -116,7 +117,8 @@ def test_a_teleoperator_may_raise_anything(
     def broken(*_: object) -> None:
         raise kind("device said nothing")
 
-    teleop, axes = sway(tmp_path), np.zeros(5)
+    teleop = sway(tmp_path)
+    axes = np.zeros(5)
     teleop.feedback_features = teleop.action_features
     steering = Steering(teleop)
     setattr(teleop, method, broken)
@@ -143,9 +145,8 @@ def test_a_leader_of_anybodys_starts_where_the_robot_is(axis: str, far: float) -
     teleop = Mock(Teleoperator, feedback_features={}, action_features=Sway.action_features)
     teleop.name = "leader"
     teleop.get_action = lambda: dict.fromkeys(AXES, 0.0) | {axis: far}
-    with pytest.raises(errors.TeleoperatorError, match="Bring them together") as caught:
+    with refused("far", errors.TeleoperatorError, "Bring them together"):
         Steering(teleop).start_from(np.zeros(5))
-    assert caught.value.fault == "far"
 
 
 def test_nobody_catches_the_end_of_the_program(tmp_path: Path) -> None:
@@ -160,11 +161,14 @@ def seen(force_N: float) -> Observation:
     touch = FingerTouch(np.zeros((480, 640), np.uint8), 0, 0.98, np.zeros((480, 640), np.uint8))
     axes = np.array([0, 0, 0, 0, 0.04])
     fingers = {"left": touch, "right": touch}
-    return Observation(1.0, axes, {"front": picture}, fingers, force_N=np.array([0, 0, force_N]))  # type: ignore[arg-type]
+    force = np.array([0, 0, force_N])
+    cameras = {"front": picture}
+    return Observation(1.0, axes, cameras, fingers, force_N=force)  # type: ignore[arg-type]
 
 
 def test_the_line_shows_force_against_its_limit() -> None:
-    out, lines = io.StringIO(), {}
+    out = io.StringIO()
+    lines = {}
     view = LiveView(out)
     for force in (3.0, 12.0, 16.0, 1.0):
         view.show(seen(force), 30)
@@ -212,7 +216,7 @@ def test_the_mode_stands_on_the_screen() -> None:
 
 
 def test_every_teleoperator_can_be_named() -> None:
-    """Naming one of ours needs no settings; one of LeRobot's, where loaded, may say which it needs."""
+    """Ours need no settings; one of LeRobot's, where loaded, may say which it needs."""
     names = teleoperator_names()
     assert "recording_test" in names
     for name, registered in names.items():

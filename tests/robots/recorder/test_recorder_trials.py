@@ -1,6 +1,7 @@
-"""A small share of the trials: the real client against the stand-in arm, whole sessions, kills and faults.
+"""Some of the trials: the real client against the stand-in arm, whole sessions, kills and faults.
 
-Outcomes are asserted, timings aren't: those are what ``python -m benchmarks.recorder`` is for, on a machine with time.
+Outcomes are asserted, timings aren't: those are what ``python -m benchmarks.recorder`` is for, on a
+machine with time.
 """
 
 import importlib.util

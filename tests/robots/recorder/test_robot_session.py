@@ -1,4 +1,4 @@
-"""A whole session on a fake robot: episodes, labels, faults, resume; the same one in the simulated scene."""
+"""A whole session on a fake robot: episodes, labels, faults, resume; the same in the scene."""
 
 import io
 import os
@@ -93,7 +93,8 @@ def test_what_a_row_holds(fake: FakeRig, tmp_path: Path) -> None:
     # how steadily, a busy machine can't say: see docs/recording.md
     assert (np.diff(ticks[:, 0]) > 0).all()
     for source in ("front", "left"):
-        age, taken = columns[keys.age_key(source)], columns[keys.time_key(source)]
+        age = columns[keys.age_key(source)]
+        taken = columns[keys.time_key(source)]
         assert (age >= 0).all() and age.max() < 0.2
         np.testing.assert_allclose(taken + age, ticks[:, 1], atol=1e-4)
         index = columns[keys.index_key(source)]
@@ -168,7 +169,8 @@ def test_a_fault_ends_the_episode_held_and_labelled(
     fake: FakeRig, tmp_path: Path, name: str
 ) -> None:
     what, how, cause = BREAKS[name]
-    teleop, begun = sway(tmp_path), []
+    teleop = sway(tmp_path)
+    begun = []
 
     def say(phase: Phase, asked: int) -> list[Command]:
         if phase is Phase.WAITING:
@@ -188,7 +190,7 @@ def test_a_fault_ends_the_episode_held_and_labelled(
 
 
 def scripted(*lines: tuple[Phase, int, Command | Event]) -> Script:
-    """Begin whenever waiting; say each line once, when its phase is asked for the so-manyth time."""
+    """Begin whenever waiting; say each line once, when its phase is asked so often."""
     left = list(lines)
 
     def say(phase: Phase, asked: int) -> list[Command | Event]:
@@ -243,7 +245,9 @@ def test_a_pause_ends_once_the_device_is_at_rest(fake: FakeRig, tmp_path: Path) 
 def test_between_episodes_steering_goes_on_at_a_persons_word(
     fake, tmp_path: Path, interruption: str
 ) -> None:
-    teleop, calls, out = sway(tmp_path), {}, io.StringIO()
+    teleop = sway(tmp_path)
+    calls = {}
+    out = io.StringIO()
     orders = {10: Command.NOTE, 29: Command.RECOVER, 40: Command.QUIT}
     if interruption == "hold":
         orders[5] = Command.HOLD
@@ -254,7 +258,8 @@ def test_between_episodes_steering_goes_on_at_a_persons_word(
             teleop.error = KeyError("unplugged") if interruption == "fault" else None
             fake.arm.mode = "reflex" if interruption == "robot" else "idle"
         if asked == 7:
-            teleop.error, fake.arm.mode = None, "idle"  # plugged in again
+            teleop.error = None  # plugged in again
+            fake.arm.mode = "idle"
         return [Event(orders[asked], "early")] if asked in orders else []
 
     end = go(fake, tmp_path / "data", Script(say), teleop, out)
@@ -310,6 +315,19 @@ def test_a_full_disk_stops_at_the_next_tick_and_what_was_saved_stays(
     assert end.exit_code == 4 and not end.endings, "no room for another one"
 
 
+def acting(act: Callable[[], object], success_at: int | None = None) -> Script:
+    """Begin whenever waiting; do something at the fifth tick, and call it a success later."""
+
+    def say(phase: Phase, asked: int) -> list[Command]:
+        if phase is Phase.WAITING:
+            return [Command.GO]
+        if phase is Phase.RUNNING and asked == 5:
+            act()
+        return [Command.SUCCESS] * (asked == success_at)
+
+    return Script(say)
+
+
 @pytest.mark.parametrize(
     "come", ["INT", "TERM", "HUP", "HUP HUP HUP", "TERM HUP", "INT INT", "HUP TERM INT"]
 )
@@ -319,31 +337,25 @@ def test_a_stop_from_outside_ends_the_episode_in_order_unless_somebody_insists(
     """Whoever reads what is shown may be gone by then."""
     reader, writer = os.pipe()
 
-    def say(phase: Phase, asked: int) -> list[Command]:
-        if phase is Phase.RUNNING and asked == 5:
-            os.close(reader)
-            for name in come.split():
-                signal.raise_signal(signal.Signals[f"SIG{name}"])
-        return [Command.GO] if phase is Phase.WAITING else []
+    def interrupt() -> None:
+        os.close(reader)
+        for name in come.split():
+            signal.raise_signal(signal.Signals[f"SIG{name}"])
 
     before = [signal.getsignal(number) for number in STOPS]
     insists = len(come.replace("HUP", "").split()) > 1
     with open(writer, "w") as out, pytest.raises(KeyboardInterrupt) if insists else nullcontext():
-        end = go(fake, tmp_path / "data", Script(say), out=out, episode_s=5.0)
+        end = go(fake, tmp_path / "data", acting(interrupt), out=out, episode_s=5.0)
         assert end.exit_code == 130 and labels(tmp_path / "data") == ["aborted:interrupt"]
     assert not fake.robot.is_connected and insists is not (tmp_path / "data" / "data").exists()
     assert [signal.getsignal(number) for number in STOPS] == before
 
 
 def test_nohup_goes_on_without_its_terminal(fake: FakeRig, tmp_path: Path) -> None:
-    def say(phase: Phase, asked: int) -> list[Command]:
-        if phase is Phase.RUNNING and asked == 5:
-            signal.raise_signal(signal.SIGHUP)
-        return [Command.GO] if phase is Phase.WAITING else [Command.SUCCESS] * (asked == 8)
-
+    hang_up = acting(lambda: signal.raise_signal(signal.SIGHUP), success_at=8)
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        assert go(fake, tmp_path / "data", Script(say)).exit_code == 0
+        assert go(fake, tmp_path / "data", hang_up).exit_code == 0
     finally:
         signal.signal(signal.SIGHUP, before)
 
@@ -352,15 +364,16 @@ def test_a_terminal_that_takes_its_keyboard_along_is_an_interrupt_too(
     fake: FakeRig, tmp_path: Path
 ) -> None:
     teleop = sway(tmp_path)
+    breaks = acting(lambda: setattr(teleop, "error", RuntimeError("hung up")))
+    own_hold = fake.rig.hold
 
-    def say(phase: Phase, asked: int) -> list[Command]:
-        if phase is Phase.RUNNING and asked == 5:
-            teleop.error = RuntimeError("hung up")
-        return [Command.GO] if phase is Phase.WAITING else []
+    def hold() -> None:
+        if teleop.error is not None:
+            signal.raise_signal(signal.SIGHUP)
+        own_hold()
 
-    hold = fake.rig.hold
-    fake.rig.hold = lambda: (teleop.error and signal.raise_signal(signal.SIGHUP), hold())  # type: ignore[method-assign,assignment,func-returns-value]
-    assert go(fake, tmp_path / "data", Script(say), teleop, episode_s=5.0).exit_code == 130
+    fake.rig.hold = hold  # type: ignore[method-assign]
+    assert go(fake, tmp_path / "data", breaks, teleop, episode_s=5.0).exit_code == 130
     assert labels(tmp_path / "data") == ["aborted:interrupt"]
 
 
@@ -392,7 +405,8 @@ def test_another_setting_of_the_rig_is_refused_before_the_first_episode(
     fake: FakeRig, tmp_path: Path
 ) -> None:
     """Also what the robot itself says once it is connected."""
-    root, load_kg = tmp_path / "data", [0.7]
+    root = tmp_path / "data"
+    load_kg = [0.7]
     fake.robot.stored_facts = lambda: {"load_kg": load_kg[0]}  # type: ignore[attr-defined]
     assert go(fake, root, Unattended("success"), rig={"robot.gain": 1}).exit_code == 0
     load_kg[0] = 0.9
@@ -414,7 +428,8 @@ STEPS = 6
 
 
 def test_a_scene_is_recorded_like_a_robot(tmp_path: Path) -> None:
-    rig, root = SimRig(WipeEnv("easy", max_steps=STEPS), paced=False), tmp_path / "data"
+    rig = SimRig(WipeEnv("easy", max_steps=STEPS), paced=False)
+    root = tmp_path / "data"
     store = StoreSettings(root, "local/test", reserve_MB=1.0)
     settings = SessionSettings(episodes=2, episode_s=10.0)
     parts = rig, sway(tmp_path), Unattended("success"), store, settings

@@ -1,4 +1,4 @@
-"""The recorder in its own process: the same dataset, errors that come back, an end that comes whatever happens."""
+"""The recorder in its own process: the same dataset, errors that come back, a sure end."""
 
 import os
 import signal
@@ -22,7 +22,8 @@ from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.keys import STATE, camera_key, tactile_key
 from uniforce_vtla.terminal import STOPS
 
-WORN, CAMERAS = {"left": "uskin", "right": "tactip"}, {"front": (48, 64, 3)}
+WORN = {"left": "uskin", "right": "tactip"}
+CAMERAS = {"front": (48, 64, 3)}
 FACTS = RigFacts("test", 30, WORN, CAMERAS, windows={"left": 3}, paced=False)
 REFERENCE = dots(0)
 
@@ -66,7 +67,7 @@ def signal_all(store: StoreProcess) -> None:
 
 @pytest.mark.slow
 def test_it_stores_what_the_recorder_itself_would(store: StoreProcess, tmp_path: Path) -> None:
-    """Whatever comes between: signals while it starts and later, rows that are refused at once or in the child."""
+    """Also with signals while it starts and later, and rows refused at once or in the child."""
     signal_all(store)
     record(store)
     signal_all(store)
@@ -85,10 +86,12 @@ def test_it_stores_what_the_recorder_itself_would(store: StoreProcess, tmp_path:
     with open_recorder(FACTS, StoreSettings(tmp_path / "inline", "local/test")) as inline:
         record(inline)
         record(inline)
-    ours, theirs = open_dataset(tmp_path / "data"), open_dataset(tmp_path / "inline")
+    ours = open_dataset(tmp_path / "data")
+    theirs = open_dataset(tmp_path / "inline")
     assert len(ours) == len(theirs) == 8 and store.features == inline.features
     for index in (0, 5):
-        a, b = ours[index], theirs[index]
+        a = ours[index]
+        b = theirs[index]
         assert a.keys() == b.keys()
         assert all(np.array_equal(a[k], b[k]) for k in a if k != "task")
         assert np.array_equal(a[STATE], row(index % 4)[STATE])

@@ -33,7 +33,8 @@ def test_the_hold_is_when_the_arm_began_to_brake_for_good() -> None:
 
 def test_braking_is_no_more_following() -> None:
     lines = wire(stops_s=1.4)
-    end, slide = np.array(lines[-1]["position_m"]), np.array([0, 0.006, 0])
+    end = np.array(lines[-1]["position_m"])
+    slide = np.array([0, 0.006, 0])
     for line in lines:
         if line["time_s"] >= 1.4:  # slides on, 6 mm in all, as a soft spring lets it
             line["position_m"] = (

@@ -17,8 +17,9 @@ RATE_HZ = 100.0  # of the stand-ins of tests/robots/conftest.py
 
 @pytest.fixture(scope="session")
 def cpu_share() -> float:
-    """Return the share of a core a busy loop got, 0 … 1: a machine that starves us can't be held to milliseconds."""
-    wall_s, cpu_s = time.perf_counter(), time.process_time()
+    """Return the share of a core a busy loop got, 0 … 1: deadlines in milliseconds need one."""
+    wall_s = time.perf_counter()
+    cpu_s = time.process_time()
     while time.perf_counter() - wall_s < 0.3:
         pass
     return max((time.process_time() - cpu_s) / (time.perf_counter() - wall_s), 0.01)
@@ -26,9 +27,10 @@ def cpu_share() -> float:
 
 @pytest.fixture
 def outcome(cpu_share: float) -> Callable[..., SensorError]:
-    """Return a function that calls another until it raises ``kind``, and fails when that takes too long.
+    """Return a function that calls another until it raises ``kind``, within a deadline.
 
-    Another sensor error may come first: on a busy machine a sample grows stale before its cause is known.
+    Another sensor error may come first: on a busy machine a sample grows stale before its cause is
+    known.
     """
 
     def wait(ask: Callable[[], object], kind: type[SensorError] = SensorError) -> SensorError:
@@ -65,9 +67,10 @@ def recovers(cpu_share: float) -> Callable[[Callable[[], object]], None]:
 
 @pytest.fixture
 def fails_and_recovers(outcome: Callable, recovers: Callable) -> Callable[..., None]:
-    """Return a function that breaks a stand-in ten times, and sees each time the named error, then a new sample.
+    """Return a function that breaks a stand-in ten times; sees its error, then a new sample.
 
-    ``newest`` gives a sample younger than so many ms, ``wait_newer`` one after an index within so many ms.
+    ``newest`` gives a sample younger than so many ms, ``wait_newer`` one after an index within so
+    many ms.
     """
 
     def check(
@@ -91,7 +94,7 @@ def fails_and_recovers(outcome: Callable, recovers: Callable) -> Callable[..., N
 
 @pytest.fixture
 def costs_no_scan() -> Callable[..., None]:
-    """Return a function that injects a fault ten times, and sees that every scan is one of the stand-in's."""
+    """Return a function that injects a fault ten times; every scan must be the stand-in's."""
     truth = {scan.tobytes() for scan in taxel_cycle(Scene(), RATE_HZ)}
 
     def check(stand_in: StandIn, fault: str, reader: SampleReader) -> None:

@@ -1,4 +1,4 @@
-"""Devices that do as their test says: a camera in place of ``cv2.VideoCapture``, and a source of any samples."""
+"""Devices that obey a test: in place of ``cv2.VideoCapture``, and a source of any samples."""
 
 import threading
 import time
@@ -13,7 +13,7 @@ from uniforce_robots.sensors.reader import SampleSource, Stamped, now_ns
 
 
 class ScriptedCapture:
-    """Remembers every ``set`` in order; counts up in its pixels while it ``changes``, fails unless it ``works``."""
+    """Remember each ``set``; count up in pixels while it ``changes``, fail unless it ``works``."""
 
     def __init__(self, rows: int = 48, columns: int = 64) -> None:
         self.asked: list[tuple[int, float]] = []
@@ -55,7 +55,7 @@ RETURNS = {
 
 
 class ScriptedSource(SampleSource):
-    """Gives ``samples`` over and over, one every 3 ms, in the ``mode`` that a test sets while it runs."""
+    """Give ``samples`` over and over, one every 3 ms, in the ``mode`` that a test sets."""
 
     def __init__(
         self, samples: Iterable[np.ndarray] = tuple(np.arange(1000).reshape(-1, 1))
@@ -63,7 +63,9 @@ class ScriptedSource(SampleSource):
         super().__init__("scripted")
         self._samples = cycle(samples)
         self._last = next(self._samples)
-        self.mode, self.opened, self.closed = "live", 0, 0
+        self.mode = "live"
+        self.opened = 0
+        self.closed = 0
         self.returns = threading.Event()
 
     def _connect(self, undo: ExitStack) -> None:

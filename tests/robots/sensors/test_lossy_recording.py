@@ -1,4 +1,4 @@
-"""Stock ``lerobot-record`` with our camera, from its entry on: exact tactile video, or no episode at all."""
+"""Stock ``lerobot-record`` with our camera: exact tactile video, or no episode at all."""
 
 import sys
 from collections.abc import Callable
@@ -30,9 +30,11 @@ class StillRobotConfig(RobotConfig):
 
 
 class StillRobot(Robot):
-    config_class, name = StillRobotConfig, "still_robot"
+    config_class = StillRobotConfig
+    name = "still_robot"
     action_features: dict[str, Any] = dict.fromkeys(AXES, float)
-    is_calibrated, is_connected = True, False
+    is_calibrated = True
+    is_connected = False
 
     def __init__(self, config: StillRobotConfig) -> None:
         super().__init__(config)

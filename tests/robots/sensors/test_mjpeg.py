@@ -25,7 +25,8 @@ STREAM = HEADER + b"".join(part(image) for image in IMAGES) + b"--uniforceframe\
 @examples(60)
 @given(cuts=st.lists(st.integers(0, len(STREAM)), max_size=20))
 def test_how_the_stream_is_cut_makes_no_difference(cuts: list[int]):
-    reader, edges = MultipartJpeg("cam"), [0, *sorted(cuts), len(STREAM)]
+    reader = MultipartJpeg("cam")
+    edges = [0, *sorted(cuts), len(STREAM)]
     assert [
         image for a, b in itertools.pairwise(edges) for image in reader.feed(STREAM[a:b])
     ] == IMAGES

@@ -1,4 +1,4 @@
-"""The reader: what goes in comes out, in order, whole; a dead sensor never looks alive, and comes back by itself."""
+"""The reader: samples come out whole, in order; a dead sensor never looks alive, and comes back."""
 
 import threading
 import time
@@ -196,7 +196,8 @@ def test_stopping_closes_the_device_and_nothing_is_delivered_after(pair):
 
 
 def test_a_backlog_is_an_error_only_while_it_lasts(monkeypatch: pytest.MonkeyPatch):
-    clock, source = [0.0], ScriptedSource()
+    clock = [0.0]
+    source = ScriptedSource()
     source.max_behind_s = 0.25
     monkeypatch.setattr("uniforce_robots.sensors.reader.time.monotonic", lambda: clock[0])
     for is_full in (True, True, False, True):  # one short read: it caught up

@@ -1,4 +1,4 @@
-"""The tactile camera as LeRobot sees it, against the MJPEG stand-in: markers, reference, every fault ten times."""
+"""The tactile camera against the MJPEG stand-in: markers, reference, every fault ten times."""
 
 import re
 from collections.abc import Iterator

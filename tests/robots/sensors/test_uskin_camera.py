@@ -1,4 +1,4 @@
-"""The uSkin as a LeRobot camera: marker image, reference, orientation; and the whole chain to a latent."""
+"""The uSkin as a LeRobot camera: marker image, reference, orientation; the chain to a latent."""
 
 from pathlib import Path
 
@@ -41,7 +41,8 @@ def test_device_to_latent():
     tokenizer = Tokenizer.random()
     trial = ScriptedSource(taxel_cycle(Scene(), 50))  # a second of free air, then a press
     with UniforceUskin(config(), trial) as camera:
-        reference, touch = camera.reference_image()[..., 0], camera.next_touch(60, 30_000)
+        reference = camera.reference_image()[..., 0]
+        touch = camera.next_touch(60, 30_000)
         image = camera.marker_image(touch.raw)
         expected = Canonicalizer("uskin").pair(camera.reference_raw, touch.raw, "left")
     assert np.array_equal(reference, expected.reference) and np.array_equal(image, expected.current)
@@ -101,7 +102,7 @@ COUNTS = st.integers(0, 2**32 - 1).map(
 @examples(30)
 @given(COUNTS, st.sampled_from([90, 180, 270]), st.booleans())
 def test_turning_counts_turns_the_picture(counts: np.ndarray, turn: int, flip: bool):
-    """On a square canvas: where each disc is, in pitches about the middle, must turn as a picture does."""
+    """Disc positions, in pitches about the middle, must turn as a square picture does."""
     small = (counts // 64).astype(np.uint16)  # no clipping, or turned and unturned differ
     zero = np.full((16, 3), 0, np.uint16)
     where = Orientation(turn, flip)

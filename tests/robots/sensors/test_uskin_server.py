@@ -109,7 +109,8 @@ def test_addresses_that_cannot_be(address: str):
         ServerUSkin(address)
 
 
-# -- the WebSocket below ----------------------------------------------------------------------------------
+# -- the WebSocket below
+# ----------------------------------------------------------------------------------
 
 TEXTS = ["", "short", "x" * 126, "y" * 70_000]
 
@@ -124,7 +125,8 @@ def open_messages() -> XelaMessages:
 @given(cuts=st.lists(st.integers(0, 70_300), max_size=12), pieces=st.integers(1, 4))
 def test_how_frames_are_cut_makes_no_difference(cuts: list[int], pieces: int):
     data = b"".join(fragmented(text.encode(), pieces) for text in TEXTS)
-    client, edges = open_messages(), sorted({0, *(min(c, len(data)) for c in cuts), len(data)})
+    client = open_messages()
+    edges = sorted({0, *(min(c, len(data)) for c in cuts), len(data)})
     assert [text for a, b in itertools.pairwise(edges) for text in client.feed(data[a:b])] == TEXTS
     pongs = b"".join(client.protocol.data_to_send()).count(bytes([0x80 | Opcode.PONG]))
     assert pongs >= (pieces - 1) * len(TEXTS)

@@ -1,4 +1,4 @@
-"""uSkin over SLCAN against the stand-in on a pseudo-terminal: exact data, every fault ten times, the full rate."""
+"""uSkin over SLCAN against the stand-in: exact data, every fault ten times, the full rate."""
 
 import itertools
 import os
@@ -123,7 +123,8 @@ class _Adapter:
         self._out += b"\r" + STREAM[:HALF_A_LINE] if line == b"O\r" else b"\r"
 
     def read(self, _: int) -> bytes:
-        chunk, self._out = self._out, b""
+        chunk = self._out
+        self._out = b""
         return chunk
 
 
@@ -148,7 +149,8 @@ def test_500_scans_per_second_and_none_lost():
     assert seen["age_p50_ms"] <= 2.0
 
 
-# -- the text below --------------------------------------------------------------------------------------
+# -- the text below
+# --------------------------------------------------------------------------------------
 
 CYCLE = np.random.default_rng(0).integers(0, 65_536, (6, 16, 3)).astype(np.uint16)
 LINES = scan_lines(CYCLE, controller=4)
@@ -171,7 +173,8 @@ def test_a_line_of_a_real_patch():
 @examples(40)
 @given(st.lists(st.integers(0, len(STREAM)), max_size=30))
 def test_how_the_stream_is_cut_makes_no_difference(cuts: list[int]):
-    scans, edges = new_scans(), [0, *sorted(cuts), len(STREAM)]
+    scans = new_scans()
+    edges = [0, *sorted(cuts), len(STREAM)]
     got = [scan for a, b in itertools.pairwise(edges) for scan in scans.feed(STREAM[a:b])]
     assert np.array_equal(got, CYCLE)
     assert (scans.counts.samples, scans.counts.lost, scans.counts.bad) == (6, 0, 0)

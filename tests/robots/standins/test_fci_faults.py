@@ -1,4 +1,4 @@
-"""When a fault begins and ends, in the robot's own milliseconds, and what is said of the arm after it."""
+"""When a fault begins and ends, in the robot's own milliseconds, and the arm's state after it."""
 
 from collections.abc import Iterator
 

@@ -38,7 +38,8 @@ def test_jacobian_is_the_derivative_of_the_pose(seed: int) -> None:
 @pytest.mark.parametrize("share", [1.0, -1.0, 1.1, -1.1])
 def test_a_torque_at_the_limit_is_followed_and_one_beyond_it_is_named(share: float) -> None:
     beyond = abs(share) > 1
-    step, strong = np.full(7, share * TORQUE_STEP_Nm), share * TAU_MAX_Nm
+    step = np.full(7, share * TORQUE_STEP_Nm)
+    strong = share * TAU_MAX_Nm
     assert broken_rules(step) == ({ErrorBit.CONTROLLER_TORQUE_DISCONTINUITY} if beyond else set())
     assert broken_rules(5 + step, np.full(7, 5.0)) == broken_rules(step)
     assert broken_rules(strong, strong) == ({ErrorBit.TAU_J_RANGE_VIOLATION} if beyond else set())

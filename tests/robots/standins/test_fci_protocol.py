@@ -1,4 +1,4 @@
-"""Garbage in place of FCI messages is refused by name; that good ones are read, the real client shows."""
+"""Garbage in place of FCI messages is refused by name; the real client tests good ones."""
 
 import struct
 from functools import partial

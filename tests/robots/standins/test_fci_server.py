@@ -1,6 +1,7 @@
-"""The stand-in's process through a client of plain sockets: what the real client never asks for, and refusals.
+"""The stand-in through a client of plain sockets: unusual requests, and refusals.
 
-Times are asserted in the robot's own milliseconds: a busy machine is slow, and the server waits for its client.
+Times are asserted in the robot's own milliseconds: a busy machine is slow, and the server waits for
+its client.
 """
 
 import socket
@@ -12,7 +13,8 @@ from uniforce_robots.standins.fci import protocol as p
 from uniforce_robots.standins.fci.process import StandIn
 
 pytestmark = pytest.mark.slow
-STARTED, PREEMPTED = bytes([p.MoveStatus.MOTION_STARTED]), bytes([p.MoveStatus.PREEMPTED])
+STARTED = bytes([p.MoveStatus.MOTION_STARTED])
+PREEMPTED = bytes([p.MoveStatus.PREEMPTED])
 
 
 def rest(state: p.RobotState) -> p.RobotCommand:

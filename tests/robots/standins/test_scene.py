@@ -1,4 +1,4 @@
-"""Images of stand-ins: free air first, then a press where it was asked for, as the contact simulator says."""
+"""Images of stand-ins: free air first, then a press where it was asked for."""
 
 import numpy as np
 import pytest
@@ -21,13 +21,12 @@ def test_a_cycle_begins_in_free_air_and_presses_after():
 
 @pytest.mark.parametrize("where", QUARTERS)
 def test_a_place_is_where_the_marker_image_shows_it(where: str):
-    free, pressed = (
-        taxel_cycle(Scene(press_s=0), 2)[0],
-        taxel_cycle(Scene(where=where, hold=True), 2)[0],
-    )
+    free = taxel_cycle(Scene(press_s=0), 2)[0]
+    pressed = taxel_cycle(Scene(where=where, hold=True), 2)[0]
     pair = Canonicalizer("uskin").pair(free, pressed, "left")
     grown = pair.current.astype(int) - pair.reference
-    top, left = where.startswith("top"), where.endswith("left")
+    top = where.startswith("top")
+    left = where.endswith("left")
     half = grown[:240] if top else grown[240:]
     quarter = half[:, :320] if left else half[:, 320:]
     assert quarter.sum() > 0.4 * np.maximum(grown, 0).sum()

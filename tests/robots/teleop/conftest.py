@@ -40,7 +40,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[bytes], None
 def connected(
     tmp_path: Path, request: pytest.FixtureRequest, terminal: object
 ) -> Iterator[Callable[[str], Any]]:
-    """Return a function: registered name → that teleoperator, connected; all are disconnected at the end."""
+    """Return a function: registered name → that teleoperator, connected until the end."""
     import teleop_fakes
 
     with ExitStack() as closing:
@@ -60,6 +60,18 @@ def measured() -> np.ndarray:
     import teleop_fakes
 
     return teleop_fakes.home_axes()
+
+
+@pytest.fixture
+def started(connected: Callable[[str], Any], measured: np.ndarray) -> Callable[[str], Any]:
+    """Return a function: registered name → that teleoperator, started where the robot is."""
+
+    def start(name: str) -> Any:
+        device = connected(name)
+        device.start_from(measured)
+        return device
+
+    return start
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""The one place that moves a target: never a jump, never out of the box, never far ahead of the robot."""
+"""The target moves without a jump, inside the box, and never far ahead of the robot."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,8 @@ from uniforce_robots.teleop.integrator import LONGEST_GAP_S, TargetIntegrator, T
 from uniforce_vtla.errors import ContractError
 
 LIMITS = TargetLimits()
-SPEED, GAP = np.array(LIMITS.speed), LONGEST_GAP_S
+SPEED = np.array(LIMITS.speed)
+GAP = LONGEST_GAP_S
 poses = arrays(np.float64, 5, elements=st.floats(-3, 3))
 moves = arrays(np.float64, 5, elements=st.floats(-1e3, 1e3))
 times = st.floats(-1, 1e4)
@@ -23,7 +24,8 @@ def test_no_jump_whatever_is_asked(start: np.ndarray, orders: list) -> None:
     integrator = TargetIntegrator()
     integrator.start_from(start)
     assert np.array_equal(integrator.target, start)
-    low, high = np.minimum(LIMITS.low, start), np.maximum(LIMITS.high, start)
+    low = np.minimum(LIMITS.low, start)
+    high = np.maximum(LIMITS.high, start)
     for wish, elapsed, as_goal in orders:
         before = integrator.target
         after = (integrator.towards if as_goal else integrator.advance)(wish, elapsed)
@@ -47,8 +49,10 @@ def test_a_target_pushed_against_a_robot_that_stays_does_not_run_on(rates: list)
     arrays(np.float64, 5, elements=st.floats(0, 1)), arrays(np.float64, 5, elements=st.floats(0, 1))
 )
 def test_a_goal_in_the_box_is_reached_in_time(from_share: np.ndarray, to_share: np.ndarray) -> None:
-    low, high = np.array(LIMITS.low), np.array(LIMITS.high)
-    start, goal = low + from_share * (high - low), low + to_share * (high - low)
+    low = np.array(LIMITS.low)
+    high = np.array(LIMITS.high)
+    start = low + from_share * (high - low)
+    goal = low + to_share * (high - low)
     integrator = TargetIntegrator()
     integrator.start_from(start)
     needed = int(np.ceil(np.max(np.abs(goal - start) / SPEED) / GAP)) + 1

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
+from robot_fakes import refused
 from standins.spacemouse import reports
 
 import uniforce_robots.teleop as ours
@@ -52,10 +53,8 @@ def test_any_bytes_leave_a_possible_state(chunks: list) -> None:
 
 
 @pytest.fixture
-def mouse(connected: Callable[[str], Any], measured: np.ndarray) -> Any:
-    device = connected("uniforce_spacemouse")
-    device.start_from(measured)
-    return device
+def mouse(started: Callable[[str], Any]) -> Any:
+    return started("uniforce_spacemouse")
 
 
 def test_a_push_moves_and_letting_go_stops(
@@ -81,7 +80,7 @@ def test_the_left_button_closes(
 def test_a_queue_is_drained_before_it_is_followed(
     mouse: Any, spacemouse: StandIn, until: Callable
 ) -> None:
-    """Forty reports per beat and no question: once the cap is let go, the very next answer is rest."""
+    """Forty reports per beat, no question: once the cap is let go, the next answer is rest."""
     spacemouse.inject("burst")
     time.sleep(0.5)
     spacemouse.inject("none")
@@ -136,7 +135,7 @@ Nodes = Callable[..., list[socket.socket]]
 
 @pytest.fixture
 def nodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Nodes]:
-    """Return a function: facts of each hidraw node → what writes to it; the kernel's folder is a temporary one."""
+    """Return a function: facts of each hidraw node → its far end, in a temporary kernel folder."""
     ends: dict[str, tuple[socket.socket, socket.socket]] = {}
     monkeypatch.setattr(spacemouse_module, "SYS_HIDRAW", tmp_path)
     monkeypatch.setattr(find_spacemice, "__defaults__", (tmp_path,))
@@ -231,6 +230,6 @@ def test_no_device_says_what_to_do(tmp_path: Path) -> None:
     device = ours.UniforceSpaceMouse(
         ours.UniforceSpaceMouseConfig(device=str(tmp_path / "none"), calibration_dir=tmp_path)
     )
-    with pytest.raises(TeleoperatorError, match="udev") as error:
+    with refused("connection", TeleoperatorError, "udev"):
         device.connect()
-    assert error.value.fault == "connection" and not device.is_connected
+    assert not device.is_connected
