@@ -21,7 +21,7 @@ CARD = "README.md"
 HEADER = re.compile(rb"---\r?\n.*?\n---", re.DOTALL)
 # bytes: verify=quick hashes a checkpoint's smaller files, and compares sizes of all
 QUICK_BELOW = 16 << 20
-# what loaders of checkpoints open
+# files that loaders of checkpoints open
 LOADED = ("model.safetensors", "config.json", "adapter_*", "policy_*")
 
 # "bytes" and "sha256" of a file; of a dataset's also the "episode" it belongs to

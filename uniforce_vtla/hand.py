@@ -79,7 +79,7 @@ class HandClient(Protocol):
         """Start a command; none is in flight."""
 
     def poll(self) -> bool | None:
-        """Return how the command in flight ended (False: nothing grasped); None: it runs."""
+        """Return how the command ended (False: not done, nothing grasped); None while it runs."""
 
     def stop(self) -> None:
         """Stop the fingers where they are; a command in flight ends without success."""
@@ -94,7 +94,8 @@ def next_command(
     """Return the command from a width to a wished one, None where the fingers are there.
 
     Closing by position would press with all the motor has, so every closing is a grasp with a
-    bounded force. Fingers that hold something are as close as they can be.
+    bounded force. Fingers that hold something are as close as they can be: only a wider wish
+    moves them.
     """
     opens = wish_m > width_m
     if abs(wish_m - width_m) < settings.hysteresis_m or (holds and not opens):
@@ -179,7 +180,7 @@ class Hand:
     def submit(self, width_m: float) -> None:
         """Wish a width from now on; the newest one counts once the hand is free.
 
-        Raises RobotError: the hand has a fault; ``guard``: a width beyond this hand.
+        Raises RobotError: the hand has a fault; ``guard``: a width outside 0 to ``WIDEST_m``.
         """
         if self._fault is not None:
             raise self._fault

@@ -128,7 +128,7 @@ def at_home(text: str) -> str:
 class Existing:
     """A file or folder that must be there; ``many``: several, commas between."""
 
-    what: str  # what it is called in an error
+    what: str  # its name in an error
     # file that the folder must hold; empty = the path is a file itself, ``.`` = any folder
     marker: str = ""
     words: tuple[str, ...] = ()  # names that stand for something else than a path

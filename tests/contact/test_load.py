@@ -46,6 +46,15 @@ def pressed(
     )
 
 
+def faces(*fz_N: float) -> ContactState:
+    """Return presses of a flat face larger than any pad."""
+    n = len(fz_N)
+    gap = flat_face_gap(np.zeros((n, 2)), np.full((n, 2), 60.0), np.zeros(n), np.zeros((n, 2)))
+    force = np.zeros((n, 3), np.float32)
+    force[:, 2] = fz_N
+    return ContactState(gap, force, np.zeros(n, np.float32))
+
+
 @examples(60)
 @given(
     sensors,
@@ -125,9 +134,8 @@ def test_gross_slip_carries_friction_times_pressure() -> None:
 
 def test_flat_tools_press_pads_as_stiffly_as_measured_ones() -> None:
     """Real TacTips give 3.3 to 4.7 N/mm; a bonded gel under a whole face hardly yields."""
-    gap = flat_face_gap(np.zeros((2, 2)), np.full((2, 2), 60.0), np.zeros(2), np.zeros((2, 2)))
-    state = ContactState(gap, np.array([[0, 0, 3], [0, 0, 6]], np.float32), np.zeros(2, np.float32))
-    dome, gel = (simulator(name).depth_mm(state) for name in ("tactip", "gelsight"))
+    dome = simulator("tactip").depth_mm(faces(3, 6))
+    gel = simulator("gelsight").depth_mm(faces(3, 6))
     assert 3.0 < 3 / (dome[1] - dome[0]) < 5.0
     assert gel[1] < 0.3
 
@@ -142,17 +150,15 @@ def test_typical_indenters_stay_within_twice_the_rated_depth(sensor: str) -> Non
 
 def test_friction_holds_the_gel_that_a_press_would_push_aside() -> None:
     state = pressed("cylinder", np.array([[0, 0, 8.0]]))
-    sticky, smooth = (
-        TactileSimulator("gelsight", options=replace(ContactOptions().quiet(), friction=mu))
-        for mu in (1.0, 1e-6)
-    )
-    rest = sticky.spec.layout_mm
-    under = np.hypot(*rest.T) < 4
-    motion = [
-        np.hypot(*(s.markers_px(state)[0][0] - s.markers_px(free_air(1))[0][0]).T)
-        for s in (sticky, smooth)
-    ]
-    assert motion[0][under].mean() < 0.7 * motion[1][under].mean()
+    under = np.hypot(*get_sensor("gelsight").layout_mm.T) < 4
+
+    def motion_px(friction: float) -> float:
+        options = replace(ContactOptions().quiet(), friction=friction)
+        gel = TactileSimulator("gelsight", options=options)
+        moved = gel.markers_px(state)[0][0] - gel.markers_px(free_air(1))[0][0]
+        return np.hypot(*moved[under].T).mean()
+
+    assert motion_px(1.0) < 0.7 * motion_px(1e-6)
 
 
 def test_a_solved_contact_stays_solved_while_its_batch_goes_on(
@@ -170,7 +176,5 @@ def test_a_solved_contact_stays_solved_while_its_batch_goes_on(
 
 
 def test_dome_widens_its_contact_with_load() -> None:
-    gap = flat_face_gap(np.zeros((2, 2)), np.full((2, 2), 60.0), np.zeros(2), np.zeros((2, 2)))
-    state = ContactState(gap, np.array([[0, 0, 1], [0, 0, 8]], np.float32), np.zeros(2, np.float32))
-    cells = (simulator("tactip").traction(state).press_N > 0).sum(axis=1)
+    cells = (simulator("tactip").traction(faces(1, 8)).press_N > 0).sum(axis=1)
     assert cells[1] > 2 * cells[0]

@@ -47,6 +47,12 @@ def stacked(*contacts: ContactState) -> ContactState:
     )
 
 
+def face_gap(side_mm: float) -> np.ndarray:
+    """Return the (1, G, G) gap of a square flat face at the middle."""
+    middle = np.zeros((1, 2))
+    return flat_face_gap(middle, np.full((1, 2), side_mm), np.zeros(1), middle)
+
+
 def mean_shift(sensor: str, loaded: ContactState, unloaded: ContactState) -> np.ndarray:
     simulator = quiet(sensor)
     return (simulator.markers_px(loaded)[0] - simulator.markers_px(unloaded)[0])[0].mean(axis=0)
@@ -71,10 +77,7 @@ def test_images_keep_the_contract(sensor: str) -> None:
 def test_positive_shear_moves_markers_right_and_down(sensor: str, flat: bool) -> None:
     def load(fx: float, fy: float) -> ContactState:
         state = contact((fx, fy, 8))
-        if not flat:
-            return state
-        face = flat_face_gap(np.zeros((1, 2)), np.full((1, 2), 20.0), np.zeros(1), np.zeros((1, 2)))
-        return replace(state, gap_mm=face)
+        return replace(state, gap_mm=face_gap(20.0)) if flat else state
 
     right = mean_shift(sensor, load(3, 0), load(0, 0))
     down = mean_shift(sensor, load(0, 3), load(0, 0))
@@ -158,12 +161,9 @@ def test_same_seed_same_output_other_seed_other_noise(sensor: str) -> None:
 
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_no_contact_looks_like_the_reference(sensor: str) -> None:
-    np.testing.assert_array_equal(
-        quiet(sensor).marker_images(free_air(2))[1], quiet(sensor).reference()
-    )
-    np.testing.assert_array_equal(
-        quiet(sensor).marker_images(contact((0, 0, 0)))[0], quiet(sensor).reference()
-    )
+    for untouched in (free_air(2), contact((0, 0, 0))):
+        image = quiet(sensor).marker_images(untouched)[-1]
+        np.testing.assert_array_equal(image, quiet(sensor).reference())
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
@@ -214,19 +214,20 @@ def test_strong_grasp_reaches_counts_of_real_grasps() -> None:
     """Real uSkins: median 1,007, 99 % 7,071, 99.9 % 10,277 counts of z in contact (facts, section C)."""
     on_taxel = contact((0, 0, 12), name="sphere_s", center=(3.07, 2.83))
     assert 4_000 < quiet("uskin").counts(on_taxel)[0, :, 2].max() < 10_300
-    face = flat_face_gap(np.zeros((1, 2)), np.full((1, 2), 40.0), np.zeros(1), np.zeros((1, 2)))
-    assert 300 < np.median(quiet("uskin").counts(replace(on_taxel, gap_mm=face))[0, :, 2]) < 2_500
+    on_all = replace(on_taxel, gap_mm=face_gap(40.0))
+    assert 300 < np.median(quiet("uskin").counts(on_all)[0, :, 2]) < 2_500
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_bad_gaps_are_refused(sensor: str) -> None:
     press = contact((0, 0, 1))
-    with pytest.raises(ContractError, match="an object over the pad"):
-        quiet(sensor).marker_images(replace(press, gap_mm=np.full_like(press.gap_mm, np.inf)))
-    with pytest.raises(ContractError, match="NaN"):
-        quiet(sensor).marker_images(replace(press, gap_mm=np.full_like(press.gap_mm, np.nan)))
-    with pytest.raises(ContractError, match="gap_mm"):
-        quiet(sensor).marker_images(replace(press, gap_mm=np.zeros((1, 20, 20), np.float32)))
+    for gap_mm, said in (
+        (np.full_like(press.gap_mm, np.inf), "an object over the pad"),
+        (np.full_like(press.gap_mm, np.nan), "NaN"),
+        (np.zeros((1, 20, 20), np.float32), "gap_mm"),
+    ):
+        with pytest.raises(ContractError, match=said):
+            quiet(sensor).marker_images(replace(press, gap_mm=gap_mm))
 
 
 def test_counts_of_a_camera_are_refused() -> None:

@@ -11,51 +11,54 @@ from uniforce_vtla.errors import ContractError, SensorError
 from uniforce_vtla.markers import Canonicalizer
 
 
-def missed_and_false(
-    truth: np.ndarray, found: np.ndarray, within_px: float = 4.0
-) -> tuple[int, int]:
+def missed_and_false(scene, canonicalizer: Canonicalizer, within_px=4.0) -> tuple[int, int]:
     """Count true markers that nothing was found at, and found ones that aren't there."""
-    missed = int((cKDTree(found).query(truth)[0] > within_px).sum())
-    return missed, int((cKDTree(truth).query(found)[0] > within_px).sum())
+    found = canonicalizer.markers(scene.frame)
+    missed = (cKDTree(found).query(scene.centres_px)[0] > within_px).sum()
+    return int(missed), int((cKDTree(scene.centres_px).query(found)[0] > within_px).sum())
+
+
+@pytest.fixture
+def tactip() -> Canonicalizer:
+    return Canonicalizer("tactip")
+
+
+@pytest.fixture
+def gelsight() -> Canonicalizer:
+    return Canonicalizer("gelsight")
 
 
 @pytest.mark.parametrize("rings, pins", [(6, 127), (10, 331)])
 @pytest.mark.parametrize("rim", ["none", "ring", "arcs", "bright outside"])
-def test_dome_pins_are_all_found_and_the_rim_is_not(dome, rings, pins, rim):
+def test_dome_pins_are_all_found_and_the_rim_is_not(dome, tactip, rings, pins, rim):
     scene = dome(rings=rings, rim=rim)
-    missed, false = missed_and_false(scene.centres_px, Canonicalizer("tactip").markers(scene.frame))
+    missed, false = missed_and_false(scene, tactip)
     assert len(scene.centres_px) == pins
     assert missed <= 0.01 * pins and false <= 0.01 * pins
 
 
 @pytest.mark.parametrize("size", [(320, 240), (1280, 960), (1920, 1080)])
-def test_dome_of_any_size(dome, size):
-    scene = dome(rings=6, size=size)
-    missed, false = missed_and_false(scene.centres_px, Canonicalizer("tactip").markers(scene.frame))
+def test_dome_of_any_size(dome, tactip, size):
+    missed, false = missed_and_false(dome(rings=6, size=size), tactip)
     assert missed <= 2 and false <= 1
 
 
 @pytest.mark.parametrize("rings", [6, 10])
-def test_led_reflections_cost_only_the_pins_they_cover(dome, rings):
-    scene = dome(rings=rings, reflections=5)
-    missed, false = missed_and_false(scene.centres_px, Canonicalizer("tactip").markers(scene.frame))
+def test_led_reflections_cost_only_the_pins_they_cover(dome, tactip, rings):
+    missed, false = missed_and_false(dome(rings=rings, reflections=5), tactip)
     assert missed <= 10 and false <= 2  # each 22×12 px reflection covers one or two pins
 
 
-def test_pressed_dome_moves_its_pins_outwards(dome):
-    canon = Canonicalizer("tactip")
-    rest, pressed = dome(), dome(pressed=True, seed=1)
-    assert max(missed_and_false(pressed.centres_px, canon.markers(pressed.frame))) <= 3
-    pair = canon.pair(rest.frame, pressed.frame, finger="right")
+def test_pressed_dome_moves_its_pins_outwards(dome, tactip):
+    pressed = dome(pressed=True, seed=1)
+    assert max(missed_and_false(pressed, tactip)) <= 3
+    pair = tactip.pair(dome().frame, pressed.frame, finger="right")
     near = slice(190, 320), slice(300, 430)  # around the press
     assert pair.current[near].mean() < pair.reference[near].mean()
 
 
-def test_dim_pins_beside_a_bright_rim(dome):
-    scene = dome(brightness=80.0)
-    assert (
-        max(missed_and_false(scene.centres_px, Canonicalizer("tactip").markers(scene.frame))) <= 6
-    )
+def test_dim_pins_beside_a_bright_rim(dome, tactip):
+    assert max(missed_and_false(dome(brightness=80.0), tactip)) <= 6
 
 
 GELS = {
@@ -73,40 +76,29 @@ GELS = {
 
 
 @pytest.mark.parametrize("name", GELS)
-def test_gel_markers_of_either_polarity(gel, name):
-    scene = gel(**GELS[name])
-    missed, false = missed_and_false(
-        scene.centres_px, Canonicalizer("gelsight").markers(scene.frame)
-    )
+def test_gel_markers_of_either_polarity(gel, gelsight, name):
+    missed, false = missed_and_false(gel(**GELS[name]), gelsight)
     assert missed <= 1 and false <= 1
 
 
 @pytest.mark.parametrize("name", ["80 squares", "266 dots", "80 dashes", "64 bright dots"])
-def test_specular_streak_invents_nothing(gel, name):
-    scene = gel(**GELS[name], streak=True)
-    missed, false = missed_and_false(
-        scene.centres_px, Canonicalizer("gelsight").markers(scene.frame), 6.0
-    )
+def test_specular_streak_invents_nothing(gel, gelsight, name):
+    missed, false = missed_and_false(gel(**GELS[name], streak=True), gelsight, 6.0)
     assert missed <= 5 and false <= 4  # the streak covers up to five markers and may split some
 
 
-def test_mask_covers_the_markers(gel):
-    image = Canonicalizer("gelsight").marker_image(gel().frame)
+def test_mask_covers_the_markers(gel, gelsight):
+    image = gelsight.marker_image(gel().frame)
     area = np.median(cv2.connectedComponentsWithStats(image)[2][1:, 4])
     side = 2 * 0.18 * (0.85 * 480 / 7)  # the gel's pitch and marker share
     assert 0.8 * side**2 < area < 1.9 * side**2  # grown by up to 2 px a side
 
 
-def test_one_canonicalizer_serves_different_gels(gel, dome):
+def test_one_canonicalizer_serves_different_gels(gel, dome, gelsight):
     """A plan learnt from one frame must not spoil the next."""
-    canon = Canonicalizer("gelsight")
-    for scene in (
-        gel(),
-        dome(rings=6, rim="none"),
-        gel(grid=(8, 8), shape="dot", dark=False),
-        gel(),
-    ):
-        assert max(missed_and_false(scene.centres_px, canon.markers(scene.frame))) <= 2
+    bright = gel(**GELS["64 bright dots"])
+    for scene in (gel(), dome(rings=6, rim="none"), bright, gel()):
+        assert max(missed_and_false(scene, gelsight)) <= 2
 
 
 # --- refusals ------------------------------------------------------------------------------------------------------
@@ -128,50 +120,50 @@ def test_one_canonicalizer_serves_different_gels(gel, dome):
         [[1, 2, 3]],
     ],
 )
-def test_malformed_frame_breaks_the_contract(frame):
+def test_malformed_frame_breaks_the_contract(gelsight, frame):
     with pytest.raises(ContractError, match="camera frame: expected"):
-        Canonicalizer("gelsight").marker_image(frame)
+        gelsight.marker_image(frame)
 
 
 @pytest.mark.parametrize("level", [0, 8, 128, 255])
-def test_black_or_even_frame_is_refused(level):
+def test_black_or_even_frame_is_refused(tactip, level):
     with pytest.raises(SensorError, match="camera frame: expected"):
-        Canonicalizer("tactip").marker_image(np.full((480, 640, 3), level, np.uint8))
+        tactip.marker_image(np.full((480, 640, 3), level, np.uint8))
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_dark_noise_and_bright_noise_hold_no_markers(seed):
-    rng = np.random.default_rng(seed)
-    level, sigma = [(3, 2), (128, 4), (128, 25), (200, 60)][seed]
-    frame = np.clip(rng.normal(level, sigma, (480, 640, 3)), 0, 255).astype(np.uint8)
+@pytest.mark.parametrize(
+    ("seed", "level", "sigma"), [(0, 3, 2), (1, 128, 4), (2, 128, 25), (3, 200, 60)]
+)
+def test_dark_noise_and_bright_noise_hold_no_markers(gelsight, seed, level, sigma):
+    noise = np.random.default_rng(seed).normal(level, sigma, (480, 640, 3))
     with pytest.raises(SensorError):
-        Canonicalizer("gelsight").marker_image(frame)
+        gelsight.marker_image(np.clip(noise, 0, 255).astype(np.uint8))
 
 
-def test_gel_without_markers_is_refused(gel):
-    bare = gel(contrast=0.0, streak=True).frame
+def test_gel_without_markers_is_refused(gel, gelsight):
     with pytest.raises(SensorError, match="markers on the gel"):
-        Canonicalizer("gelsight").marker_image(bare)
+        gelsight.marker_image(gel(contrast=0.0, streak=True).frame)
 
 
-def test_scattered_dirt_is_not_a_pattern(gel):
-    rng, frame = np.random.default_rng(3), gel(contrast=0.0).frame.copy()
+def test_scattered_dirt_is_not_a_pattern(gel, gelsight):
+    rng = np.random.default_rng(3)
+    frame = gel(contrast=0.0).frame.copy()
     for x, y in rng.uniform((20, 20), (620, 460), (60, 2)):
         cv2.circle(frame, (int(x), int(y)), int(rng.uniform(2, 12)), (20, 20, 20), cv2.FILLED)
     with pytest.raises(SensorError):
-        Canonicalizer("gelsight").marker_image(frame)
+        gelsight.marker_image(frame)
 
 
-def test_lights_out_during_a_pair(dome):
+def test_lights_out_during_a_pair(dome, tactip):
     frame = dome(rings=6).frame
     with pytest.raises(SensorError, match="all-black"):
-        Canonicalizer("tactip").pair(frame, np.zeros_like(frame), finger="left")
+        tactip.pair(frame, np.zeros_like(frame), finger="left")
 
 
-def test_frames_of_two_sizes_are_no_pair(dome):
-    first, second = dome(rings=6).frame, dome(rings=6, size=(320, 240)).frame
+def test_frames_of_two_sizes_are_no_pair(dome, tactip):
+    small = dome(rings=6, size=(320, 240)).frame
     with pytest.raises(ContractError, match="one camera setting"):
-        Canonicalizer("tactip").pair(first, second, finger="left")
+        tactip.pair(dome(rings=6).frame, small, finger="left")
 
 
 # --- real recordings -----------------------------------------------------------------------------------------------
@@ -183,19 +175,19 @@ def read_rgb(path: Path) -> np.ndarray:
 
 @pytest.mark.real
 @pytest.mark.parametrize("index", range(6))
-def test_fots_frames_have_108_markers(real_folder, index):
+def test_fots_frames_have_108_markers(real_folder, gelsight, index):
     frame = read_rgb(real_folder / "gelsight_fots" / f"{index}.png")
-    assert abs(len(Canonicalizer("gelsight").markers(frame)) - 108) <= 2
+    assert abs(len(gelsight.markers(frame)) - 108) <= 2
 
 
 @pytest.mark.real
 @pytest.mark.parametrize("name", ["1. raw(1280*720).png", "2. scale down(640*360).png"])
-def test_bright_dots_match_the_authors_mask(real_folder, name):
+def test_bright_dots_match_the_authors_mask(real_folder, gelsight, name):
     folder = real_folder / "gelsight_bright_dots"
-    canon, frame = Canonicalizer("gelsight"), read_rgb(folder / name)
+    frame = read_rgb(folder / name)
     theirs = read_rgb(folder / "3. mask.png")[..., 0] > 127  # (360, 640)
-    ours = canon.marker_image(frame)[60:420] > 0
-    assert len(canon.markers(frame)) == 64
+    ours = gelsight.marker_image(frame)[60:420] > 0
+    assert len(gelsight.markers(frame)) == 64
     assert (ours & theirs).sum() / (ours | theirs).sum() >= 0.75
 
 

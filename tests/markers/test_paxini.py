@@ -5,10 +5,9 @@ import pytest
 
 from lerobot_env_uniforce_wiping import WipeEnv
 from uniforce_vtla import Canonicalizer, ForceHead, Tokenizer
-from uniforce_vtla.contact import ContactOptions, TactileSimulator, gap_map
+from uniforce_vtla.contact import ContactOptions, TactileSimulator
 from uniforce_vtla.contact.worn import WornView
 from uniforce_vtla.contact.worn_in_words import wear
-from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.errors import ContractError, SensorError
 from uniforce_vtla.keys import tactile_name
 from uniforce_vtla.sensors import get_sensor, list_sensors
@@ -29,11 +28,6 @@ def moved_px(counts: np.ndarray) -> np.ndarray:
     return canonicalizer.markers(counts) - canonicalizer.markers(FREE)
 
 
-def pressed(*force_N: float) -> ContactState:
-    gap_mm = gap_map("sphere", center_mm=(0.0, 0.0), angle_rad=0.0)[None]
-    return ContactState(gap_mm, np.array([force_N], np.float32), np.zeros(1, np.float32))
-
-
 def test_datasets_know_the_others_by_the_places_they_had() -> None:
     assert list_sensors() == ("gelsight", "tactip", "uskin", "paxini", "tac3d")
 
@@ -42,28 +36,25 @@ def test_its_taxels_lie_as_the_sdk_says_and_apart() -> None:
     layout_mm = get_sensor("paxini").layout_mm
     # of the middle, the lowest
     assert layout_mm.shape == (68, 2) and np.allclose(layout_mm[30], (0, 11.58), atol=0.01)
-    assert np.allclose(
-        np.unique(layout_mm[:, 0].round(1)), -np.unique(layout_mm[:, 0].round(1))[::-1]
-    )
+    columns_mm = np.unique(layout_mm[:, 0].round(1))
+    assert np.allclose(columns_mm, -columns_mm[::-1])
     apart = np.linalg.norm(layout_mm[:, None] - layout_mm, axis=-1) + 99 * np.eye(68)
     assert apart.min() > 2 and apart.min(axis=1).max() < 4.5
 
 
 def test_zeros_are_free_air_of_a_tared_sensor() -> None:
-    pair = Canonicalizer("paxini").pair(FREE, loaded(34, z=8), finger="left")
-    assert np.array_equal(
-        Canonicalizer("paxini").pair(FREE, FREE, finger="left").current, pair.reference
-    )
+    canonicalizer = Canonicalizer("paxini")
+    pair = canonicalizer.pair(FREE, loaded(34, z=8), finger="left")
+    free = canonicalizer.pair(FREE, FREE, finger="left")
+    assert np.array_equal(free.current, pair.reference)
     assert (pair.current > 0).sum() > (pair.reference > 0).sum() + 500
 
 
 def test_shear_moves_discs_right_and_up_and_drags_their_neighbours() -> None:
     right, up = moved_px(loaded(34, x=4)), moved_px(loaded(34, y=4))
     assert right[34, 0] > 1 and up[34, 1] < -1 and abs(right[34, 1]) < 0.01
-    far = (
-        np.linalg.norm(get_sensor("paxini").layout_mm - get_sensor("paxini").layout_mm[34], axis=1)
-        > 10
-    )
+    layout_mm = get_sensor("paxini").layout_mm
+    far = np.linalg.norm(layout_mm - layout_mm[34], axis=1) > 10
     assert 0.1 < right[33, 0] < right[34, 0] and right[far, 0].max() < 0.05
 
 
@@ -79,36 +70,34 @@ def test_a_pressed_reference_is_refused() -> None:
         Canonicalizer("paxini").pair(pressed_then, FREE, finger="left")
 
 
-def test_simulated_taxels_say_together_what_the_pad_carries() -> None:
+def test_simulated_taxels_say_together_what_the_pad_carries(pressed) -> None:
     simulator = TactileSimulator("paxini", options=ContactOptions().quiet())
-    carried_N = simulator.carried(pressed(2.0, -1.0, 8.0))[0][0]
-    counts = simulator.raw_frames(pressed(2.0, -1.0, 8.0))[0]
+    contact = pressed(2.0, -1.0, 8.0)
+    carried_N = simulator.carried(contact)[0][0]
+    counts = simulator.raw_frames(contact)[0]
     assert counts.shape == (68, 3) and counts.dtype == np.int32
     # y up; in steps of .1 N
     assert np.allclose(counts.sum(axis=0) * (COUNT_N, -COUNT_N, COUNT_N), carried_N, atol=0.6)
 
 
-def test_a_head_of_another_sensor_reads_its_grip() -> None:
-    simulator, tokenizer, head = (
-        TactileSimulator("paxini"),
-        Tokenizer.from_pretrained(),
-        ForceHead.from_pretrained(),
-    )
+def test_a_head_of_another_sensor_reads_its_grip(pressed) -> None:
+    simulator = TactileSimulator("paxini")
+    tokenizer = Tokenizer.from_pretrained()
+    head = ForceHead.from_pretrained()
     frames = [simulator.raw_frames(pressed(0.0, 0.0, fz))[0] for fz in (3.0, 6.0, 10.0)]
-    pairs = [
-        Canonicalizer("paxini").pair(simulator.raw_reference(), frame, finger="left")
-        for frame in frames
-    ]
-    read_N = [float(head(tokenizer.encode(pair))[0, 2]) for pair in pairs]
+    read_N = []
+    for frame in frames:
+        pair = Canonicalizer("paxini").pair(simulator.raw_reference(), frame, finger="left")
+        read_N.append(float(head(tokenizer.encode(pair))[0, 2]))
     assert read_N == sorted(read_N) and np.allclose(read_N, (3, 6, 10), atol=3)
 
 
-def test_units_are_worn_and_wipe() -> None:
-    view = WornView(wear("paxini:3")(0))
+@pytest.mark.parametrize("words", ["paxini:3", "tac3d:3+dead=0.25+gain=1.1"])
+def test_units_are_mounted_and_wipe(words: str, pressed) -> None:
+    view = WornView(wear(words)(0))
     assert np.mean(view.images(pressed(1.0, 0.0, 6.0))[0] != view.reference) > 0.005
-    env = WipeEnv("touch", right_sensor="paxini")
-    assert (
-        env.reset(seed=3)[0]["pixels"][tactile_name("right")].any()
-        and env.sensors["right"] == "paxini"
-    )
+    sensor = words.partition(":")[0]
+    env = WipeEnv("touch", right_sensor=sensor)
+    assert env.reset(seed=3)[0]["pixels"][tactile_name("right")].any()
+    assert env.sensors["right"] == sensor
     env.close()

@@ -3,14 +3,9 @@
 import numpy as np
 import pytest
 
-from lerobot_env_uniforce_wiping import WipeEnv
 from uniforce_vtla import Canonicalizer, ForceHead, Tokenizer
-from uniforce_vtla.contact import ContactOptions, TactileSimulator, gap_map
-from uniforce_vtla.contact.worn import WornView
-from uniforce_vtla.contact.worn_in_words import wear
-from uniforce_vtla.contracts import ContactState
+from uniforce_vtla.contact import ContactOptions, TactileSimulator
 from uniforce_vtla.errors import ContractError, SensorError
-from uniforce_vtla.keys import tactile_name
 from uniforce_vtla.sensors import get_sensor
 
 PLACE_mm = get_sensor("tac3d").points.place_mm
@@ -29,11 +24,6 @@ def markers_px(raw: np.ndarray) -> np.ndarray:
 
 def white(raw: np.ndarray) -> int:
     return int((Canonicalizer("tac3d").pair(FREE, raw, finger="left").current > 0).sum())
-
-
-def pressed(*force_N: float) -> ContactState:
-    gap_mm = gap_map("sphere", center_mm=(0.0, 0.0), angle_rad=0.0)[None]
-    return ContactState(gap_mm, np.array([force_N], np.float32), np.zeros(1, np.float32))
 
 
 def test_points_moved_aside_are_markers_moved_aside_and_points_pressed_in_look_larger() -> None:
@@ -59,7 +49,7 @@ def test_what_is_no_displacement_breaks_the_contract(raw: object) -> None:
         Canonicalizer("tac3d").set_reference(raw)  # type: ignore[arg-type]
 
 
-def test_a_dead_stream_and_a_pressed_reference_are_refused() -> None:
+def test_a_dead_stream_and_a_pressed_reference_are_refused(pressed) -> None:
     with pytest.raises(SensorError, match="a live scan"):
         Canonicalizer("tac3d").set_reference(np.zeros((400, 3)))
     with pytest.raises(SensorError, match="in contact"):
@@ -71,40 +61,26 @@ def test_a_dead_stream_and_a_pressed_reference_are_refused() -> None:
         )
 
 
-def test_simulated_raw_points_are_drawn_as_the_simulator_draws_them() -> None:
+def test_simulated_raw_points_are_drawn_as_the_simulator_draws_them(pressed) -> None:
     simulator = TactileSimulator("tac3d", options=ContactOptions().quiet())
-    raw = simulator.raw_frames(pressed(1.0, -1.0, 6.0))[0]
-    assert (
-        raw.shape == (400, 3) and raw[:, 2].max() > 0.1 and raw[:, 0].mean() > 0 > raw[:, 1].mean()
-    )
+    contact = pressed(1.0, -1.0, 6.0)
+    raw = simulator.raw_frames(contact)[0]
+    assert raw.shape == (400, 3) and raw[:, 2].max() > 0.1
+    assert raw[:, 0].mean() > 0 > raw[:, 1].mean()
     free = np.full((400, 3), 1e-9)  # noiseless, and not dead
-    assert np.array_equal(
-        Canonicalizer("tac3d").pair(free, raw, "left").current,
-        simulator.marker_images(pressed(1.0, -1.0, 6.0))[0],
-    )
+    drawn = Canonicalizer("tac3d").pair(free, raw, "left").current
+    assert np.array_equal(drawn, simulator.marker_images(contact)[0])
 
 
-def test_a_head_of_another_sensor_reads_its_grip_and_shear() -> None:
-    simulator, tokenizer = TactileSimulator("tac3d"), Tokenizer.from_pretrained()
-    head, free = ForceHead.from_pretrained("gelsight"), simulator.raw_reference()
+def test_a_head_of_another_sensor_reads_its_grip_and_shear(pressed) -> None:
+    simulator = TactileSimulator("tac3d")
+    tokenizer = Tokenizer.from_pretrained()
+    head = ForceHead.from_pretrained("gelsight")
+    free = simulator.raw_reference()
     loads = ((0.0, 0.0, 3.0), (2.0, 0.0, 6.0), (0.0, 2.0, 10.0))
-    pairs = [
-        Canonicalizer("tac3d").pair(free, simulator.raw_frames(pressed(*load))[0], "left")
-        for load in loads
-    ]
-    read_N = np.array([head(tokenizer.encode(pair))[0].numpy() for pair in pairs])
-    assert (
-        np.allclose(read_N, loads, atol=4)
-        and np.corrcoef(read_N.ravel(), np.ravel(loads))[0, 1] > 0.9
-    )
-
-
-def test_units_are_worn_and_wipe() -> None:
-    view = WornView(wear("tac3d:3+dead=0.25+gain=1.1")(0))
-    assert np.mean(view.images(pressed(1.0, 0.0, 6.0))[0] != view.reference) > 0.005
-    env = WipeEnv("touch", right_sensor="tac3d")
-    assert (
-        env.reset(seed=3)[0]["pixels"][tactile_name("right")].any()
-        and env.sensors["right"] == "tac3d"
-    )
-    env.close()
+    read_N = []
+    for load in loads:
+        pair = Canonicalizer("tac3d").pair(free, simulator.raw_frames(pressed(*load))[0], "left")
+        read_N.append(head(tokenizer.encode(pair))[0].numpy())
+    assert np.allclose(read_N, loads, atol=4)
+    assert np.corrcoef(np.ravel(read_N), np.ravel(loads))[0, 1] > 0.9

@@ -54,12 +54,8 @@ def settings(tiny: TokenizerConfig) -> PretrainSettings:
 
 def test_pairs_come_mirrored_and_in_range(data: PairCache) -> None:
     pairs = data.draw(np.random.default_rng(0), units=3, pairs=2)
-    assert pairs.left_reference.shape == (3, 1, 32, 32) and pairs.right_current.shape == (
-        6,
-        1,
-        32,
-        32,
-    )
+    assert pairs.left_reference.shape == (3, 1, 32, 32)
+    assert pairs.right_current.shape == (6, 1, 32, 32)
     stored = torch.from_numpy(data.arrays["right_reference"][:, None]).float() / 255
     same = [torch.equal(pairs.right_reference[0], s.flip(-1)) for s in stored]
     assert any(same) and pairs.left_current.max() <= 1
@@ -238,10 +234,9 @@ SMALL_COMMAND = [
 ]
 
 
-def run_command(folder: Path, *more: str) -> int:
-    return main(
-        [*SMALL_COMMAND, "heads=none", f"cache={folder / 'pairs'}", f"out={folder / 'out'}", *more]
-    )
+def run_command(folder: Path, *more: str, heads: str = "none") -> int:
+    folders = (f"cache={folder / 'pairs'}", f"out={folder / 'out'}")
+    return main([*SMALL_COMMAND, f"heads={heads}", *folders, *more])
 
 
 def test_command_trains_continues_and_leaves_a_loadable_tokenizer(tmp_path: Path) -> None:
@@ -267,12 +262,8 @@ def test_command_trains_on_recorded_pairs_and_says_where_there_are_none(
         recording = PairRecording(("left", "right"), indenter, "", free, seen[0], left, right)
         write_uniforce_pairs(tmp_path, recording, "own")
     pairs = recorded_pairs(str(tmp_path), 32).draw(np.random.default_rng(0), units=3, pairs=2)
-    assert pairs.left_reference.shape == (3, 1, 32, 32) and pairs.right_current.shape == (
-        6,
-        1,
-        32,
-        32,
-    )
+    assert pairs.left_reference.shape == (3, 1, 32, 32)
+    assert pairs.right_current.shape == (6, 1, 32, 32)
     assert torch.equal(pairs.left_current, pairs.right_current)
     assert torch.equal(pairs.left_reference, pairs.right_reference)
     assert not torch.equal(pairs.left_current[0], pairs.left_reference[0])
@@ -292,18 +283,7 @@ def test_command_leaves_a_head_beside_its_tokenizer(
     )
     monkeypatch.setattr(worn_heads, "WORN_HEADS", HeadTrainingConfig(steps=3, batch=4))
     out = tmp_path / "out"
-    assert (
-        main(
-            [
-                *SMALL_COMMAND,
-                "run.steps=1",
-                "heads=tactip",
-                f"cache={tmp_path / 'pairs'}",
-                f"out={out}",
-            ]
-        )
-        == 0
-    )
+    assert run_command(tmp_path, "run.steps=1", heads="tactip") == 0
     tokenizer = Tokenizer.from_pretrained(out / "tokenizer")
     head = ForceHead.from_pretrained("tactip", out / "tokenizer")
     assert (head.source, head.tokenizer_hash) == ("tactip", tokenizer.hash)

@@ -43,13 +43,12 @@ def sample_objects(
     n: int,
     indenters: Sequence[str],
     flat_share: float = 0.0,
-    reach_mm: float = 4.0,
     flat_side_mm: tuple[float, float] = FLAT_SIDE_mm,
     flat_tilt_rad: float = FLAT_TILT_rad,
 ) -> Objects:
-    """Return ``n`` random objects: places ±``reach_mm``, any angle, sizes ±15 % or sides."""
+    """Return ``n`` random objects: places ±4 mm, any angle, sizes ±15 % or sides."""
     names = [str(indenters[i]) for i in rng.integers(len(indenters), size=n)]
-    center = rng.uniform(-reach_mm, reach_mm, (n, 2))
+    center = rng.uniform(-4, 4, (n, 2))
     angle = rng.uniform(-np.pi, np.pi, n)
     gap = gap_maps(names, center, angle, rng.uniform(0.85, 1.15, n))
     flat = np.flatnonzero(rng.random(n) < flat_share)

@@ -1,8 +1,8 @@
 """Estimate the ink left on a real board from a camera's first and last picture.
 
-Four corners of the board give a homography to a top view. What was ink in the first picture is
-looked up in the last one. Cells hidden by the arm or the eraser are left out, not guessed, and the
-estimate says how many it could judge.
+Four corners of the board give a homography to a top view. Ink of the first picture is looked up in
+the last one. Cells hidden by the arm or the eraser are left out, not guessed, and the estimate says
+how many it could judge.
 """
 
 from dataclasses import dataclass

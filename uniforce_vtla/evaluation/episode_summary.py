@@ -59,8 +59,8 @@ class EpisodeSummary:
     # by finger, (n, g, g, L) latent minus its free-air latent, as the sensor sees it
     change: dict[str, np.ndarray]
     key_frames: tuple[KeyFrame, ...]  # in order of time
-    found: FingerEstimate | None  # what the estimates mean; None where that can't be judged
-    truth: FingerEstimate | None  # what the true forces mean
+    found: FingerEstimate | None  # press, friction and events by the estimates; None: unknown
+    truth: FingerEstimate | None  # the same by the true forces
     judges_slip: bool  # whether the pads' friction is known
     note: str = ""  # why ``found`` is None
 

@@ -51,7 +51,7 @@ class Rollout:
 
     seed: int  # the integer that rebuilds the scene
     result: EpisodeResult  # outcome, events and continuous scores, from simulator truth
-    trace: EpisodeTrace  # what was measured at each control step
+    trace: EpisodeTrace  # measurements of each control step
     think_ms: np.ndarray  # controller time per chunk
     # front-camera pictures, one per chunk, when asked for
     frames: list[np.ndarray] = field(default_factory=list)
@@ -78,7 +78,7 @@ def roll_out(
     shown = frames if keep_frames else None
     try:
         observation, _ = env.reset(seed=seed)
-    # what the environment still holds is another episode's
+    # the environment still holds another episode's trace
     except (SensorError, RolloutError) as error:
         trace = empty_trace()
         return Rollout(seed, _aborted(score_episode(trace), error), trace, np.zeros(0))
@@ -116,7 +116,7 @@ def _act(
             do = "The robot holds; check the policy."
             raise ChunkError(expected("action chunk", "finite (n ≥ 1, 5)", chunk.shape, do))
         think_ms.append(1e3 * (time.perf_counter() - start))
-        # what comes after the end is not executed
+        # actions after the end are not executed
         done = any(env.advance(action) for action in chunk)
         if not done:
             observation = env.observe()

@@ -33,7 +33,7 @@ ROUNDS = 10  # of matching and fitting
 class Film:
     """Frames of one finger's film that were looked at."""
 
-    held: str  # what was grasped; films of one object may show the same grasp
+    held: str  # object in the grasp; films of one object may show the same grasp
     centres_px: Sequence[np.ndarray]  # of each frame (M, 2) markers
 
 

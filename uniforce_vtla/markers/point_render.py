@@ -46,7 +46,7 @@ def place_points(moved_mm: np.ndarray, spec: SensorSpec) -> TaxelDiscs:
     """Return the discs of (N, 3) displacements from the reference; x right, y down, z in."""
     mean, stretch = _of_markers(spec.name)
     moved = mean @ moved_mm
-    nearer = moved[:, 2] / CAMERA_MM  # what is pressed towards the camera looks larger
+    nearer = moved[:, 2] / CAMERA_MM  # a marker pressed towards the camera looks larger
     seen_mm = (spec.layout_mm + moved[:, :2]) * (1 + nearer[:, None])
     # of the area that a marker covers
     strain = stretch[0] @ moved_mm[:, 0] + stretch[1] @ moved_mm[:, 1]

@@ -45,7 +45,7 @@ class SensorSpec:
     # taxels in order of counts
     layout_mm: np.ndarray
     px_per_mm: tuple[float, float]  # (x, y) scale from the pad to the 640×480 canonical image
-    # what a marker looks like at rest; a diamond is a square on its corner
+    # of a marker at rest; a diamond is a square on its corner
     marker_shape: Literal["square", "disc", "diamond"]
     marker_size_mm: float  # side of a square or diamond, diameter of a disc
     pad_size_mm: tuple[float, float]  # (x, y) extent of the sensing surface

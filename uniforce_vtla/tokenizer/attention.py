@@ -7,8 +7,8 @@ from torch import nn
 from torch.nn import functional as F  # noqa: N812
 
 
-class SpatialAttention(nn.Module):
-    """Multi-head self-attention among the patches of one frame."""
+class MultiHead(nn.Module):
+    """Projections of multi-head attention over (B, P, D) tokens."""
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
@@ -17,16 +17,24 @@ class SpatialAttention(nn.Module):
         self.qkv = nn.Linear(width, 3 * width)
         self.out = nn.Linear(width, width)
 
+    def split(self, tokens: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Return query, key and value of normalised tokens, (B, P, heads, D/heads) each."""
+        return self.qkv(self.norm(tokens)).unflatten(2, (3, self.heads, -1)).unbind(2)
+
+
+class SpatialAttention(MultiHead):
+    """Self-attention among the patches of one frame."""
+
     def forward(self, tokens: torch.Tensor) -> torch.Tensor:
         """Return (B, P, D) tokens after attention and residual."""
-        B, P, D = tokens.shape
-        qkv = self.qkv(self.norm(tokens)).view(B, P, 3, self.heads, D // self.heads)
-        query, key, value = qkv.permute(2, 0, 3, 1, 4)  # each (B, heads, P, D/heads)
-        mixed = F.scaled_dot_product_attention(query, key, value)
-        return tokens + self.out(mixed.transpose(1, 2).reshape(B, P, D))
+        query, key, value = self.split(tokens)
+        mixed = F.scaled_dot_product_attention(
+            query.transpose(1, 2), key.transpose(1, 2), value.transpose(1, 2)
+        )  # (B, heads, P, D/heads)
+        return tokens + self.out(mixed.transpose(1, 2).flatten(2))
 
 
-class CausalPairAttention(nn.Module):
+class CausalPairAttention(MultiHead):
     """Attention of each patch over two frames: the reference sees itself, the current one both.
 
     A softmax over the two rows of a lower-triangular 2×2 mask needs no kernel: the first row is 1,
@@ -34,37 +42,23 @@ class CausalPairAttention(nn.Module):
     sequences of length 2.
     """
 
-    def __init__(self, width: int, heads: int) -> None:
-        super().__init__()
-        self.heads = heads
-        self.norm = nn.LayerNorm(width)
-        self.qkv = nn.Linear(width, 3 * width)
-        self.out = nn.Linear(width, width)
-
     def reference(
         self, tokens: torch.Tensor
     ) -> tuple[torch.Tensor, tuple[torch.Tensor, torch.Tensor]]:
         """Return reference tokens (B, P, D) and their (key, value) for the current frame."""
-        _, key, value = self._split(tokens)
+        _, key, value = self.split(tokens)
         return tokens + self.out(value.flatten(2)), (key, value)
 
     def current(
         self, tokens: torch.Tensor, past: tuple[torch.Tensor, torch.Tensor]
     ) -> torch.Tensor:
         """Return current tokens (B, P, D), given the reference's (key, value)."""
-        query, key, value = self._split(tokens)  # each (B, P, heads, D/heads)
+        query, key, value = self.split(tokens)  # each (B, P, heads, D/heads)
         past_key, past_value = past
         scale = query.shape[-1] ** -0.5
         advantage = (query * (past_key - key)).sum(-1, keepdim=True) * scale  # (B, P, heads, 1)
         mixed = value + torch.sigmoid(advantage) * (past_value - value)
         return tokens + self.out(mixed.flatten(2))
-
-    def _split(self, tokens: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        B, P, D = tokens.shape
-        query, key, value = (
-            self.qkv(self.norm(tokens)).view(B, P, 3, self.heads, D // self.heads).unbind(2)
-        )
-        return query, key, value
 
 
 class FeedForward(nn.Module):

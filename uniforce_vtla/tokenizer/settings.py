@@ -32,7 +32,7 @@ LIMITS = {  # of TokenizerConfig: far beyond what is ever trained, far below wha
     "latent": (1, 256),
 }
 MAX_PATCHES = 4096  # 64×64
-# what a calibration grasps, half and half: one class alone fails on the other (docs/design.md)
+# objects of a calibration, half and half: one class alone fails on the other (docs/design.md)
 OBJECT_CLASSES = ("small", "tool")
 
 

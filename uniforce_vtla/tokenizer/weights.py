@@ -29,7 +29,7 @@ SIZES = (DEFAULT_SIZE, "nano")  # one folder each: tokenizer/ and force_head_SEN
 
 def checkpoint_folder(path: str | Path | None, part: str) -> Path:
     """Return ``path``, or the shipped ``part`` of the size it names (None: the default size)."""
-    size = str(path or DEFAULT_SIZE)
+    size = DEFAULT_SIZE if path is None else str(path)
     if size in SIZES:
         return ASSETS / size / part
     return Path(size)
