@@ -13,6 +13,13 @@ SCRIPTS = ("expert",)  # the scripted expert; uses the true wrench of both pads
 ArmName = Annotated[str, options.Pattern("a name", r"[^/\\]{1,100}", "V+T")]
 
 
+def checkpoint_of(policy: str) -> Path:
+    """Return a checkpoint's folder; "shipped" is the package's own."""
+    from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
+
+    return shipped_checkpoint() if policy == "shipped" else Path(policy)
+
+
 @dataclass(frozen=True)
 class Rig:
     """A scene's level and the fingers' sensors; "" is the usual sensor, no swap, no calibration."""
