@@ -253,7 +253,7 @@ def episode_frames(span: VideoSpan, length: int, fps: int, first: int = 0) -> It
     """
     start_s = span.from_s + (first - 0.5) / fps
     missing = length - first
-    with _opened(span.file) as video:
+    with opened_video(span.file) as video:
         stream = video.streams.video[0]
         if stream.codec_context is None:
             raise ValueError("no known codec")
@@ -271,16 +271,19 @@ def episode_frames(span: VideoSpan, length: int, fps: int, first: int = 0) -> It
 
 def stored_frames(file: Path) -> int:
     """Return the frame count in a video's header; raise DatasetError if it can't be opened."""
-    with _opened(file) as video:
+    with opened_video(file) as video:
         return video.streams.video[0].frames
 
 
 @contextmanager
-def _opened(file: Path) -> Iterator[av.container.InputContainer]:
-    """Open a video; DatasetError: it can't be opened, or is damaged where it is read."""
+def opened_video(
+    file: Path,
+    wanted: str = "a whole video",
+    do: str = "Restore it from a copy or delete the episode.",
+) -> Iterator[av.container.InputContainer]:
+    """Open a video; DatasetError, which asks for ``wanted``: it is broken, there or further on."""
     try:
         with av.open(str(file)) as video:
             yield video
     except BROKEN_VIDEO as error:
-        do = "Restore it from a copy or delete the episode."
-        raise DatasetError(expected(str(file), "a whole video", error, do)) from error
+        raise DatasetError(expected(str(file), wanted, error, do)) from error

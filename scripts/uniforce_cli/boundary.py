@@ -124,6 +124,14 @@ def by_name(text: str) -> dict[str, str]:
     return dict(pair.split(":", 1) for pair in split(text))
 
 
+def refuse_ignored(mode: str, ignored: Sequence[str]) -> None:
+    """Raise ContractError where settings were given that change nothing in this mode."""
+    if ignored:
+        came = ", ".join(ignored)
+        do = "Leave them out."
+        raise ContractError(expected(f"settings with {mode}", "those it uses", came, do))
+
+
 def one_thread() -> None:
     """Let torch, OpenCV and numpy compute on one thread: small work gains nothing from more."""
     import cv2

@@ -51,7 +51,7 @@ class ConvertConfig:
     """Give a π0.5 force tokens: its weights, fresh new modules, processors for your own data.
 
     Example: uniforce convert source=lerobot/pi05_base view=outputs/view224 out=outputs/pi05_touch
-    then: uniforce train policy.path=outputs/pi05_touch dataset.root=outputs/view224 …
+    then: uniforce train policy.path=outputs/pi05_touch dataset.repo_id=local/view dataset.root=…
     """
 
     source: Published = "lerobot/pi05_base"  # a pi05, or a pi05_uniforce to change its touch

@@ -74,10 +74,10 @@ def _values(summary: EpisodeSummary) -> dict[str, list[list[float]]]:
         ("true", summary.true_force_N, summary.truth),
     ):
         if force_N is not None:
-            newtons: np.ndarray = force_N.reshape(len(force_N), -1)
+            columns = [force_N.reshape(len(force_N), -1)]
             if judged is not None:
-                newtons = np.column_stack([judged.press_N, newtons])
-            rows[name] = newtons.round(2).tolist()
+                columns.insert(0, judged.press_N)
+            rows[name] = np.column_stack(columns).round(2).tolist()
     return rows
 
 

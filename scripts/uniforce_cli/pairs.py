@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 import numpy as np
 from tqdm import tqdm
 
-from uniforce_cli.boundary import Sensor, command, one_thread
+from uniforce_cli.boundary import Sensor, command, one_thread, refuse_ignored
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import FilePath, OutFolder, Positive, Range, Seed, Share, Text, split
 from uniforce_vtla.results_file import provenance, write_json
@@ -52,13 +52,14 @@ class RecordPairsConfig:
     indenters: Text = ""
     pairs: Several = 1000  # pairs of each indenter, earlier sessions included
     chunk: Several = 50  # pairs saved at once; a kill loses at most so many
-    speed_m_s: Positive = 0.15  # frames of a faster hand are not kept
-    acceleration_m_s2: Positive = 1.0  # frames of a hand that accelerates more are not kept
+    speed_m_s: Positive = 0.15  # fastest hand, m/s, whose frames are kept
+    acceleration_m_s2: Positive = 1.0  # strongest acceleration of the hand whose frames are kept
     # largest share of an indenter's pairs within one bin of force, 0 to 1
     crowded: Share = 0.25
     seed: Seed = 0  # sim: units, grasps and noise; a resumed session takes the next one
-    mass_kg: Mass = 0.2  # franka: of the object and the moving part of its holder; weigh them
-    grip_N: Grip = 6.0  # franka: the force that the hand is asked to hold with
+    # franka: mass of the object and the moving part of its holder in kg; weigh them
+    mass_kg: Mass = 0.2
+    grip_N: Grip = 6.0  # franka: force in N that the hand is asked to hold with
     rate_hz: FrameRate = 0.0  # frames per second; 0 = 15 in simulation, 30 on a robot
     # folder for lerobot/, uniforce_pairs/ and session.json
     out: OutFolder = "outputs/pairs"
@@ -245,10 +246,7 @@ def _check(
     ignored = [name for name in IGNORED[config.robot] if name in given]
     if config.robot == "sim":
         ignored += robot_flags
-    if ignored:
-        settings = f"settings with robot={config.robot}"
-        came = ", ".join(ignored)
-        raise ContractError(expected(settings, "those it uses", came, "Leave them out."))
+    refuse_ignored(f"robot={config.robot}", ignored)
     names = tuple(split(config.indenters)) or PRETRAIN
     unknown = set(names) - set(HEIGHTS)
     if config.robot == "franka":

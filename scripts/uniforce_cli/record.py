@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from uniforce_cli.boundary import Gripper, Level, Worn, command, one_thread
+from uniforce_cli.boundary import Gripper, Level, Worn, command, one_thread, refuse_ignored
 from uniforce_vtla import options
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.json_file import read_object
@@ -36,7 +36,7 @@ class RecordConfig:
 
     Simulation, scripted: uniforce record episodes=50 level=touch left_sensor=gelsight
     Simulation, by hand:  uniforce record teleop=keyboard root=outputs/by_hand
-    Robot, for example:   uniforce record robot=franka rig=rig.yaml teleop=spacemouse
+    Robot, for example:   uniforce record robot=franka rig=rig.yaml teleop=gello root=outputs/real
     ``robot.KEY=…`` and ``teleop.KEY=…`` are LeRobot's own settings of both; ``rig`` is a file with
     them. The keys to press are in docs/recording.md. Exit codes: 0 done, 2 could not start, 3 a
     fault, 4 disk full, 130 interrupted: by Ctrl-C, kill or a closed terminal, which end an episode
@@ -51,17 +51,22 @@ class RecordConfig:
     # episodes that the dataset should hold, earlier sessions included; aborted ones don't count
     episodes: options.Count = 50
     level: Level = "touch"  # simulation: level of the scene
-    # simulation: sensor on the left finger: uskin = unit 1 | uskin:7 | uskin:any = another in every
-    # scene | uskin:drawing = as drawn, no camera, fast; a robot's rig file names its sensors
+    # simulation: sensor on the left finger: gelsight = unit 1 | gelsight:7 = unit 7 |
+    # gelsight:any = another unit in every scene | gelsight:drawing = as drawn, no camera, fast. A
+    # robot's rig file names its sensors
     left_sensor: Worn = "gelsight"
-    # simulation: sensor on the right finger, in the words of left_sensor
+    # simulation: sensor on the right finger: tactip = unit 1 | tactip:7 = unit 7 | tactip:any =
+    # another unit in every scene | tactip:drawing = as drawn, no camera, fast. A robot's rig file
+    # names its sensors
     right_sensor: Worn = "tactip"
     # simulation: servo = the scene's usual gripper, which regulates grip finely | hand = holds by
     # force, as the robot's hand does
     gripper: Gripper = "servo"
     root: options.OutFolder = "outputs/demos"  # the dataset's folder
-    resume: options.Dataset = ""  # the same as root, but refuses a folder without a dataset
-    repo_id: options.HubName = "local/uniforce_wiping"  # LeRobot's name for it; nothing is uploaded
+    # folder of a dataset to go on with; refused where there is none
+    resume: options.Dataset = ""
+    # LeRobot's name for the dataset; nothing is uploaded
+    repo_id: options.HubName = "local/uniforce_wiping"
     seed: options.Seed = 0  # scene of the first episode; the next ones count up
     # expert: failed demos are kept, labelled; training views leave them out
     keep_failures: bool = True
@@ -265,11 +270,7 @@ def _refuse_ignored(
         if name in given or getattr(config, name) != getattr(usual, name):
             ignored.append(name)
     ignored += [flag for flag in device_flags if flag.startswith(devices)]
-    if ignored:
-        settings = f"settings with {mode} {operator}".strip()
-        raise ContractError(
-            expected(settings, "those it uses", ", ".join(ignored), "Leave them out.")
-        )
+    refuse_ignored(f"{mode} {operator}".strip(), ignored)
 
 
 @command(RecordConfig, others=("robot.", "teleop."))

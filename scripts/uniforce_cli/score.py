@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from uniforce_cli.boundary import command
-from uniforce_cli.score_settings import SCRIPTS, ScoreConfig
+from uniforce_cli.score_settings import SCRIPTS, ScoreConfig, checkpoint_of
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.file_hashes import loaded_hash
 from uniforce_vtla.json_file import read_object
@@ -46,10 +46,10 @@ def check_policies(config: ScoreConfig) -> None:
             do = f"Calibrate it: uniforce calibrate new={mounted}"
             option = f"{finger}_calibration"
             raise ContractError(expected(option, f"one of {mounted}", f"one of {fitted_to}", do))
-    from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint, stored_config
+    from lerobot_policy_pi05_uniforce.controller import stored_config
 
     for policy in {*config.policies} - {*SCRIPTS}:
-        settings = stored_config(shipped_checkpoint() if policy == "shipped" else Path(policy))
+        settings = stored_config(checkpoint_of(policy))
         settings.swap = config.swap or settings.swap
         settings.finger_by_slot()
 
@@ -150,9 +150,7 @@ def what_acts(config: ScoreConfig) -> dict[str, Any]:
 
 def content_of(policy: str) -> str:
     """Return the hash of a checkpoint's or calibration's loaded files; of a script its name."""
-    from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
-
-    folder = shipped_checkpoint() if policy == "shipped" else Path(policy)
+    folder = checkpoint_of(policy)
     return loaded_hash(folder, CheckpointError) if folder.is_dir() else policy
 
 

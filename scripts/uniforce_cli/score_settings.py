@@ -13,6 +13,13 @@ SCRIPTS = ("expert",)  # the scripted expert; uses the true wrench of both pads
 ArmName = Annotated[str, options.Pattern("a name", r"[^/\\]{1,100}", "V+T")]
 
 
+def checkpoint_of(policy: str) -> Path:
+    """Return a checkpoint's folder; "shipped" is the package's own."""
+    from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
+
+    return shipped_checkpoint() if policy == "shipped" else Path(policy)
+
+
 @dataclass(frozen=True)
 class Rig:
     """A scene's level and the fingers' sensors; "" is the usual sensor, no swap, no calibration."""
@@ -61,13 +68,16 @@ class ScoreConfig:
     policy: options.Policies = "shipped"
     # name of this arm in the table; "" = V+T or the script, and how the rig differs from the usual
     arm: ArmName = ""
-    level: Level = "touch"  # of the scene
+    level: Level = "touch"  # level of the scene
     # sensor on the left finger; "" = gelsight, if the policy was trained with it. A named sensor
-    # may differ from training: uskin = unit 1 | uskin:7 | uskin:any = another in every scene |
-    # uskin:drawing = as drawn, no camera, fast. Faults stand behind it: tactip:1+flicker=0.2
-    # (uniforce_vtla/contact/faults.py)
+    # may differ from training: uskin = unit 1 | uskin:7 = unit 7 | uskin:any = another unit in
+    # every scene | uskin:drawing = as drawn, no camera, fast. Faults stand behind it:
+    # tactip:1+flicker=0.2 (uniforce_vtla/contact/faults.py)
     left_sensor: Worn = ""
-    # sensor on the right finger, in the words of left_sensor; "" = tactip
+    # sensor on the right finger; "" = tactip, if the policy was trained with it. A named sensor may
+    # differ from training: uskin = unit 1 | uskin:7 = unit 7 | uskin:any = another unit in every
+    # scene | uskin:drawing = as drawn, no camera, fast. Faults stand behind it:
+    # tactip:1+flicker=0.2 (uniforce_vtla/contact/faults.py)
     right_sensor: Worn = ""
     # folder that uniforce calibrate wrote for the left finger's sensor; "" = none
     left_calibration: options.FolderPath = ""
@@ -85,7 +95,7 @@ class ScoreConfig:
     # masked = touch is taken away | shuffled = touch of another scene in the same phase | frozen =
     # touch stays as it was half a second into the wipe | "" = touch as it is
     control: Literal["", "masked", "shuffled", "frozen"] = ""
-    rollouts: options.Count = 20  # 20 for parity with the paper, ≥ 200 for claims
+    rollouts: options.Count = 20  # scenes to score; 20 as in the paper, ≥ 200 for claims
     # seed of the first scene; demos are recorded from seed 0 on, so these scenes weren't trained on
     first_seed: options.Seed = 10_000
     workers: options.Workers = 2  # processes, one torch thread each
@@ -93,7 +103,7 @@ class ScoreConfig:
     # seeds of further episodes to film; one that was scored unfilmed is rolled out again
     film: options.Seeds = field(default_factory=list)
     resume: bool = True  # keep episodes already scored in `out`
-    out: options.OutFolder = "outputs/score"  # rows, table, picture and videos go here
+    out: options.OutFolder = "outputs/score"  # folder for rows, table, picture and videos
 
     def __post_init__(self) -> None:
         """Name the arm after its differences from the usual rig, so that arms' names differ."""

@@ -18,9 +18,9 @@ from tqdm import tqdm
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.episodes import Script, walk
-from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
+from lerobot_policy_pi05_uniforce.controller import PolicyController
 from uniforce_cli.boundary import worker_process
-from uniforce_cli.score_settings import Rig, ScoreConfig
+from uniforce_cli.score_settings import Rig, ScoreConfig, checkpoint_of
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.evaluation.arms import EpisodeRow, row_of
@@ -199,14 +199,13 @@ class FrozenTouch(OtherTouch):
 
 def policy_on_rig(policy: str, rig: Rig) -> tuple[WipeEnv, PolicyController]:
     """Return a scene and the checkpoint that acts in it; "shipped" is the package's own."""
-    path = shipped_checkpoint() if policy == "shipped" else Path(policy)
     asked: dict[Finger, str] = {}
     if rig.left_sensor:
         asked["left"] = rig.kinds["left"]
     if rig.right_sensor:
         asked["right"] = rig.kinds["right"]
     controller = PolicyController(
-        path, rig.kinds, rig.swap, asked, rig.calibrations, rig.monitor, rig.grip
+        checkpoint_of(policy), rig.kinds, rig.swap, asked, rig.calibrations, rig.monitor, rig.grip
     )
     env = _scene(rig, controller.reads, controller.needs_true_wrench)
     return env, controller

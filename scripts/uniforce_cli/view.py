@@ -39,22 +39,25 @@ class ViewConfig:
 
     roots: Datasets = "outputs/demos"  # dataset folders, joined in order; comma between them
     out: OutFolder = "outputs/view"  # the view's folder: give it to uniforce train as dataset.root
-    image_side: Pixels = 56  # px per side of the stored camera images; the tiny policy's size
-    latent_grid: LatentGrid = 4  # latents pooled to 4×4; the policy's latent_grid must match
-    # default slot → finger; both fingers are stored anyway
+    image_side: Pixels = 56  # pixels per side of the stored camera images; 56 for a tiny policy
+    # latents per side after pooling; the policy's latent_grid must be the same
+    latent_grid: LatentGrid = 4
+    # which finger fills which touch slot by default; both fingers are stored
     slots: Slots = "touch0:right,touch1:left"
     # cameras that were recorded under other names than front and wrist, e.g.
     # front:cam_high,wrist:cam_arm
     cameras: CameraNames = ""
-    tokenizer: TokenizerFolder = ""  # folder of a tokenizer; empty = the shipped one
-    # take demos that wiped the board with an event, or outside the band, too
+    tokenizer: TokenizerFolder = ""  # folder of a tokenizer; "" = the shipped one
+    # also take demos that wiped the board, but with an event or outside the band of force
     keep_events: bool = True
-    keep_failures: bool = False  # take failed demos too
+    keep_failures: bool = False  # also take failed demos
     # write an ordinary LeRobot dataset, the right finger's newtons behind its state and no marker
     # images: any LeRobot policy trains on it with lerobot-train
     touch_in_state: bool = False
     workers: Workers = 2  # processes; each needs about 1 GB
-    verify: Verify = "quick"  # how the datasets are checked first
+    # check of the datasets before: full = every byte and frame | quick = sizes, small files, some
+    # frames of every episode | off = none
+    verify: Verify = "quick"
 
 
 def make_view(config: ViewConfig) -> Path:
@@ -77,9 +80,8 @@ def make_view(config: ViewConfig) -> Path:
 
 def chosen(facts: EpisodeFacts, config: ViewConfig) -> bool:
     """Return whether an episode is taken: clean successes always."""
-    return (
-        facts.success or config.keep_failures or (config.keep_events and facts.outcome == "success")
-    )
+    wiped = facts.outcome == "success"
+    return facts.success or config.keep_failures or (config.keep_events and wiped)
 
 
 def make_force_dataset(config: ViewConfig) -> Path:
@@ -115,6 +117,5 @@ def main(config: ViewConfig) -> None:
     print(f"view in {out}: {len(facts['episodes'])} episodes, {facts['num_frames']} frames")
     tiny = "policy.size=tiny policy.device=cpu steps=6000 batch_size=32"
     data = f"dataset.repo_id=local/view dataset.root={out}"
-    print(
-        f"next: uniforce train policy=pi05_uniforce {tiny} {data} output_dir={out.parent / 'train'}"
-    )
+    train = out.parent / "train"
+    print(f"next: uniforce train policy=pi05_uniforce {tiny} {data} output_dir={train}")

@@ -5,6 +5,7 @@ import json
 import logging
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import pytest
 from lerobot.datasets.dataset_tools import delete_episodes, merge_datasets, modify_tasks
 
 from benchmarks.trust.damaged_datasets import DATASET_DAMAGES, record_whole
-from benchmarks.trust.injuries import Damage
+from benchmarks.trust.injuries import Damage, cut, edit_json, flip_bit
 from uniforce_cli import share, verify
 from uniforce_datasets import hashes
 from uniforce_datasets.hashes import PARTS, files_of, stage_hashes
@@ -56,15 +57,7 @@ def unhashed(copy: Path) -> Path:
     return copy
 
 
-def truncate(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-
-
-def empty(path: Path) -> None:
-    path.write_bytes(b"")
-
-
-@pytest.mark.parametrize("damage", [truncate, empty, Path.unlink])
+@pytest.mark.parametrize("damage", [cut, partial(cut, share=0), Path.unlink])
 @pytest.mark.parametrize(
     "part", ["videos/**/*.mp4", "data/**/*.parquet", "meta/episodes/**/*", "meta/info.json"]
 )
@@ -84,9 +77,8 @@ def test_a_video_of_no_known_codec_is_refused(unhashed: Path) -> None:
 
 
 def test_dataset_without_reference_is_refused(unhashed: Path) -> None:
-    info = json.loads((unhashed / "meta" / "info.json").read_text())
-    del info["features"][tactile_key("left", reference=True)]
-    (unhashed / "meta" / "info.json").write_text(json.dumps(info))
+    key = tactile_key("left", reference=True)
+    edit_json(unhashed / "meta" / "info.json", lambda info: info["features"].pop(key))
     with pytest.raises(DatasetError, match=r"tactile_left_ref.*record it again"):
         open_dataset(unhashed)
 
@@ -218,9 +210,7 @@ def test_a_shared_dataset_is_checked_in_full_first(copy, monkeypatch, capsys) ->
     given = [f"dataset={copy}", "push=somebody/wipe"]
     assert share.main(given) == 0 and pushed == ["somebody/wipe"]
     camera = next((copy / "videos" / "observation.images.front").rglob("*001.mp4"))
-    content = bytearray(camera.read_bytes())
-    content[-100] ^= 1
-    camera.write_bytes(content)
+    flip_bit(camera)
     check_dataset(copy, "quick")
     assert share.main(given) == 2 and len(pushed) == 1 and "episode 1" in capsys.readouterr().err
 

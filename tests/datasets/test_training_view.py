@@ -10,6 +10,7 @@ import pytest
 import torch
 from torch.utils.data import DataLoader, Dataset, RandomSampler
 
+from benchmarks.trust.injuries import edit_json
 from uniforce_datasets.lossless import open_dataset
 from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_datasets.synthetic import (
@@ -48,17 +49,10 @@ def test_samples_equal_stock_lerobot(demos: Path, view: Path) -> None:
     )
     fast = TrainingView(view, DELTAS, {"touch0": "right", "touch1": "left"})
     assert len(fast) == len(stock) == EPISODES * FRAMES
+    numbers = ("timestamp", "frame_index", "episode_index", "index", "task_index")
     for index in (0, 1, FRAMES - 2, FRAMES - 1, FRAMES, 2 * FRAMES + 7, EPISODES * FRAMES - 1):
         wanted, came = stock[index], fast[index]
-        for key in (
-            STATE,
-            ACTION,
-            f"{ACTION}_is_pad",
-            "timestamp",
-            "frame_index",
-            "episode_index",
-            "index",
-        ):
+        for key in (STATE, ACTION, f"{ACTION}_is_pad", *numbers):
             assert torch.equal(wanted[key], came[key]), (index, key)
             assert wanted[key].dtype == came[key].dtype
         assert wanted["task"] == came["task"]
@@ -77,9 +71,7 @@ def test_latents_are_those_of_each_slots_finger(view: Path) -> None:
     assert wanted.any()
     for sample in (straight[FRAMES + 7], only_left[FRAMES + 7]):
         np.testing.assert_array_equal(sample[latent_key("touch0")], wanted)
-    assert (
-        latent_key("touch1") not in only_left[0] and latent_key("touch1") not in only_left.features
-    )
+    assert latent_key("touch1") not in {*only_left[0], *only_left.features}
 
 
 def test_fingers_are_not_confused(demos: Path, tmp_path: Path) -> None:
@@ -91,10 +83,9 @@ def test_fingers_are_not_confused(demos: Path, tmp_path: Path) -> None:
         ) -> np.ndarray:
             return np.full((len(current), 96), 1.0 if finger == "left" else -1.0, np.float32)
 
-    made = TrainingView(build_view(demos, tmp_path / "view", encoder=Sign()))
-    assert (
-        made[0][latent_key("touch0")].unique() == -1 and made[0][latent_key("touch1")].unique() == 1
-    )
+    sample = TrainingView(build_view(demos, tmp_path / "view", encoder=Sign()))[0]
+    assert sample[latent_key("touch0")].unique() == -1
+    assert sample[latent_key("touch1")].unique() == 1
 
 
 def test_wrench_input_is_the_recorded_truth(demos: Path, view: Path) -> None:
@@ -132,13 +123,10 @@ def test_metadata_serves_sampler_and_policy(demos: Path, view: Path) -> None:
     sampler = EpisodeAwareSampler(*bounds, episode_indices_to_use=made.episodes, shuffle=True)
     assert {int(made[i]["episode_index"]) for i in sampler} == {0, 2}
     policy = dataset_to_policy_features(made.meta.features)
-    assert policy[camera_key("front")].shape == (3, 56, 56) and policy[
-        latent_key("touch0")
-    ].shape == (96,)
-    whole, stored = (
-        TrainingView(view).meta.stats,
-        json.loads((demos / "meta" / "stats.json").read_text()),
-    )
+    assert policy[camera_key("front")].shape == (3, 56, 56)
+    assert policy[latent_key("touch0")].shape == (96,)
+    whole = TrainingView(view).meta.stats
+    stored = json.loads((demos / "meta" / "stats.json").read_text())
     for name in ("q01", "q99", "mean", "std"):
         np.testing.assert_allclose(whole[STATE][name], stored[STATE][name], rtol=1e-9)
 
@@ -187,7 +175,8 @@ def test_one_process_builds_a_view_at_a_time(demos: Path, tmp_path: Path) -> Non
 
 
 def test_cameras_of_other_names_are_renamed_in_a_view(tmp_path: Path) -> None:
-    root, pictures = tmp_path / "demos", {"front": 40, "wrist": 200}
+    root = tmp_path / "demos"
+    pictures = {"front": 40, "wrist": 200}
     recorded = {"front": "cam_high", "wrist": "cam_wrist"}
     shapes = dict.fromkeys(recorded.values(), (64, 64, 3))
     with EpisodeRecorder(root, "local/x", "gelsight", "tactip", FPS, cameras=shapes) as recorder:
@@ -234,10 +223,7 @@ def test_each_frame_keeps_its_own_instruction(tmp_path: Path) -> None:
 def test_sensors_are_those_of_the_episodes_sampled_from(view: Path, tmp_path: Path) -> None:
     mixed = tmp_path / "mixed"
     shutil.copytree(view, mixed)
-    marker = json.loads((mixed / VIEW_MARKER).read_text())
-    marker["episodes"][1]["left_sensor"] = "uskin"
-    marker["sensors"]["left"] = ["gelsight", "uskin"]
-    (mixed / VIEW_MARKER).write_text(json.dumps(marker))
+    edit_json(mixed / VIEW_MARKER, lambda view: view["episodes"][1].update(left_sensor="uskin"))
     assert TrainingView(mixed, verify="off").meta.sensors["left"] == ["gelsight", "uskin"]
     assert TrainingView(mixed, episodes=[0, 2], verify="off").meta.sensors["left"] == ["gelsight"]
     assert TrainingView(mixed, episodes=[1], verify="off").meta.sensors["left"] == ["uskin"]
@@ -305,9 +291,8 @@ def test_a_damaged_view_is_built_anew(demos: Path, tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"latent_left.*uniforce view"):
         TrainingView(out)
     build_view(demos, out, encoder=BlockMeans())
-    assert (out / "latent_left.npy").read_bytes() == kept and len(
-        TrainingView(out)
-    ) == EPISODES * FRAMES
+    assert (out / "latent_left.npy").read_bytes() == kept
+    assert len(TrainingView(out)) == EPISODES * FRAMES
 
 
 @pytest.mark.slow

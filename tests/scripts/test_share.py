@@ -17,6 +17,7 @@ from huggingface_hub.errors import OfflineModeIsEnabled
 from huggingface_hub.utils import filter_repo_objects
 from policy_samples import small_config
 
+from benchmarks.trust.injuries import edit_json
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy
 from lerobot_policy_pi05_uniforce import make_pi05_uniforce_pre_post_processors as make_processors
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TouchSettings
@@ -128,26 +129,18 @@ def test_what_is_pushed_is_what_was_named_first(trained, tmp_path, monkeypatch, 
     monkeypatch.setattr("huggingface_hub.HfApi", lambda: hub)
     given = [f"checkpoint={trained[0]}", f"out={tmp_path / 'shared'}", "push=somebody/pi05-wipe"]
     assert share.main(given) == 0
-    assert (
-        pushed[0]["repo_id"] == "somebody/pi05-wipe"
-        and pushed[0]["folder_path"] == tmp_path / "shared"
-    )
-    there = {path.name for path in (tmp_path / "shared").iterdir()}
-    assert json.loads((tmp_path / "shared" / "hashes.json").read_text()).keys() == there - {
-        "hashes.json"
-    }
+    shared = tmp_path / "shared"
+    assert (pushed[0]["repo_id"], pushed[0]["folder_path"]) == ("somebody/pi05-wipe", shared)
+    there = {path.name for path in shared.iterdir()}
+    hashed = json.loads((shared / "hashes.json").read_text())
+    assert hashed.keys() == there - {"hashes.json"}
     assert {"config.json", "model.safetensors", "README.md", "policy_preprocessor.json"} <= there
     assert set(pushed[0]["allow_patterns"]) == there <= set(capsys.readouterr().out.split())
-    card = ModelCard.load(tmp_path / "shared" / "README.md")
+    card = ModelCard.load(shared / "README.md")
     assert "# pi05-wipe" in card.text and ModelCard(str(card)).data.to_dict() == card.data.to_dict()
-    assert (card.data.license, card.data.library_name, card.data.pipeline_tag) == (
-        "apache-2.0",
-        "lerobot",
-        "robotics",
-    )
-    assert card.data.datasets == "somebody/wipe" and {"lerobot", "robotics", "tactile"} <= set(
-        card.data.tags
-    )
+    assert (card.data.license, card.data.library_name) == ("apache-2.0", "lerobot")
+    assert (card.data.pipeline_tag, card.data.datasets) == ("robotics", "somebody/wipe")
+    assert {"lerobot", "robotics", "tactile"} <= {*card.data.tags}
 
 
 def test_a_pushed_datasets_card_is_what_the_hub_reads(tmp_path, monkeypatch, capsys) -> None:
@@ -215,8 +208,7 @@ def demos(tmp_path: Path) -> Path:
         for step in range(2):
             recorder.add(synthetic_frame(step, random), "wipe")
         recorder.save(True, "success", 1, card=CARD_BEFORE)
-    info = json.loads((root / "meta" / "info.json").read_text())
-    (root / "meta" / "info.json").write_text(json.dumps(info | {"recorded_by": HOME}))
+    edit_json(root / "meta" / "info.json", lambda info: info.update(recorded_by=HOME))
     rehash(root)
     return root
 
@@ -273,28 +265,15 @@ def test_scores_and_provenance_lose_their_paths_and_a_config_with_one_is_refused
     trained, tmp_path, capsys
 ) -> None:
     checkpoint, file = trained[0], tmp_path / "wiping.json"
-    file.write_text(
-        json.dumps(
-            SCORES | {"command": f"uniforce score policy={HOME}/x", "version": "1", "tests": []}
-        )
-    )
-    (checkpoint / "provenance.json").write_text(
-        json.dumps({"command": HOME, "device": "cpu", "dirty": False})
-    )
+    scores, provenance = SCORES | {"version": "1", "tests": []}, {"device": "cpu", "dirty": False}
+    file.write_text(json.dumps(scores | {"command": f"uniforce score policy={HOME}/x"}))
+    (checkpoint / "provenance.json").write_text(json.dumps(provenance | {"command": HOME}))
     given = [f"checkpoint={checkpoint}", f"scores={file}", f"out={tmp_path / 'shared'}"]
     assert share.main(given) == 0
-    assert json.loads((tmp_path / "shared" / "scores.json").read_text()) == SCORES | {
-        "version": "1",
-        "tests": [],
-    }
-    assert json.loads((tmp_path / "shared" / "provenance.json").read_text()) == {
-        "device": "cpu",
-        "dirty": False,
-    }
-    config = json.loads((checkpoint / "config.json").read_text())
-    (checkpoint / "config.json").write_text(
-        json.dumps(config | {"trained_on": {"repo_id": f"{HOME}/demos"}})
-    )
+    assert json.loads((tmp_path / "shared" / "scores.json").read_text()) == scores
+    assert json.loads((tmp_path / "shared" / "provenance.json").read_text()) == provenance
+    trained_on = {"repo_id": f"{HOME}/demos"}
+    edit_json(checkpoint / "config.json", lambda config: config.update(trained_on=trained_on))
     assert share.main(given) == 2
     assert "repo_id in config.json: expected no path of this machine" in capsys.readouterr().err
 

@@ -1,14 +1,14 @@
 """Films of a tactile camera: videos, or frames saved with numpy.save as (T, H, W, 3) uint8 RGB."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import av
 import numpy as np
 
 from uniforce_datasets.readers.files import existing_folder, find
-from uniforce_datasets.source import BROKEN_VIDEO
+from uniforce_datasets.source import opened_video
 from uniforce_vtla.array_file import read_array
 from uniforce_vtla.errors import DatasetError, expected
 
@@ -42,16 +42,9 @@ def film_frames(path: Path) -> Iterator[np.ndarray]:
             yield frame.to_ndarray(format="rgb24")
 
 
-@contextmanager
-def opened_film(path: Path) -> Iterator[av.container.InputContainer]:
+def opened_film(path: Path) -> AbstractContextManager[av.container.InputContainer]:
     """Open a video; DatasetError: it is broken, there or while it is read."""
-    try:
-        with av.open(str(path)) as film:
-            yield film
-    except BROKEN_VIDEO as error:
-        raise DatasetError(
-            expected(str(path), "a whole film", error, "Restore it from a copy.")
-        ) from error
+    return opened_video(path, "a whole film", "Restore it from a copy.")
 
 
 def _stacked_frames(path: Path) -> Iterator[np.ndarray]:

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
+from benchmarks.trust.injuries import cut
 from uniforce_datasets.readers import (
     PairConfig,
     PairRecording,
@@ -50,12 +51,8 @@ def test_what_is_written_is_read_back(recorded: Path, marker_trials: Any) -> Non
         assert np.array_equal(pairs.left_reference, bordered(marker_trials[0].reference))
         assert np.array_equal(pairs.right_reference, bordered(marker_trials[2].reference))
     assert (folder(recorded) / "collection_log.txt").read_text().count("6 pairs from 000000") == 2
-    assert sorted(p.name for p in (folder(recorded) / "marker" / "tactip" / "moon").iterdir())[
-        :2
-    ] == [
-        "000000.jpg",
-        "000001.jpg",
-    ]
+    images = sorted(p.name for p in (folder(recorded) / "marker" / "tactip" / "moon").iterdir())
+    assert images[:2] == ["000000.jpg", "000001.jpg"]
 
 
 @examples(8)
@@ -111,10 +108,6 @@ def test_unknown_indenter_lists_those_there(recorded: Path) -> None:
 
 def side(root: Path, sensor: str = "tactip") -> Path:
     return folder(root) / "marker" / sensor / "sphere"
-
-
-def cut(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:9_000])
 
 
 def picture(path: Path, value: int, *shape: int) -> None:
