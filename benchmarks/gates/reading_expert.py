@@ -63,7 +63,7 @@ READERS: dict[str, Reader] = {
 class ReadingExpertCommand:
     """Let the expert wipe by what the head reads of each sensor; count clean wipes.
 
-    Example: python -m benchmarks.gates.reading_expert scenes=60 out=docs/results/reading_expert.json
+    Example: python -m benchmarks.gates.reading_expert out=docs/results/reading_expert.json
     """
 
     level: Level = "touch"
