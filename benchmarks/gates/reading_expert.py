@@ -1,4 +1,4 @@
-"""How well any policy could wipe with a sensor: the expert's law on what the frozen head reads of it.
+"""How well any policy could wipe with a sensor: the expert's law on what the frozen head reads.
 
 The hand holds the grip, so the law needs the shear alone. A policy that feels newtons
 can't win back what a sensor loses here against the demonstrations' TacTip.
@@ -35,7 +35,7 @@ Fit = Literal["", "grasps", "tool"]
 
 @dataclass(frozen=True)
 class Reader:
-    """Sensors that the right finger wears, in turns from scene to scene, and how they were fitted."""
+    """Sensors that the right finger wears, in turns by scene, and how they were fitted."""
 
     worn: tuple[str, ...]
     fit: Fit = ""
@@ -61,9 +61,9 @@ READERS: dict[str, Reader] = {
 
 @dataclass
 class ReadingExpertCommand:
-    """Let the expert wipe by what the head reads of each sensor, on the same scenes; count clean wipes.
+    """Let the expert wipe by what the head reads of each sensor; count clean wipes.
 
-    Example: python -m benchmarks.gates.reading_expert scenes=60 out=docs/results/reading_expert.json
+    Example: python -m benchmarks.gates.reading_expert out=docs/results/reading_expert.json
     """
 
     level: Level = "touch"
@@ -104,7 +104,7 @@ def calibration(worn: str, fit: Fit, work: Path) -> Calibration:
 
 
 def play(name: str, level: str, gripper: str, seed: int, turn: int, work: Path) -> Row:
-    """Play one episode of a reader; a frame that no canonicalizer takes, or a lost tool, ends it."""
+    """Play one episode of a reader; a frame that can't be read, or a lost tool, ends it."""
     worker_process()
     reader = READERS[name]
     if not reader.worn:
@@ -183,9 +183,8 @@ def main(config: ReadingExpertCommand) -> None:
     found = summary(played(ledger, _episodes(config, seeds), config.workers), seeds)
     for name, line in found.items():
         low, high = line["wilson95"]
-        print(
-            f"{name:36} {line['clean']:3}/{line['n']} [{low:.2f}, {high:.2f}]  in band {line['in_band_share']:.2f}"
-        )
+        share = f"[{low:.2f}, {high:.2f}]  in band {line['in_band_share']:.2f}"
+        print(f"{name:36} {line['clean']:3}/{line['n']} {share}")
     content = {"level": config.level, "seeds": [seeds[0], seeds[-1]], "readers": found}
     print(f"written to {update(Path(config.out), config.gripper, content)}")
 

@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -124,8 +125,8 @@ def fit(config: MonitorCommand, kind: str) -> Path:
     usual.free_limit = usual.run_limit = 1.0
     rows = [(f"{kind}:{unit}", seed) for seed, unit in LIMITS]
     seen = _watch_all(config, rows, usual, f"clean wipes, {kind}")
-    usual.free_limit = round(FREE_MARGIN * max(one.free for one in seen), 3)
-    usual.run_limit = round(RUN_MARGIN * max(one.run for one in seen), 3)
+    usual.free_limit = round(FREE_MARGIN * max(of_all(seen, "free")), 3)
+    usual.run_limit = round(RUN_MARGIN * max(of_all(seen, "run")), 3)
     return usual.save(Path(config.folder) / f"latent_range_{kind}")
 
 
@@ -134,7 +135,7 @@ def faults(config: MonitorCommand, kind: str) -> dict[str, Any]:
     usual = LatentRange.from_pretrained(kind, config.size)
     clean_rows = [(f"{kind}:{unit}", seed) for seed, unit in CLEAN[: config.clean]]
     clean = _watch_all(config, clean_rows, usual, f"clean, {kind}")
-    hours = sum(one.seconds for one in clean) / 3600
+    hours = sum(of_all(clean, "seconds")) / 3600
     operators = {}
     for name, operator in OPERATORS.items():
         cells = []
@@ -158,30 +159,37 @@ def faults(config: MonitorCommand, kind: str) -> dict[str, Any]:
             "false_alarms": sum(one.score > 1 for one in clean),
         },
         "largest_clean": {
-            "free": max(one.free for one in clean),
-            "run": max(one.run for one in clean),
+            "free": max(of_all(clean, "free")),
+            "run": max(of_all(clean, "run")),
         },
         "operators": operators,
     }
 
 
+def of_all(wipes: list[Watched], name: str) -> list[Any]:
+    """Return one thing of all wipes."""
+    return list(map(attrgetter(name), wipes))
+
+
 def summary(seen: list[Watched], clean: list[Watched]) -> dict[str, Any]:
     """Return how one dose is noticed: share of wipes, median time, AUROC against clean wipes."""
-    scores = [np.inf if one.refused else one.score for one in seen]
-    usual = [one.score for one in clean]
+    refused = of_all(seen, "refused")
+    scores = np.where(refused, np.inf, of_all(seen, "score"))
+    usual = of_all(clean, "score")
     auroc = mannwhitneyu(scores, usual).statistic / (len(scores) * len(usual))
-    noticed = [one for one in seen if one.refused or one.score > 1]
+    noticed = scores > 1
     after_s = None
-    if noticed:
-        after_s = round(float(np.median([min(one.alarm_s, one.seconds) for one in noticed])), 2)
+    if noticed.any():
+        alarms_s = np.minimum(of_all(seen, "alarm_s"), of_all(seen, "seconds"))
+        after_s = round(float(np.median(alarms_s[noticed])), 2)
     return {
         "n": len(seen),
-        "noticed": len(noticed),
-        "refused": sum(one.refused for one in seen),
+        "noticed": int(noticed.sum()),
+        "refused": sum(refused),
         "auroc": round(float(auroc), 3),
         "after_s": after_s,
-        "free": round(float(np.mean([one.free for one in seen])), 2),
-        "run": round(float(np.mean([one.run for one in seen])), 2),
+        "free": round(float(np.mean(of_all(seen, "free"))), 2),
+        "run": round(float(np.mean(of_all(seen, "run"))), 2),
     }
 
 

@@ -25,6 +25,7 @@ FEWEST = 25  # scenes: of fewer even a dose that costs nothing would have a boun
 # a misread press between these is near a cliff; the level fails readings by 15 %, .9 N
 NEAR_N = (0.2, 4.0)
 ALL_OPERATORS: dict[str, Operator] = {**OPERATORS, **SCENE_OPERATORS}
+COUNTED = ("n", "clean", "success", "slippage", "excess_force")
 Doses = dict[str, list[float]]  # operator → doses
 
 
@@ -154,40 +155,44 @@ def summarise(cells: Sequence[Cell], rows: Mapping[str, Mapping[int, Row]]) -> d
     found: dict[str, Any] = {"": counts(usual)}
     for name in dict.fromkeys(cell.operator for cell in cells[1:]):
         benign, *faulty = (cell for cell in cells if cell.operator == name)
-        counted = [counts(rows[cell.name]) for cell in faulty]
-        lower = [_lower_bound(rows[cell.name], usual) for cell in faulty]
-        judged = all(one["n"] >= FEWEST for one in counted)
-        doses = [cell.dose for cell in faulty]
+        by_dose: dict[str, list[Any]] = {key: [] for key in ("doses", *found[""])}
+        lower = []
+        judged = True
         breaking_dose = None
-        if judged:
-            breaks = (dose for dose, bound in zip(doses, lower, strict=True) if bound < -MARGIN)
-            breaking_dose = next(breaks, None)
+        for cell in faulty:
+            by_dose["doses"].append(cell.dose)
+            for key, count in counts(rows[cell.name]).items():
+                by_dose[key].append(count)
+            bound = _lower_bound(rows[cell.name], usual)
+            lower.append(round(bound, 3))
+            judged &= len(rows[cell.name]) >= FEWEST
+            if breaking_dose is None and bound < -MARGIN:
+                breaking_dose = cell.dose
         unharmed = rows[benign.name]
         found[name] = {
             "unit": ALL_OPERATORS[name].unit,
-            "doses": doses,
-            **{key: [one[key] for one in counted] for key in found[""]},
-            "lower_bound": [round(bound, 3) for bound in lower],
+            **by_dose,
+            "lower_bound": lower,
             "benign": counts(unharmed)["clean"],
             "benign_n": len(unharmed),
             "benign_alike": all(_alike(row, usual.get(seed)) for seed, row in unharmed.items()),
             "judged": judged,
-            "breaking_dose": breaking_dose,
+            "breaking_dose": breaking_dose if judged else None,
         }
     return found
 
 
 def counts(rows: Mapping[int, Row]) -> dict[str, float]:
     """Return how many episodes there are, how they ended, and the mean in-band share."""
-    found = list(rows.values())
-    return {
-        "n": len(found),
-        "clean": sum(row.clean for row in found),
-        "success": sum(row.outcome == "success" for row in found),
-        "slippage": sum(row.slippage for row in found),
-        "excess_force": sum(row.excess_force for row in found),
-        "in_band_share": round(sum(row.in_band_share for row in found) / max(len(found), 1), 3),
-    }
+    found: dict[str, float] = dict.fromkeys(COUNTED, 0)
+    for row in rows.values():
+        found["n"] += 1
+        found["clean"] += row.clean
+        found["success"] += row.outcome == "success"
+        found["slippage"] += row.slippage
+        found["excess_force"] += row.excess_force
+    share = sum(row.in_band_share for row in rows.values())
+    return found | {"in_band_share": round(share / max(len(rows), 1), 3)}
 
 
 def repeatability(cells: Sequence[Cell], rows: Mapping[str, Mapping[int, Row]]) -> dict[str, int]:

@@ -21,6 +21,14 @@ POLL_s = 0.5
 # a sleeper that wakes so late was on a machine that ran others meanwhile
 NAP_s = 0.005
 STARVED_s = 0.06
+NONE_TRIED: dict[str, Any] = {
+    "trials": 0,
+    "named_right": 0,
+    "held": 0,
+    "worst_hold_s": -math.inf,
+    "worst_learnt_s": -math.inf,
+    "starved": 0,
+}
 
 
 def run_trials(
@@ -61,6 +69,20 @@ def run_trials(
                     f"expected trials, got exit code {child.returncode}: {last} Read {log}."
                 )
     return [row for kind in kinds for row in rows.read(kind)]
+
+
+def tally(trials: Sequence[Any]) -> dict[str, dict[str, Any]]:
+    """Return a line per kind of trial, by name: how many were right, and the worst times."""
+    found: dict[str, dict[str, Any]] = {}
+    for one in sorted(trials, key=lambda trial: trial.kind):
+        line = found.setdefault(one.kind, NONE_TRIED.copy())
+        line["trials"] += 1
+        line["named_right"] += one.is_named
+        line["held"] += one.is_held
+        line["worst_hold_s"] = max(line["worst_hold_s"], one.hold_s)
+        line["worst_learnt_s"] = max(line["worst_learnt_s"], one.learnt_s)
+        line["starved"] += one.starved
+    return found
 
 
 def _hangs(child: subprocess.Popen, done: Callable[[], int], hang_s: float, bar: tqdm) -> bool:

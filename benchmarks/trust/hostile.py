@@ -1,15 +1,14 @@
 """The robot against every fault of the stand-in; a trial that is there already isn't run again."""
 
 import sys
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from benchmarks.ledger import update
-from benchmarks.trust.attempts import run_trials
-from benchmarks.trust.hostile_trials import RIGHT_NAMES, HOLD_s, STILL_m, Trial
+from benchmarks.trust.attempts import run_trials, tally
+from benchmarks.trust.hostile_trials import RIGHT_NAMES, HOLD_s, Trial
 from uniforce_cli.boundary import command
 from uniforce_vtla.arguments import choose
 
@@ -38,21 +37,12 @@ def attack(faults: Sequence[str], times: int, folder: Path) -> list[Trial]:
 
 def summarise(trials: Sequence[Trial]) -> dict[str, dict[str, Any]]:
     """Return a line per fault."""
-    groups = defaultdict[str, list[Trial]](list)
-    for trial in trials:
-        groups[trial.kind].append(trial)
-    found = {}
-    for name, own in sorted(groups.items()):
-        found[name] = {
-            "trials": len(own),
-            "named_right": sum(one.named in RIGHT_NAMES[name] for one in own),
-            "held": sum(one.hold_s <= HOLD_s and one.fingers_m <= STILL_m for one in own),
-            "worst_hold_s": max(one.hold_s for one in own),
-            "worst_learnt_s": max(one.learnt_s for one in own),
-            "worst_fingers_mm": round(1000 * max(one.fingers_m for one in own), 2),
-            "sent_after": sum(one.sent_after for one in own),
-            "starved": sum(one.starved for one in own),
-        }
+    found = tally(trials)
+    for one in trials:
+        line = found[one.kind]
+        fingers_mm = round(1000 * one.fingers_m, 2)
+        line["worst_fingers_mm"] = max(line.get("worst_fingers_mm", 0.0), fingers_mm)
+        line["sent_after"] = line.get("sent_after", 0) + one.sent_after
     return found
 
 

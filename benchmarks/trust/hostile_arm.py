@@ -110,7 +110,9 @@ class HostileArm(ArmService):
     def describe(self) -> dict[str, object]:
         """Add when the arm moved last, and since when it is at rest (None while it moves)."""
         last = self.last_moving_ms
-        held_ms = 0 if last is None else last + 1 if last < self.milliseconds else None
+        held_ms: int | None = 0
+        if last is not None:
+            held_ms = last + 1 if last < self.milliseconds else None
         return super().describe() | {"last_moving_ms": last, "held_since_ms": held_ms}
 
 

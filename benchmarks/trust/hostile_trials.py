@@ -104,13 +104,21 @@ class Trial:
     ended_s: float = field(default_factory=time.time)
 
     @property
+    def is_named(self) -> bool:
+        """Whether the caller was given its name."""
+        return self.named in RIGHT_NAMES[self.kind]
+
+    @property
+    def is_held(self) -> bool:
+        """Whether arm and fingers were at rest in time."""
+        return self.hold_s <= HOLD_s and self.fingers_m <= STILL_m
+
+    @property
     def is_right(self) -> bool:
         """Whether it was named, held and known in time, and no action was taken afterwards."""
         # there ``recover`` waits
         in_time = self.learnt_s <= LEARN_s or self.kind in AT_NEXT_ANSWER
-        is_named = self.named in RIGHT_NAMES[self.kind]
-        is_held = self.hold_s <= HOLD_s and self.fingers_m <= STILL_m
-        return is_named and in_time and is_held and not self.sent_after
+        return self.is_named and in_time and self.is_held and not self.sent_after
 
 
 def connect(fci: HostileStandIn, folder: Path) -> UniforceFranka:

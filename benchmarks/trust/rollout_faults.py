@@ -1,15 +1,13 @@
 """Faults that end LeRobot's rollout, and how soon the arm rests: fingers, cameras, arm, policy."""
 
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from tqdm import tqdm
 
 from benchmarks.ledger import update
-from benchmarks.trust.attempts import run_trials
+from benchmarks.trust.attempts import run_trials, tally
 from benchmarks.trust.rollout_trials import KINDS, HOLD_s, Trial
 from uniforce_cli.boundary import command
 from uniforce_vtla import options
@@ -38,28 +36,13 @@ def attempt(name: str, times: int, folder: Path) -> list[Trial]:
     return [Trial(**row) for row in rows]
 
 
-def summarise(own: Sequence[Trial]) -> dict[str, Any]:
-    """Return a kind's line of the result."""
-    return {
-        "trials": len(own),
-        "named_right": sum(row.named in KINDS[row.kind].names for row in own),
-        "held": sum(row.hold_s <= HOLD_s for row in own),
-        "worst_hold_s": max(row.hold_s for row in own),
-        "worst_learnt_s": max(row.learnt_s for row in own),
-        "starved": sum(row.starved for row in own),
-    }
-
-
 @command(RolloutFaultsConfig)
 def main(config: RolloutFaultsConfig) -> int:
     """Run the trials, write the table, print what went wrong; 1 where anything did."""
     rows: list[Trial] = []
-    found = {}
     for name in tqdm(list(choose(KINDS, config.only)), desc="kinds"):
-        own = attempt(name, config.times, Path(config.rows))
-        found[name] = summarise(own)
-        rows += own
-    path = update(Path(config.out), "rollout_faults", found)
+        rows += attempt(name, config.times, Path(config.rows))
+    path = update(Path(config.out), "rollout_faults", tally(rows))
     wrong = [row for row in rows if not row.is_right]
     for row in wrong:
         print(f"{row.kind}: {row.named or 'nothing'}, held after {row.hold_s} s. {row.message}")

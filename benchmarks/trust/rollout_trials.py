@@ -240,9 +240,19 @@ class Trial:
     starved: int = 0
 
     @property
+    def is_named(self) -> bool:
+        """Whether it was told by its name."""
+        return self.named in KINDS[self.kind].names
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the arm was at rest in time."""
+        return self.hold_s <= HOLD_s
+
+    @property
     def is_right(self) -> bool:
-        """Whether it was told by its name, and held in time."""
-        return self.named in KINDS[self.kind].names and self.hold_s <= HOLD_s
+        """Whether both are so."""
+        return self.is_named and self.is_held
 
 
 class Breaker(threading.Thread):

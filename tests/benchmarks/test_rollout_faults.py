@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.trust.rollout_faults import attempt, summarise
+from benchmarks.trust.attempts import tally
+from benchmarks.trust.rollout_faults import attempt
 from benchmarks.trust.rollout_trials import KINDS, Trial
 
 
@@ -24,7 +25,7 @@ def test_a_wrong_name_and_a_late_hold_are_seen() -> None:
         Trial("arm_reflex", "", "", 0.1, 0.2),
     )
     assert right.is_right and not late.is_right and not unnamed.is_right
-    line = summarise([right, late, unnamed])
+    line = tally([right, late, unnamed])["arm_reflex"]
     assert (line["trials"], line["named_right"], line["held"], line["worst_hold_s"]) == (
         3,
         2,

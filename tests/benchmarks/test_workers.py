@@ -30,6 +30,6 @@ def test_a_program_sends_no_cached_function_of_its_own_to_workers(path: Path) ->
 
 
 def test_a_cached_function_is_found() -> None:
-    assert len(PROGRAMS) > 5
+    assert len(PROGRAMS) >= 3
     source = "from functools import cache\n@cache\ndef models(): ..."
     assert cached_functions(source) == ["models"]
