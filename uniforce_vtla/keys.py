@@ -8,6 +8,7 @@ from uniforce_vtla.contracts import Finger
 
 STATE = "observation.state"
 ACTION = "action"
+TASK = "task"
 
 CAMERAS = ("front", "wrist")
 # m, m, m, rad, m in the robot base frame
