@@ -58,7 +58,8 @@ def score_recording(config: ScoreRecordingConfig) -> dict[str, Any]:
     left, right = numbers("pad_friction", config.pad_friction, 2)
     corners = numbers("board_corners", config.board_corners, 8) if config.board_corners else None
     recording = RecordingForces(config.root, descriptor_heads(config.heads), config.verify)
-    source, rows = recording.source, []
+    source = recording.source
+    rows = []
     for episode in tqdm(
         source.episodes[: config.episodes or None], desc="episodes", unit="episode"
     ):
@@ -116,7 +117,8 @@ def _residual(source: Source, episode: Episode, camera: str, corners: np.ndarray
 
 
 def _line(row: dict[str, Any]) -> str:
-    events, ink = [*row["lost"], *row["slippage"], *row["excess_force"]] or ["no event"], ""
+    events = [*row["lost"], *row["slippage"], *row["excess_force"]] or ["no event"]
+    ink = ""
     if "residual" in row:
         left = row["residual"].get("residual")
         ink = ", ink not judged" if left is None else f", ink left {left:.0%}"

@@ -87,22 +87,24 @@ class RecordingForces:
             do = "Record marker images of both fingers."
             raise DatasetError(expected(str(root), f"fingers {FINGERS}", self.source.fingers, do))
         self._forces = forces
-        # a robot's recording has none
-        truth = tuple(truth_wrench_key(finger) for finger in FINGERS)
-        truth = truth if set(truth) <= self.source.features.keys() else ()
-        columns = self.source.columns((STATE, *truth))
-        self._places_m = columns[STATE][:, PLACE].astype(np.float64)  # (N, 3)
-        forces_N = [columns[key][:, :3].astype(np.float64) for key in truth]
-        self._true_N = np.stack(forces_N, axis=1) if truth else None  # (N, 2, 3)
+        state = self.source.columns((STATE,))[STATE]
+        self._places_m = state[:, PLACE].astype(np.float64)  # (N, 3)
+        self._true_N: np.ndarray | None = None  # (N, 2, 3); a robot's recording has none
+        truth = tuple(map(truth_wrench_key, FINGERS))
+        if set(truth) <= self.source.features.keys():
+            wrenches = self.source.columns(truth)
+            forces_N = [wrenches[key][:, :3] for key in truth]
+            self._true_N = np.stack(forces_N, axis=1).astype(np.float64)
 
     def read(self, episode: Episode) -> EpisodeForces:
         """Return an episode's forces; raise DatasetError where its videos can't be read."""
         rows = slice(episode.start, episode.start + episode.length)
+        forces_N = [self._forces(self.source, episode, finger) for finger in FINGERS]
         return EpisodeForces(
-            np.arange(episode.length) / self.source.fps,
-            self._places_m[rows],
-            np.stack([self._forces(self.source, episode, finger) for finger in FINGERS], axis=1),
-            None if self._true_N is None else self._true_N[rows],
+            time_s=np.arange(episode.length) / self.source.fps,
+            tool_m=self._places_m[rows],
+            force_N=np.stack(forces_N, axis=1),
+            true_force_N=None if self._true_N is None else self._true_N[rows],
         )
 
 
@@ -175,13 +177,13 @@ def marker_images(
     source: Source, episode: Episode, finger: Finger
 ) -> tuple[np.ndarray, Iterator[np.ndarray]]:
     """Return an episode's reference (H, W), and its marker images (H, W) one by one."""
-    keys = (tactile_key(finger, reference=True), tactile_key(finger))
-    grey = (
-        map(lambda image: np.ascontiguousarray(image[..., 0]), frames(source, episode, key))
-        for key in keys
-    )
-    reference, current = grey
-    return next(reference), current
+    reference = next(frames(source, episode, tactile_key(finger, reference=True)))
+    current = frames(source, episode, tactile_key(finger))
+    return _grey(reference), map(_grey, current)
+
+
+def _grey(image: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(image[..., 0])
 
 
 def frames(source: Source, episode: Episode, key: str) -> Iterator[np.ndarray]:
@@ -205,7 +207,8 @@ def worn(source: Source, episode: Episode, finger: Finger) -> str:
 
     Raise DatasetError where the dataset names none we know.
     """
-    key, names = sensor_key(finger), list_sensors()
+    key = sensor_key(finger)
+    names = list_sensors()
     if key not in source.features:
         raise DatasetError(
             expected(str(source.root), key, "no such column", "Record it with this version.")
@@ -231,9 +234,9 @@ def raw_touch(source: Source, episode: Episode, finger: Finger) -> Iterator[np.n
         rows = counts[episode.start : episode.start + episode.length].astype(np.int64)
         return map(counts_picture, (rows - rows[0]).reshape(episode.length, *TAXEL_SHAPE))
     file = raw_path(source.root, finger, episode.index)
-    return (
-        episode_frames(VideoSpan(file, 0.0), episode.length, source.fps) if file.is_file() else None
-    )
+    if not file.is_file():
+        return None
+    return episode_frames(VideoSpan(file, 0.0), episode.length, source.fps)
 
 
 def summarise_episode(
@@ -247,7 +250,9 @@ def summarise_episode(
 
     Raises DatasetError: a video that is missing or truncated.
     """
-    source, forces, note = recording.source, recording.read(episode), ""
+    source = recording.source
+    forces = recording.read(episode)
+    note = ""
     found: FingerEstimate | None = None
     truth: FingerEstimate | None = None
     try:
@@ -259,9 +264,9 @@ def summarise_episode(
     named = find_key_frames(known_N, forces.tool_m[:, 2])
     # middle of each picture
     film = ((np.arange(FILM) + 0.5) / FILM * episode.length).astype(int).tolist()
-    films = {
-        name: _chosen(frames(source, episode, key), film) for name, key in cameras(source).items()
-    }
+    films = {}
+    for name, key in cameras(source).items():
+        films[name] = _chosen(frames(source, episode, key), film)
     return EpisodeSummary(
         title=title,
         time_s=forces.time_s,

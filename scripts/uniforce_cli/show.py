@@ -77,19 +77,20 @@ def show_dataset(config: ShowDatasetConfig) -> list[Path]:
     from uniforce_cli.recorded_episode import RecordingForces, summarise_episode
     from uniforce_vtla.tokenizer import Tokenizer
 
-    rerun = import_rerun("form=rerun", "form=sheet") if config.form == "rerun" else None
+    rerun = None
+    if config.form == "rerun":
+        rerun = import_rerun("form=rerun", "form=sheet")
     friction: tuple[float, float] | None = None
     if config.pad_friction:
         left, right = numbers("pad_friction", config.pad_friction, len(FINGERS)).tolist()
         friction = left, right
     tokenizer = Tokenizer.from_pretrained(config.tokenizer or None)
     recording = RecordingForces(config.root, _forces(config, tokenizer), config.verify)
-    written, out = [], Path(config.out)
+    out = Path(config.out)
+    written = []
     for episode in tqdm(_chosen(recording.source, config.episode), desc="episodes", unit="episode"):
-        title, stem = (
-            f"{Path(config.root).name}, episode {episode.index}",
-            f"episode_{episode.index}",
-        )
+        title = f"{Path(config.root).name}, episode {episode.index}"
+        stem = f"episode_{episode.index}"
         summary = summarise_episode(recording, tokenizer, episode, friction, title)
         facts = _facts(recording.source, episode, config)
         if rerun is None:
@@ -110,19 +111,16 @@ def _forces(config: ShowDatasetConfig, tokenizer: Tokenizer) -> ForceReader:
 
     if not config.head:
         return descriptor_heads(config.heads)
-    is_folder = Path(config.head).is_dir()
-    head = (
-        ForceHead.from_pretrained(path=config.head)
-        if is_folder
-        else ForceHead.from_pretrained(config.head)
-    )
-    return felt_forces(tokenizer, head)
+    if Path(config.head).is_dir():
+        return felt_forces(tokenizer, ForceHead.from_pretrained(path=config.head))
+    return felt_forces(tokenizer, ForceHead.from_pretrained(config.head))
 
 
 def _chosen(source: Source, text: str) -> list[Episode]:
     if text == "all":
         return list(source.episodes)
-    words, known = split(text), {str(episode.index): episode for episode in source.episodes}
+    words = split(text)
+    known = {str(episode.index): episode for episode in source.episodes}
     if not words or set(words) - set(known):
         wanted = f"all, or numbers from 0 to {len(known) - 1}"
         raise ContractError(expected("episode", wanted, repr(text), "Commas between them."))
@@ -134,20 +132,21 @@ def _facts(source: Source, episode: Episode, config: ShowDatasetConfig) -> dict[
     from uniforce_cli.recorded_episode import worn
 
     facts = {"task": episode.task, "length": f"{episode.length} frames at {source.fps} Hz"}
-    facts |= {
-        f"{f} sensor": worn(source, episode, f) for f in FINGERS if sensor_key(f) in source.features
-    }
+    for finger in FINGERS:
+        if sensor_key(finger) in source.features:
+            facts[f"{finger} sensor"] = worn(source, episode, finger)
     if {OUTCOME, SEED} <= source.features.keys():
         columns = source.columns((OUTCOME, SEED))
-        outcome, seed = (int(columns[key][episode.start]) for key in (OUTCOME, SEED))
-        name = (
-            OUTCOME_NAMES[outcome] if 0 <= outcome < len(OUTCOME_NAMES) else f"unknown ({outcome})"
-        )
-        facts |= {"recorded outcome": name.replace("_", " "), "seed": str(seed)}
-    read_by = (
-        f"force head {config.head}, from latents" if config.head else "heads, from hand descriptors"
-    )
-    return facts | {"forces read by": read_by}
+        outcome = int(columns[OUTCOME][episode.start])
+        name = f"unknown ({outcome})"
+        if 0 <= outcome < len(OUTCOME_NAMES):
+            name = OUTCOME_NAMES[outcome].replace("_", " ")
+        facts["recorded outcome"] = name
+        facts["seed"] = str(int(columns[SEED][episode.start]))
+    facts["forces read by"] = "heads, from hand descriptors"
+    if config.head:
+        facts["forces read by"] = f"force head {config.head}, from latents"
+    return facts
 
 
 def _numbers(summary: EpisodeSummary, facts: dict[str, str]) -> dict[str, object]:

@@ -95,9 +95,13 @@ def make_finger(config: TouchConfig, source: str) -> TactileFinger:
     common["reference_on_connect"] = False
     if get_sensor(config.sensor).signal != "camera":
         link = "server" if source.startswith("ws://") else "slcan"
-        taxels = {"sensor": config.sensor, "flip": config.flip, "controller": config.controller}
-        settings = sensors.UniforceUskinConfig(link=link, **taxels, **common)  # type: ignore[arg-type]
-        return sensors.UniforceUskin(settings)
+        taxels: dict[str, Any] = {
+            "sensor": config.sensor,
+            "flip": config.flip,
+            "controller": config.controller,
+        }
+        common |= taxels
+        return sensors.UniforceUskin(sensors.UniforceUskinConfig(link=link, **common))
     camera = sensors.UniforceTactileCameraConfig(sensor=config.sensor, **common)
     if source.startswith("http://"):
         camera.capture_width = camera.capture_height = None  # its server decides
@@ -108,7 +112,7 @@ def make_finger(config: TouchConfig, source: str) -> TactileFinger:
 
 @contextlib.contextmanager
 def opened(config: TouchConfig) -> Iterator[TactileFinger]:
-    """Connect the sensor, or a stand-in in a process of its own, and take the free-air reference."""
+    """Connect the sensor, or a stand-in in its own process, and take the reference."""
     from uniforce_robots.standins.process import StandIn
 
     with contextlib.ExitStack() as stack:

@@ -9,6 +9,7 @@ they free of touch?
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from itertools import product
 from pathlib import Path
 
 import cv2
@@ -36,30 +37,31 @@ def check_rate(finger: TactileFinger, seconds: float) -> int:
 
     1 if anything was lost or bad.
     """
-    before, first = finger.counts, finger.latest(WAIT_MS).index
-    rng, start_s = np.random.default_rng(0), time.monotonic()
-    ages_ms, late_ms = [], []
+    before = finger.counts
+    first = finger.latest(WAIT_MS).index
+    rng = np.random.default_rng(0)
+    ages_ms = []
+    late_ms = []
+    start_s = time.monotonic()
     while time.monotonic() < start_s + seconds:
         pause_s = POLL_S * rng.uniform(0.5, 1.5)  # at no fixed phase to the samples
         asleep_s = time.perf_counter()
         time.sleep(pause_s)
         late_ms.append(1e3 * (time.perf_counter() - asleep_s - pause_s))
         ages_ms.append(finger.latest(WAIT_MS).age_ms)
-    spent_s, after = time.monotonic() - start_s, finger.counts
-    (age_p50, age_p99), (idle_p50, idle_p99) = (
-        np.percentile(ms, [50, 99]) for ms in (ages_ms, late_ms)
-    )
-    lost, bad = after.lost - before.lost, after.bad - before.bad
+    spent_s = time.monotonic() - start_s
+    age_p50, age_p99 = np.percentile(ages_ms, [50, 99])
+    idle_p50, idle_p99 = np.percentile(late_ms, [50, 99])
+    lost = finger.counts.lost - before.lost
+    bad = finger.counts.bad - before.bad
     samples = finger.latest(WAIT_MS).index - first
     idle = f"an idle loop here wakes late by p50 {idle_p50:.2f}, p99 {idle_p99:.2f} ms"
     print(finger.config.label)
     print(f"rate {samples / spent_s:.1f} Hz over {samples} samples, lost {lost}, bad {bad}")
     print(f"age p50 {age_p50:.2f} ms, p99 {age_p99:.2f} ms ({idle})")
-    if settings := finger.settings_read_back:
-        print(
-            "settings, read back: "
-            + ", ".join(f"{name} {value:g}" for name, value in settings.items())
-        )
+    settings = [f"{name} {value:g}" for name, value in finger.settings_read_back.items()]
+    if settings:
+        print(f"settings, read back: {', '.join(settings)}")
     return int(lost + bad > 0)
 
 
@@ -93,7 +95,7 @@ def check_angle(finger: TactileFinger, seconds: float) -> int:
     0 if it is set right.
     """
     print(
-        "Press a fingertip on the pad, drag the skin straight towards the sensor's tip, then let go.",
+        "Press a fingertip on the pad, drag the skin straight to the sensor's tip, then let go.",
         flush=True,
     )
     moved_px = _longest_drag(finger, seconds)
@@ -102,7 +104,8 @@ def check_angle(finger: TactileFinger, seconds: float) -> int:
         return 1
     off_deg = off_upwards_deg(moved_px)
     print(
-        f"  markers moved by {np.hypot(*moved_px):.1f} px, {off_deg:+.0f}° off the fingertip's direction"
+        f"  markers moved by {np.hypot(*moved_px):.1f} px, "
+        f"{off_deg:+.0f}° off the fingertip's direction"
     )
     if abs(off_deg) <= ANGLE_DEG:
         print("angle agrees")
@@ -138,12 +141,13 @@ def _reference_line(film: FilmReference) -> str:
     if film.why:
         return film.why
     off = f"{film.off_px:.2f} px off"
-    whose = f"BORROWED from {film.of}, " if film.is_borrowed else ""
-    unread = (
-        f"; {len(film.refused)} of {film.read + len(film.refused)} frames unread"
-        if film.refused
-        else ""
-    )
+    whose = ""
+    if film.is_borrowed:
+        whose = f"BORROWED from {film.of}, "
+    unread = ""
+    if film.refused:
+        frames = film.read + len(film.refused)
+        unread = f"; {len(film.refused)} of {frames} frames unread"
     return f"{film.film}: {whose}frame {film.frame}, pad {film.pad}, {off}{unread}"
 
 
@@ -160,14 +164,18 @@ def _longest_drag(finger: TactileFinger, seconds: float) -> np.ndarray | None:
 
     None where none came in time.
     """
-    index, end_s = -1, time.monotonic() + seconds
+    index = -1
+    end_s = time.monotonic() + seconds
     best: np.ndarray = np.zeros(2)
     reference = finger.reference_image()[..., 0]
     while time.monotonic() < end_s:
         touch = finger.next_touch(index, WAIT_MS)
-        index, moved = touch.index, describe(reference, finger.marker_image(touch.raw)[None])[0, :2]
-        length, longest = np.hypot(*moved), np.hypot(*best)
-        best = moved if length > longest else best
+        index = touch.index
+        moved = describe(reference, finger.marker_image(touch.raw)[None])[0, :2]
+        length = np.hypot(*moved)
+        longest = np.hypot(*best)
+        if length > longest:
+            best = moved
         if longest >= DRAGGED_PX and length < RELEASED * DRAGGED_PX:
             return best
     return None
@@ -180,10 +188,12 @@ def _next_response(
 
     None where none came in time.
     """
-    index, end_s = -1, time.monotonic() + seconds
+    index = -1
+    end_s = time.monotonic() + seconds
     while time.monotonic() < end_s:
         touch = finger.next_touch(index, WAIT_MS)
-        index, response = touch.index, quarter_response(finger, touch.raw)
+        index = touch.index
+        response = quarter_response(finger, touch.raw)
         if wanted(response):
             return response
     return None
@@ -213,15 +223,16 @@ def advice(seen: dict[str, str], rotation_deg: float, flip: bool) -> str:
             "to learn what to set"
         )
     measured = np.array(QUARTERS).reshape(2, 2)
-    mounts = [Orientation(turn, mirror) for mirror in (False, True) for turn in TURNS]
-    shown = [dict(zip(QUARTERS, mount.of_frame(measured).flat, strict=True)) for mount in mounts]
-    fits = [mount for mount, at in zip(mounts, shown, strict=True) if seen.items() <= at.items()]
-    if len(fits) != 1:
-        came = (
-            "no turn explains this"
-            if not fits
-            else "several turns explain this: press all four quarters"
-        )
+    fits = []
+    for mirror, turn in product((False, True), TURNS):
+        mount = Orientation(turn, mirror)
+        shown = dict(zip(QUARTERS, mount.of_frame(measured).flat, strict=True))
+        if seen.items() <= shown.items():
+            fits.append(mount)
+    if not fits:
+        return "orientation does not agree, and no turn explains this"
+    if len(fits) > 1:
+        came = "several turns explain this: press all four quarters"
         return f"orientation does not agree, and {came}"
     setting = f"rotation_deg={fits[0].rotation_deg} flip={str(fits[0].flip).lower()}"
     return f"orientation does not agree: set {setting}"

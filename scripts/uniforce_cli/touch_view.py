@@ -103,8 +103,9 @@ def _rerun() -> Callable[[TouchView], None]:
         rerun.log("markers", rerun.Image(view.markers))
         rerun.log("latent_norm", rerun.Image(_grey(view.norms)))
         rerun.log("raw", rerun.Image(raw_picture(view)))
-        for name, newtons in zip("xyz", () if view.force_N is None else view.force_N, strict=False):
-            rerun.log(f"force_N/{name}", rerun.Scalars(float(newtons)))
+        if view.force_N is not None:
+            for name, newtons in zip("xyz", view.force_N, strict=True):
+                rerun.log(f"force_N/{name}", rerun.Scalars(float(newtons)))
         rerun.log("age_ms", rerun.Scalars(view.age_ms))
 
     return show
@@ -118,9 +119,10 @@ def as_text(view: TouchView) -> str:
 
     Rate, age, force, what the sensor shows, and the map of latent lengths.
     """
-    force = (
-        "no head" if view.force_N is None else " ".join(f"{f:+6.2f}" for f in view.force_N) + " N"
-    )
+    force = "no head"
+    if view.force_N is not None:
+        x, y, z = view.force_N
+        force = f"{x:+6.2f} {y:+6.2f} {z:+6.2f} N"
     head = [
         f"{view.label}: {view.rate_hz:6.1f} Hz, age {view.age_ms:6.1f} ms, lost {view.lost}",
         f"force x y z {force}   latent up to {view.norms.max():.2f}",
@@ -128,17 +130,19 @@ def as_text(view: TouchView) -> str:
     raw = [f"mean grey {view.raw.mean():.0f}"]
     # normal counts as the pad shows them: the first taxel is at the bottom left
     if view.raw.ndim == 2:
-        grid = view.raw[:, 2].reshape(4, 4)[::-1]
-        raw = ["z counts", *(" ".join(f"{z:6d}" for z in row) for row in grid)]
+        raw = ["z counts"]
+        for row in view.raw[:, 2].reshape(4, 4)[::-1]:
+            raw.append("{:6d} {:6d} {:6d} {:6d}".format(*row))
     small = cv2.resize(
         view.norms.astype(np.float32), (TEXT_SIDE, TEXT_SIDE), interpolation=cv2.INTER_AREA
     )
     shade = np.clip(small / FULL_NORM * (len(SHADES) - 1), 0, len(SHADES) - 1).round().astype(int)
-    rows = ["|" + "".join(SHADES[s] * 2 for s in row) + "|" for row in shade]
-    beside = [*raw, *[""] * (TEXT_SIDE - len(raw))]
-    return "\n".join(
-        [*head, *(f"{row}   {extra}" for row, extra in zip(rows, beside, strict=True))]
-    )
+    lines = list(head)
+    raw += [""] * (TEXT_SIDE - len(raw))
+    for row, extra in zip(shade, raw, strict=True):
+        drawn = "".join(SHADES[s] * 2 for s in row)
+        lines.append(f"|{drawn}|   {extra}")
+    return "\n".join(lines)
 
 
 def panel(view: TouchView) -> np.ndarray:
