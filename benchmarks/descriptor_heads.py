@@ -30,8 +30,8 @@ from uniforce_vtla.evaluation.finger_estimates import estimate_events
 from uniforce_vtla.keys import tactile_name
 from uniforce_vtla.options import Count, OutFile, OutFolder, Range, Seed
 from uniforce_vtla.results_file import provenance, write_json
+from uniforce_vtla.tokenizer.descriptor import descriptors
 from uniforce_vtla.tokenizer.descriptor_head import DescriptorHead
-from uniforce_vtla.tokenizer.plain_touch import descriptors
 
 LEFT_SENSORS = ("gelsight", "uskin")  # the right finger wears the TacTip
 # from sliding to too deep, from streaks to too hard

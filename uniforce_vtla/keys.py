@@ -52,16 +52,6 @@ def wrench_key(slot: str) -> str:
     return f"observation.wrench.{slot}"
 
 
-def descriptor_key(slot: str) -> str:
-    """Key of a slot's hand descriptor (control), (6,) float32."""
-    return f"observation.descriptor.{slot}"
-
-
-def marker_pair_key(slot: str) -> str:
-    """Key of a slot's small reference and current image (control), (2, S, S) uint8."""
-    return f"observation.marker_pair.{slot}"
-
-
 def truth_wrench_key(finger: Finger) -> str:
     """Per-frame truth column, canonical frame, (4,) float32: fx, fy, fz in N, torsion in Nmm."""
     return f"truth.wrench.{finger}"

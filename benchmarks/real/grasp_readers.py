@@ -16,10 +16,9 @@ from benchmarks.probes.zero_shot import descriptor_features, encode_set, sized_h
 from benchmarks.real.grasps import SENSOR, Reader
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.tokenizer import Tokenizer
-from uniforce_vtla.tokenizer.descriptor import NATURAL_UNITS
+from uniforce_vtla.tokenizer.descriptor import NATURAL_UNITS, descriptors
 from uniforce_vtla.tokenizer.force_head import HeadTrainingConfig, train_head
 from uniforce_vtla.tokenizer.latent import POOL
-from uniforce_vtla.tokenizer.plain_touch import descriptors
 
 SET = REPORT_SETS["zero_shot_v2"]  # the heads learn from its training presses, seen indenters
 BATCH = 16

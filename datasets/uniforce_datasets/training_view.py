@@ -18,7 +18,7 @@ from uniforce_datasets.hashes import check_hashes, check_verify
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.pooled_quantiles import pooled_stats
 from uniforce_datasets.view_build import build_view
-from uniforce_datasets.view_plan import TASK_INDEX, mounted_sensors, read_marker, touch_stream
+from uniforce_datasets.view_plan import TASK_INDEX, latent_array, mounted_sensors, read_marker
 from uniforce_vtla import keys
 from uniforce_vtla.array_file import read_array
 from uniforce_vtla.contracts import check_finger
@@ -34,8 +34,6 @@ SNAPSHOTS = "snapshots"  # of the hub's cache: links into the folder beside it
 TOUCH_KEYS = {
     "latent": keys.latent_key,
     "wrench": keys.wrench_key,
-    "descriptor": keys.descriptor_key,
-    "marker_pair": keys.marker_pair_key,
 }
 
 
@@ -75,8 +73,7 @@ class TrainingView(Dataset):
         root: folder written by ``build_view``.
         action_deltas: frames of the action relative to the sample; −1 is the command before it.
         slots: which finger fills which slot; None takes the view's own.
-        touch: "latent" | "none", or a control: "wrench" (the true one) | "descriptor" |
-            "marker_pair".
+        touch: "latent" | "none" | "wrench", the simulator's true one.
         episodes: numbers of the episodes to sample from; None is all.
         image_transforms: applied to each camera image.
         verify: "full" and "quick" compare the SHA-256 of every array; "off" doesn't.
@@ -214,7 +211,7 @@ class TrainingView(Dataset):
             return columns
         for slot, name in slots.items():
             finger = check_finger(name)
-            array = touch_stream(touch, finger)
+            array = latent_array(finger)
             if touch == "wrench":
                 array = keys.truth_wrench_key(finger)
             columns[TOUCH_KEYS[touch](slot)] = array

@@ -26,8 +26,8 @@ from uniforce_datasets.view_plan import (
     EpisodeFacts,
     ViewPlan,
     ViewSettings,
+    latent_array,
     plan_view,
-    touch_stream,
 )
 from uniforce_vtla.contracts import FINGERS, Finger, check_marker_image
 from uniforce_vtla.errors import DatasetError, expected
@@ -35,7 +35,6 @@ from uniforce_vtla.keys import CAMERAS, VIEW_MARKER, tactile_key
 from uniforce_vtla.options import absolute
 from uniforce_vtla.results_file import only_writer, write_json
 from uniforce_vtla.tokenizer import Tokenizer
-from uniforce_vtla.tokenizer.plain_touch import descriptors, marker_pairs
 
 
 class LatentEncoder(Protocol):
@@ -229,7 +228,7 @@ def _episode_blocks(job: _Job) -> dict[str, np.ndarray]:
         frames = episode_frames(video, job.episode.length, job.fps)
         blocks[camera] = np.stack([resize(frame, job.settings.image_side) for frame in frames])
     for finger in FINGERS:
-        blocks |= _touch(job, finger)
+        blocks[latent_array(finger)] = _latents(job, finger)
     return blocks
 
 
@@ -240,22 +239,14 @@ def resize(image: np.ndarray, side: int) -> np.ndarray:
     return cv2.resize(image, (side, side), interpolation=cv2.INTER_AREA)
 
 
-def _touch(job: _Job, finger: Finger) -> dict[str, np.ndarray]:
-    """Return a finger's latents (length, K·latent), descriptors and small image pairs."""
+def _latents(job: _Job, finger: Finger) -> np.ndarray:
+    """Return a finger's latents (length, K·latent)."""
     key = tactile_key(finger)
     episode = job.episode
     reference_video = episode.videos[tactile_key(finger, reference=True)]
     reference = next(episode_frames(reference_video, episode.length, job.fps))[..., 0]
     latents = []
-    described = []
-    pairs = []
     for frames in batched(episode_frames(episode.videos[key], episode.length, job.fps), BATCH):
         images = np.stack([check_marker_image(frame[..., 0], key) for frame in frames])
         latents.append(job.encoder(reference, images, finger).astype(np.float32))
-        described.append(descriptors(reference, images, finger))
-        pairs.append(marker_pairs(reference, images, finger))
-    return {
-        touch_stream("latent", finger): np.concatenate(latents),
-        touch_stream("descriptor", finger): np.concatenate(described),
-        touch_stream("marker_pair", finger): np.concatenate(pairs),
-    }
+    return np.concatenate(latents)

@@ -8,7 +8,6 @@ import json
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -24,15 +23,13 @@ from uniforce_vtla.json_file import read_object
 from uniforce_vtla.sensors import list_sensors
 
 FORMAT = 2  # of the view folder; a view of another format is built anew
-# arrays per finger; the last two feed controls
-TOUCH_STREAMS = ("latent", "descriptor", "marker_pair")
 # array of a view in which instructions change within an episode: (N,) index into its "tasks"
 TASK_INDEX = "task_index"
 
 
-def touch_stream(name: str, finger: Finger) -> str:
-    """Name of a finger's array in a view."""
-    return f"{name}_{finger}"
+def latent_array(finger: Finger) -> str:
+    """Name of the array of a finger's latents in a view."""
+    return f"latent_{finger}"
 
 
 @dataclass(frozen=True)
@@ -253,9 +250,7 @@ def read_marker(root: Path) -> dict[str, Any]:
         )
     check_links(root, root)
     marker = read_object(file, DatasetError)
-    arrays = [*keys.CAMERAS, keys.STATE, keys.ACTION]
-    for name, finger in product(TOUCH_STREAMS, FINGERS):
-        arrays.append(touch_stream(name, finger))
+    arrays = [*keys.CAMERAS, keys.STATE, keys.ACTION, *map(latent_array, FINGERS)]
     if "tasks" in marker:
         arrays.append(TASK_INDEX)
     missing = [name for name in arrays if not (root / f"{name}.npy").is_file()]

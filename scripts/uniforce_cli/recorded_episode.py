@@ -34,9 +34,8 @@ from uniforce_vtla.keys import (
 from uniforce_vtla.markers.mirror import to_canonical
 from uniforce_vtla.sensors import list_sensors
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
-from uniforce_vtla.tokenizer.descriptor import UNTOUCHED
+from uniforce_vtla.tokenizer.descriptor import UNTOUCHED, descriptors
 from uniforce_vtla.tokenizer.descriptor_head import DescriptorHead
-from uniforce_vtla.tokenizer.plain_touch import descriptors
 
 PLACE = [AXES.index(axis) for axis in ("x.pos", "y.pos", "z.pos")]
 FREE_FRAMES = 5  # at an episode's beginning; one alone is as noisy as its markers

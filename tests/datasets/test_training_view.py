@@ -30,14 +30,11 @@ from uniforce_vtla.keys import (
     STATE,
     VIEW_MARKER,
     camera_key,
-    descriptor_key,
     latent_key,
-    marker_pair_key,
     truth_wrench_key,
     wrench_key,
 )
 from uniforce_vtla.results_file import only_writer
-from uniforce_vtla.tokenizer.plain_touch import DESCRIPTOR_SIZE, PAIR_SIDE, descriptors
 
 EPISODES, FRAMES = 3, 20
 DELTAS = [-1, 0, 1, 2, 3]
@@ -95,21 +92,6 @@ def test_wrench_input_is_the_recorded_truth(demos: Path, view: Path) -> None:
     assert set(TrainingView(view, touch="none").features) == {
         camera_key("front"), camera_key("wrist"), STATE, ACTION
     }  # fmt: skip
-
-
-def test_controls_are_stored_beside_the_latents(view: Path) -> None:
-    from lerobot.utils.feature_utils import dataset_to_policy_features
-
-    one = {"touch0": "left"}
-    shapes = {"descriptor": (DESCRIPTOR_SIZE,), "marker_pair": (2, PAIR_SIDE, PAIR_SIDE)}
-    keys = {"descriptor": descriptor_key("touch0"), "marker_pair": marker_pair_key("touch0")}
-    for touch, shape in shapes.items():
-        made = TrainingView(view, slots=one, touch=touch)
-        assert made[7][keys[touch]].shape == shape
-        assert dataset_to_policy_features(made.meta.features)[keys[touch]].shape == shape
-    wanted = descriptors(dots(0), np.stack([dots(20 * np.sin(7 / 5))]), "left")[0]
-    described = TrainingView(view, slots=one, touch="descriptor")
-    np.testing.assert_array_equal(described[FRAMES + 7][keys["descriptor"]], wanted)
 
 
 def test_metadata_serves_sampler_and_policy(demos: Path, view: Path) -> None:

@@ -9,9 +9,10 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from uniforce_vtla.contracts import check_marker_image
+from uniforce_vtla.contracts import Finger, check_marker_image
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.marker_blobs import spacing
+from uniforce_vtla.markers.mirror import to_canonical
 
 DESCRIPTOR_NAMES = ("dx", "dy", "divergence", "curl", "area_change", "count")
 # of the above: what is worth telling apart, px or ratios
@@ -81,3 +82,16 @@ def _describe_one(before: Blobs, after: Blobs, reach_px: float) -> np.ndarray:
     dx, dy = motion.mean(axis=0)
     divergence, curl = slope[0, 0] + slope[1, 1], slope[0, 1] - slope[1, 0]
     return np.array([dx, dy, divergence, curl, growth, found], np.float32)
+
+
+def descriptors(reference: np.ndarray, current: np.ndarray, finger: Finger) -> np.ndarray:
+    """Return (B, 6) float32 descriptors in the canonical frame, as ``describe``.
+
+    Args:
+        reference: (H, W) uint8 free-air image, as the sensor saw it.
+        current: (B, H, W) uint8 images, as the sensor saw them.
+        finger: finger that wore the sensor.
+    """
+    before = np.ascontiguousarray(to_canonical(reference, finger))
+    after = np.ascontiguousarray(to_canonical(current, finger))
+    return describe(before, after)

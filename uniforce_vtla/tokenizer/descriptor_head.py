@@ -94,7 +94,7 @@ class DescriptorHead:
         Raises ContractError: another shape, or numbers that aren't finite.
         """
         if descriptors.ndim != 2 or descriptors.shape[1] != len(DESCRIPTOR_NAMES):
-            do = "Take them from plain_touch.descriptors."
+            do = "Take them from descriptor.descriptors."
             raise ContractError(
                 expected("descriptors", f"(n, {len(DESCRIPTOR_NAMES)})", descriptors.shape, do)
             )
