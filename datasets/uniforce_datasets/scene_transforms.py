@@ -34,8 +34,9 @@ def spare_marker_images(dataset: Any, settings: Any) -> None:
     Raises DatasetError: image transforms of marker images where LeRobot reads the frames itself, which
     is while streaming and with ``eval_split``.
     """
-    is_tactile = bool(set(dataset.meta.camera_keys) & set(TACTILE_KEYS))
-    if not settings.image_transforms.enable or not is_tactile:
+    if not settings.image_transforms.enable:
+        return
+    if not set(dataset.meta.camera_keys) & set(TACTILE_KEYS):
         return
     if settings.streaming or settings.eval_split:
         came = "dataset.streaming" if settings.streaming else "dataset.eval_split"
