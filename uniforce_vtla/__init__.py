@@ -1,6 +1,6 @@
 """UniForce: a latent force space shared by tactile sensors of any kind.
 
-The names below are looked up when they are first used: a device driver or an error class doesn't need torch.
+The names below are looked up when they are first used: a driver or an error needs no torch.
 """
 
 from __future__ import annotations

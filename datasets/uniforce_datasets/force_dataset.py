@@ -41,7 +41,7 @@ def write_force_dataset(
     Args:
         roots: folders of recorded datasets, joined in order.
         out: folder of the new dataset; it must not exist.
-        sensor: of the finger whose newtons are added; without calibration, as demonstrations are read.
+        sensor: of the finger whose newtons are added; not calibrated, as demonstrations are read.
         image_side: pixels per side of the scene cameras' pictures.
         keep: chooses episodes.
         verify: how the datasets are checked first, see ``check_dataset``.

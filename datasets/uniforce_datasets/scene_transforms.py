@@ -1,4 +1,4 @@
-"""LeRobot's dataset with image transforms for scene cameras alone: marker images stay black and white."""
+"""LeRobot's dataset with image transforms for scene cameras alone."""
 
 from collections.abc import Callable
 from typing import Any
@@ -31,8 +31,8 @@ def spare_marker_images(dataset: Any, settings: Any) -> None:
         dataset: LeRobot's, with marker images or without.
         settings: LeRobot's ``cfg.dataset``.
 
-    Raises DatasetError: image transforms of marker images where LeRobot reads the frames itself, which
-    is while streaming and with ``eval_split``.
+    Raises DatasetError: image transforms of marker images where LeRobot reads the frames itself:
+    while streaming, and with ``eval_split``.
     """
     if not settings.image_transforms.enable:
         return

@@ -1,4 +1,7 @@
-"""Stage 3: marker pairs → latent force → newtons. Names are looked up when first used: settings need no torch."""
+"""Stage 3: marker pairs → latent force → newtons.
+
+Names are looked up when they are first used: settings need no torch.
+"""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ def own_latent(z: torch.Tensor, tokenizer_hash: str, reader: str) -> torch.Tenso
     another tokenizer.
     """
     if not isinstance(z, Latent):
-        do = "Pass what Tokenizer.encode returned; stored ones become Latent.of(z, tokenizer's hash)."
+        do = "Pass what Tokenizer.encode returned; stored ones become Latent.of(z, its hash)."
         raise ContractError(expected(f"latents for {reader}", "a Latent", type(z).__name__, do))
     if z.tokenizer_hash != tokenizer_hash:
         wanted = f"tokenizer {tokenizer_hash[:12]}…"

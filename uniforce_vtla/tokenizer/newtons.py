@@ -1,8 +1,8 @@
-"""Newtons: calibrated pooled latents → fx, fy, fz, by the frozen head, a gain, and a grip that is held.
+"""Newtons: calibrated pooled latents → fx, fy, fz, by the frozen head, a gain and a held grip.
 
-A flat gel that a tool covers shows shear but hardly grip. A policy learns both together: with a sensor
-that reads too little grip it squeezes harder and presses harder than it was shown. A hand that holds a
-tool keeps its grip, so a stored value serves once the tool is lifted.
+A flat gel that a tool covers shows shear but hardly grip. A policy learns both together: with a
+sensor that reads too little grip it squeezes and presses harder than it was shown. A hand that
+holds a tool keeps its grip, so a stored value serves once the tool is lifted.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Lift:
         self._seen: tuple[Tensor, Tensor] | None = None  # (B,) lowest touched height, is lifted
 
     def see(self, height_m: Tensor, grip_N: Tensor) -> Tensor:
-        """Return (B,) bool, touched now and lifted since the start, for the hand's (B,) height and grip."""
+        """Return (B,) bool, touched now and lifted before, for the hand's (B,) height and grip."""
         if self._seen is None or len(self._seen[0]) != len(height_m):
             nowhere_m = torch.full_like(height_m, torch.inf)
             self._seen = (nowhere_m, torch.zeros_like(height_m, dtype=torch.bool))
