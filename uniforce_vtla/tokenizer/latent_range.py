@@ -84,7 +84,7 @@ class LatentRange(nn.Module):
 
     @classmethod
     def from_pretrained(cls, kind: str, path: str | Path | None = None) -> LatentRange:
-        """Load the shipped range of a kind for a size of tokenizer ("small" by default), or a folder.
+        """Load the shipped range of a kind for a size of tokenizer, or the range in a folder.
 
         Raises CheckpointError: no range for that kind, or a checkpoint that doesn't fit.
         """
