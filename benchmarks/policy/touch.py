@@ -28,7 +28,7 @@ from benchmarks.timing import in_turns, ratio
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TouchSettings
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
 from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, drop_padding
-from lerobot_policy_pi05_uniforce.touch.felt import Felt
+from lerobot_policy_pi05_uniforce.touch.tokens import Felt
 from uniforce_vtla.tokenizer.weights import content_hash
 
 SLOTS = {"touch0": "right", "touch1": "left"}

@@ -25,13 +25,13 @@ from lerobot_policy_pi05_uniforce.action import (
     to_targets,
 )
 from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
+from lerobot_policy_pi05_uniforce.modeling_pi05_uniforce import made_up_batch
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import (
     MEASURED_STATE,
     SPAN_FLOOR,
     floor_quantiles,
 )
-from lerobot_policy_pi05_uniforce.warm_up import made_up_batch
 from uniforce_vtla.errors import ContractError, RolloutError
 from uniforce_vtla.keys import ACTION
 
@@ -241,9 +241,9 @@ def test_larger_camera_frames_shrink_as_training_views_do(make_policy, make_batc
     key = next(iter(policy.config.image_features))
     side = policy.config.image_resolution[0]
     large = torch.rand(len(batch[key]), 3, 4 * side, 4 * side)
-    shrunk = policy._shrunk({**batch, key: large})[key]
+    images, _ = policy._preprocess_images({**batch, key: large})
     wanted = large.unflatten(3, (side, 4)).unflatten(2, (side, 4)).mean((3, 5))
-    assert torch.allclose(shrunk, wanted, atol=1e-6)
+    assert torch.allclose(images[0], 2 * wanted - 1, atol=1e-6)
 
 
 def test_regression_trains_the_very_actions_it_samples(make_policy, make_batch):
@@ -552,8 +552,7 @@ def test_a_loaded_policy_has_answered_before_a_robot_is_connected(
 @pytest.mark.parametrize("kind", ["latent", "newtons", "wrench", "none"])
 @pytest.mark.parametrize("slots", [{"touch0": "right"}, {"touch0": "right", "touch1": "left"}])
 def test_every_kind_of_policy_is_warmed_up(kind, slots, make_policy) -> None:
-    more = {"touch__tokenizer_path": None} if kind == "newtons" else {}
-    policy = make_policy(touch__input=kind, touch__slots=slots, **more)
+    policy = make_policy(touch__input=kind, touch__slots=slots)
     policy.warm_up()
     assert policy.issued.last is None
 
