@@ -65,16 +65,12 @@ def with_touch(
 ) -> tuple[Inputs, torch.Tensor]:
     """Add cached latents of every slot and leave text padding out, as the trainer does for short prompts."""
     config = network.config
-    touches: list[torch.Tensor] = []
-    for _ in config.slots:
-        touches.append(
-            torch.randn(1, config.tokens_per_slot, config.latent_size, device=noise.device)
-        )
-    real = [torch.ones(1, dtype=torch.bool, device=noise.device) for _ in config.slots]
+    felt = Felt()
+    if config.slots:
+        touches = torch.randn(len(config.slots), 1, *config.touch_shape, device=noise.device)
+        felt = Felt(None, touches, torch.ones(touches.shape[:2], dtype=torch.bool).to(noise.device))
     tokens, masks = drop_padding(given.tokens, given.masks)
-    return Inputs(
-        given.images, given.img_masks, tokens, masks, Felt(None, tuple(touches), tuple(real))
-    ), noise
+    return Inputs(given.images, given.img_masks, tokens, masks, felt), noise
 
 
 def _training(

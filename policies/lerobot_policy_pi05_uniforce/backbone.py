@@ -144,11 +144,11 @@ def joint_layer(
         cond: per stream, the time condition of its adaptive norms (B, D), or None.
         last: return the suffix only.
     """
-    gates: list[Tensor] = []
-    projected: list[Tensor] = []
-    for layer, x, c in zip(layers, streams, cond, strict=True):
+    gates = []
+    projected = []
+    for number, layer in enumerate(layers):
         attention = layer.self_attn
-        normed, gate = layernorm_forward(layer.input_layernorm, x, c)
+        normed, gate = layernorm_forward(layer.input_layernorm, streams[number], cond[number])
         gates.append(gate)
         qkv = [attention.q_proj(normed), attention.k_proj(normed), attention.v_proj(normed)]
         projected.append(torch.cat(qkv, dim=-1))  # (B, L·, (heads + 2) · head)

@@ -88,11 +88,10 @@ def check_settings(saved: dict[str, Any], where: str) -> None:
         raise CheckpointError(expected(where, "sizes a machine can hold", error, do)) from error
 
 
-def _table(saved: Any, name: str) -> dict[str, Any]:
+def _table(saved: dict[str, Any], name: str) -> dict[str, Any]:
     """Return a table of a saved one; empty where there is none."""
-    if isinstance(saved, dict) and isinstance(saved.get(name), dict):
-        return saved[name]
-    return {}
+    found = saved.get(name)
+    return found if isinstance(found, dict) else {}
 
 
 def _check_sizes(saved: dict[str, Any]) -> None:

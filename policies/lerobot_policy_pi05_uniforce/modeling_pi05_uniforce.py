@@ -297,16 +297,10 @@ class PI05UniforcePolicy(stock.PI05Policy):
         else:
             noise = self.model.sample_noise(actions.shape, actions.device)
             flow_time = self.model.sample_time(len(actions), actions.device)
-        losses = self.model.forward(
-            images,
-            masks,
-            batch[OBS_LANGUAGE_TOKENS],
-            batch[OBS_LANGUAGE_ATTENTION_MASK],
-            felt,
-            actions=actions,
-            noise=noise,
-            time=flow_time,
-        )
+        tokens = batch[OBS_LANGUAGE_TOKENS]
+        text_mask = batch[OBS_LANGUAGE_ATTENTION_MASK]
+        flow = {"actions": actions, "noise": noise, "time": flow_time}
+        losses = self.model.forward(images, masks, tokens, text_mask, felt, **flow)
         losses = losses[:, :, : self._action_size]  # (B, chunk, A)
         keep = torch.ones_like(losses[..., :1])  # (B, chunk, 1)
         if "action_is_pad" in batch:

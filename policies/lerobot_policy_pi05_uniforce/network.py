@@ -222,11 +222,11 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
             parts.append(self.state_token(felt.state).to(embs.dtype))  # (B, 1, D)
             reals.append(torch.ones_like(real[:, :1]))
         gated = None
-        if felt.touches and self.touch_gate is not None:
+        if felt.touches is not None and self.touch_gate is not None:
             count = self.config.tokens_per_slot
             bias = self.touch_gate(len(felt.touches), count)
             gated = GatedColumns(embs.shape[1] + len(parts) - 1, bias, felt.real(count))
-        if felt.touches and self.config.touch.site == "prefix":
+        if felt.touches is not None and self.config.touch.site == "prefix":
             touch = self._touch_tokens(felt)
             parts.append(touch.tokens.to(embs.dtype))
             reals.append(touch.real)
@@ -234,7 +234,7 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
 
     def suffix_touch(self, felt: Felt) -> TouchTokens | None:
         """Return all slots' tokens for the suffix; None at the other site or without touch."""
-        if self.config.touch.site != "suffix" or not felt.touches:
+        if felt.touches is None or self.config.touch.site != "suffix":
             return None
         return self._touch_tokens(felt)
 

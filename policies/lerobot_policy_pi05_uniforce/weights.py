@@ -88,7 +88,7 @@ def fill(
 
     Raises CheckpointError: a damaged file, or naming the tensors that don't fit or aren't finite.
     """
-    tensors: dict[str, Tensor] = {}
+    tensors = {}
     with opened(path) as stored:
         for name, own in rename(stored.keys()).items():
             tensors[own] = stored.get_tensor(name)
@@ -157,7 +157,7 @@ def own_names(stored: Iterable[str]) -> dict[str, str]:
     Where a file stores the tied input embedding as the VLM's head, it is taken from there. openpi's
     names of the time MLP are understood. A strange name stays and makes ``fill`` raise.
     """
-    ours: dict[str, str] = {}
+    ours = {}
     tied = ""
     for name in stored:
         full = name if name.startswith("model.") else f"model.{name}"

@@ -68,7 +68,7 @@ def test_masked_touch_equals_no_touch(site, make_policy, make_batch):
     policy = make_policy(touch__site=site)
     *seen, felt = inputs(policy, make_batch(policy))
     start = start_noise(policy)
-    off = replace(felt, masks=tuple(torch.zeros_like(mask) for mask in felt.masks))
+    off = replace(felt, masks=torch.zeros_like(felt.masks))
     masked = policy.model.sample_actions(*seen, off, noise=start)
     without = policy.model.sample_actions(*seen, Felt(felt.state), noise=start)
     touched = policy.model.sample_actions(*seen, felt, noise=start)
@@ -125,7 +125,7 @@ def test_cached_latents_equal_encoding_the_images(make_policy, make_batch):
         latent_key(slot): touches[i].flatten(1) for i, slot in enumerate(("touch0", "touch1"))
     }
     again = policy.felt(cached).touches
-    assert all(torch.equal(a, b) for a, b in zip(touches, again, strict=True))
+    assert torch.equal(touches, again)
 
 
 def test_reference_is_encoded_once_until_reset(make_policy, make_batch, monkeypatch):
@@ -272,10 +272,10 @@ def test_touch_dropout_in_training_with_two_slots_or_on_request(make_policy, mak
         batch = make_batch(policy, size=32)
         policy.train()
         masks = policy.felt(batch).masks
-        assert (not all(m.all() for m in masks)) == hidden
+        assert (not masks.all()) == hidden
         policy.eval()
         masks = policy.felt(batch).masks
-        assert all(m.all() for m in masks)
+        assert masks.all()
 
 
 def with_dots(batch):

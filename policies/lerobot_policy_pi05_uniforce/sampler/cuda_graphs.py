@@ -143,28 +143,25 @@ class GraphedSampler:
             return self._sampler.flow(prefix, noise, tables)
 
         recorded = Replayed(prefill, flattened(observed), Prefill.tensors, self._capture)
-        return Pair(
-            recorded,
-            Replayed(flow, [noise, *touch], lambda actions: [actions], self._capture),
-        )
+        flowing = Replayed(flow, [noise, *touch], lambda actions: [actions], self._capture)
+        return Pair(recorded, flowing)
 
 
 def flattened(inputs: Inputs) -> list[Tensor]:
     """Return the tensors of an observation, one behind the other."""
     felt = inputs.felt
-    state = [] if felt.state is None else [felt.state]
     seen = [*inputs.images, *inputs.img_masks, inputs.tokens, inputs.masks]
-    return [*seen, *state, *felt.touches, *felt.masks]
+    return [*seen, *filter(torch.is_tensor, (felt.state, felt.touches, felt.masks))]
 
 
 def copied(inputs: Inputs) -> Inputs:
     """Return an observation in memory of its own."""
-    felt = inputs.felt
-    state = None if felt.state is None else felt.state.clone()
-    own = Felt(state, tuple(map(torch.clone, felt.touches)), tuple(map(torch.clone, felt.masks)))
+    felt = []
+    for part in (inputs.felt.state, inputs.felt.touches, inputs.felt.masks):
+        felt.append(None if part is None else part.clone())
     images = list(map(torch.clone, inputs.images))
     img_masks = list(map(torch.clone, inputs.img_masks))
-    return Inputs(images, img_masks, inputs.tokens.clone(), inputs.masks.clone(), own)
+    return Inputs(images, img_masks, inputs.tokens.clone(), inputs.masks.clone(), Felt(*felt))
 
 
 def bucketed(tokens: Tensor, masks: Tensor) -> tuple[Tensor, Tensor]:

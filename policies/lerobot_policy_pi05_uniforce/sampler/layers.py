@@ -193,13 +193,7 @@ class Prepared:
     def __init__(self, network: PI05UniforcePytorch) -> None:
         self._network = network
         self._prepared_for: Any = None
-        self._tables: dict[int, list[StepTable]] = {}
         self.version = 0  # counts preparations
-        self.eps = torch.empty(0)  # of the norms, one for all of π0.5
-        # of the VLM's norms, before attention and MLP, per layer
-        self.gains: list[tuple[Tensor, Tensor]] = []
-        # of the expert's layers, side by side, ((heads + 2)·head, D) each
-        self.qkv: list[Tensor] = []
 
     def tables(self, num_steps: int) -> list[StepTable]:
         """Return the step tables of these weights, for a flow of so many steps."""
@@ -223,13 +217,16 @@ class Prepared:
 
     def _prepare(self) -> None:
         vlm = self._network.vlm
-        self._tables = {}
+        self._tables: dict[int, list[StepTable]] = {}
+        # of the norms, one for all of π0.5
         self.eps = torch.full((), vlm.norm.eps, device=vlm.norm.weight.device)
-        self.gains = []
+        # of the VLM's norms, before attention and before the MLP of each layer
+        self.gains: list[tuple[Tensor, Tensor]] = []
         for layer in vlm.layers:
             before = 1 + layer.input_layernorm.weight.float()
             self.gains.append((before, 1 + layer.post_attention_layernorm.weight.float()))
-        self.qkv = []
+        # of the expert's layers, side by side, ((heads + 2)·head, D) each
+        self.qkv: list[Tensor] = []
         for layer in self._network.expert.layers:
             a = layer.self_attn
             self.qkv.append(torch.cat([a.q_proj.weight, a.k_proj.weight, a.v_proj.weight]))

@@ -88,7 +88,7 @@ class PrefixEncoder:
         if gated is not None and gated.first < real.shape[1]:  # touch is in the prefix
             mask = _additive(mask, real, gated, x.dtype)
         rotary = ops.rotary_of(vlm, x, _positions(real, gated))
-        cache: list[Tensor] = []
+        cache = []
         for depth, layer in enumerate(vlm.layers):
             rows = ops.project(layer, ops.rms(x, eps).mul_(gains[depth][0]))
             turned = ops.rotated(rows, rotary)  # (B, heads + 2, L, head)

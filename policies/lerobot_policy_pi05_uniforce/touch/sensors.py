@@ -125,7 +125,7 @@ def load_calibrations(config: PI05UniforceConfig) -> dict[Finger, Calibration]:
     this policy's latents, or a gain of newtons where it feels none.
     """
     shape = config.tokens_per_slot, config.latent_size
-    found: dict[Finger, Calibration] = {}
+    found = {}
     for finger in FINGERS:
         folder = getattr(config, f"{finger}_calibration")
         if not folder:
@@ -189,8 +189,8 @@ def held_grips(
 
     Raises ContractError: it is to be held, and the demonstrations' grip isn't known.
     """
-    found: dict[str, float] = {}
-    notes: list[str] = []
+    found = {}
+    notes = []
     for slot, finger in config.finger_by_slot().items():
         calibration = calibrations.get(finger)
         can_read = calibration is None or calibration.reads_grip
@@ -220,7 +220,7 @@ def carried_grip(episodes: Iterable[tuple[Tensor, Tensor]]) -> float | None:
 
     Each episode is the measured state (T, axes) and the finger's newtons (T, 3).
     """
-    grips_N: list[Tensor] = []
+    grips_N = []
     for state, force_N in episodes:
         lift = Lift()
         for height_m, grip_N in zip(state[:, HEIGHT], force_N[:, FZ], strict=True):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor, nn
@@ -23,12 +23,12 @@ class Felt:
     """The measured state, and the input of each touch slot in the order of the policy's slots."""
 
     state: Tensor | None = None  # (B, 1, S); None: the policy takes no state token
-    touches: tuple[Tensor, ...] = ()  # (B, K or 1, numbers) each
-    masks: tuple[Tensor, ...] = ()  # (B,) bool each, False where a slot is lost or hidden
+    touches: Any = None  # (slots, B, K or 1, numbers); None: it takes no touch
+    masks: Any = None  # (slots, B) bool, False where a slot is lost or hidden
 
     def real(self, tokens_per_slot: int) -> Tensor:
         """Return (B, slots · K) bool: which force tokens are of a slot that is there."""
-        return torch.stack(self.masks, dim=1).repeat_interleave(tokens_per_slot, dim=1)
+        return self.masks.T.repeat_interleave(tokens_per_slot, dim=1)
 
 
 NOTHING = Felt()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -40,7 +40,7 @@ class TouchInput:
 
     def __init__(self, config: PI05UniforceConfig, sensors: PolicySensors) -> None:
         self.config = config
-        self.sensors: dict[str, ForceSensor] = sensors.by_slot
+        self.sensors = sensors.by_slot
         self.notes = sensors.notes
         self.masked = False  # every slot hidden: takes touch away from a trained policy
         self._comparison = sensors.comparison
@@ -68,8 +68,8 @@ class TouchInput:
         if self._comparison is not None:
             self._comparison.other.to(device)
 
-    def gather(self, batch: Batch, training: bool) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
-        """Return the slots' tensors and (B,) masks, in slot order.
+    def gather(self, batch: Batch, training: bool) -> tuple[Any, Any]:
+        """Return (slots, B, rows, numbers) and (slots, B) whether each is there, or None.
 
         Raises, if ``on_sensor_loss`` is "error", RolloutError: a declared input is missing or not
         finite; SensorError: latents outside the range of healthy sensors.
@@ -77,19 +77,16 @@ class TouchInput:
         for sensor in self.sensors.values():
             if sensor.monitor is not None:
                 sensor.monitor.active = not training
-        touches: list[Tensor] = []
-        masks: list[Tensor] = []
-        for slot in self.config.slots:
-            touch = self._read(batch, slot)
-            mask = touch.isfinite().flatten(1).all(dim=1)  # (B,)
-            if self.masked:
-                mask = torch.zeros_like(mask)
-            if training:
-                kept = torch.rand_like(mask, dtype=torch.float32)
-                mask = mask & (kept >= self.config.augment.touch_dropout)
-            touches.append(touch.nan_to_num())
-            masks.append(mask)
-        return tuple(touches), tuple(masks)
+        if not self.config.slots:
+            return None, None
+        touches = torch.stack([self._read(batch, slot) for slot in self.config.slots])
+        masks = touches.isfinite().flatten(2).all(dim=2)
+        if self.masked:
+            masks = torch.zeros_like(masks)
+        if training:
+            share = torch.rand_like(masks, dtype=torch.float32)
+            masks = masks & (share >= self.config.augment.touch_dropout)
+        return touches.nan_to_num(), masks
 
     def _read(self, batch: Batch, slot: str) -> Tensor:
         """Return a slot's input, NaN where its sensor is lost."""
