@@ -168,7 +168,7 @@ def check_leap(target: Tensor, last: Tensor | None, scale: Tensor) -> None:
         return
     leap = (target - last).abs().amax(dim=0)  # (A,)
     times = leap / scale
-    if bool((times > LARGEST_LEAP).any()):
+    if (times > LARGEST_LEAP).any():
         axis = int(times.argmax())
         name = f"change of target, axis {axis}"
         wanted = f"at most {LARGEST_LEAP * float(scale[axis]):.3f} a step"
@@ -209,7 +209,7 @@ def check_within(
     high = high + room
     actions = action.flatten(0, -2)  # (n, A)
     outside = ((actions < low) | (actions > high)).any(dim=0)
-    if bool(outside.any()):
+    if outside.any():
         axis = int(outside.nonzero()[0])
         came = actions[:, axis].tolist()
         wanted = f"within {float(low[axis]):.3f} … {float(high[axis]):.3f}"
@@ -245,7 +245,7 @@ class CheckActionStep(PolicyActionProcessorStep):
 
         Raises RolloutError: NaN, inf, or an axis outside the range: hold the robot.
         """
-        if not bool(action.isfinite().all()):
+        if not action.isfinite().all():
             do = "Hold the robot; the policy or its input is broken."
             raise RolloutError(expected("action", "finite numbers", "NaN or inf", do))
         if not self.low or not stops_outside(self.where):

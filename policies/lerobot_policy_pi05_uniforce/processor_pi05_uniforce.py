@@ -106,7 +106,7 @@ class UniforceTokenizerProcessorStep(TokenizerProcessorStep):
             do = "Copy the checkpoint again, with every file of its preprocessor."
             raise CheckpointError(expected("text tokenizer", wanted, "none", do))
         tokens = super()._tokenize_text(text)
-        if not self._warned and bool(tokens["attention_mask"].all(dim=-1).any()):
+        if not self._warned and tokens["attention_mask"].all(dim=-1).any():
             self._warned = True
             message = "A prompt fills all %d text tokens; its end may be cut: %r"
             logger.warning(message, self.max_length, text)

@@ -83,7 +83,7 @@ class PrefixEncoder:
         x, real, gated = self._network.append_felt(inputs.felt, *self._seen(inputs))
         x = x.to(vlm.layers[0].self_attn.q_proj.weight.dtype)  # (B, L, D)
         mask = None
-        if always_mask or not bool(real.all()):
+        if always_mask or not real.all():
             mask = real[:, None, None, :]  # the output of a padded token is not read
         if gated is not None and gated.first < real.shape[1]:  # touch is in the prefix
             mask = _additive(mask, real, gated, x.dtype)
@@ -113,7 +113,7 @@ class PrefixEncoder:
             behind = torch.cat([touch.real, behind], dim=1)  # (B, L_suffix)
         real = torch.cat([prefill.real, behind], dim=1)  # (B, L_prefix + L_suffix)
         mask = None
-        if touch is not None or always_mask or not bool(real.all()):
+        if touch is not None or always_mask or not real.all():
             mask = real[:, None, None, :]
         if touch is not None:  # touch sees the prefix and itself, actions see everything
             rows = real.new_ones(behind.shape[1], real.shape[1])
@@ -146,7 +146,7 @@ def drop_dead(inputs: Inputs) -> Inputs:
     images = []
     img_masks = []
     for image, mask in zip(inputs.images, inputs.img_masks, strict=True):
-        if bool(mask.any()):
+        if mask.any():
             images.append(image)
             img_masks.append(mask)
     return Inputs(images, img_masks, *drop_padding(inputs.tokens, inputs.masks), inputs.felt)
@@ -155,7 +155,7 @@ def drop_dead(inputs: Inputs) -> Inputs:
 def drop_padding(tokens: Tensor, masks: Tensor) -> tuple[Tensor, Tensor]:
     """Return text (B, L) and its mask without the columns that no prompt of the batch uses."""
     used = 0
-    if bool(masks.any()):
+    if masks.any():
         used = int(masks.any(dim=0).nonzero().max()) + 1
     return tokens[:, :used], masks[:, :used]
 

@@ -1,13 +1,12 @@
 """The frozen tokenizer and force head inside a policy: built, or loaded, and checked."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from typing import Self
 
 from torch import nn
 
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.weights import no_weights
 from uniforce_vtla.errors import CheckpointError, expected
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
@@ -15,9 +14,6 @@ from uniforce_vtla.tokenizer.api import STORED_KEY, canonicalizer_facts, shipped
 from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig
 from uniforce_vtla.tokenizer.model import build_model
 from uniforce_vtla.tokenizer.weights import content_hash
-
-if TYPE_CHECKING:
-    from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 
 # its tensors in a policy; stored only where the package doesn't have them
 ENCODER = "model.tactile_encoder."
@@ -43,7 +39,7 @@ class FrozenTouch(nn.Module):
         self.requires_grad_(False)
         self.eval()
 
-    def train(self, mode: bool = True) -> FrozenTouch:
+    def train(self, mode: bool = True) -> Self:
         """Stay in eval mode: LeRobot calls ``policy.train()`` at every step."""
         return super().train(False)
 

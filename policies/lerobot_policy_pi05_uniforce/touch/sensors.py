@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.touch.encoder import FrozenTouch
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
@@ -21,9 +21,6 @@ from uniforce_vtla.tokenizer.finger_balance import EVERY, FingerBalance, imbalan
 from uniforce_vtla.tokenizer.latent_range import FREE_LOOKS, HealthMonitor
 from uniforce_vtla.tokenizer.newtons import FZ, Lift
 from uniforce_vtla.tokenizer.weights import checkpoint_folder
-
-if TYPE_CHECKING:
-    from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 
 logger = logging.getLogger(__name__)
 HEIGHT = AXES.index("z.pos")

@@ -1,17 +1,14 @@
 """Touch as tokens: K force tokens per slot, and the gate on their weight in attention."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
-if TYPE_CHECKING:
-    from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 
 SHUT = 1e-6  # gate at the start, and the least that is left of it: a logit of −13.5
 # N, N, N, Nmm: shear, press and torsion of a firm wipe become ~1

@@ -1,23 +1,19 @@
 """The network's input of each touch slot, from stored latents, marker images or the true wrench."""
 
-from __future__ import annotations
-
 import logging
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
+from lerobot_policy_pi05_uniforce.touch.sensors import HEIGHT, PolicySensors
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import RolloutError, SensorError, UniForceError, expected
+from uniforce_vtla.force_sensor import ForceSensor
 from uniforce_vtla.keys import AXES, STATE, latent_key, tactile_key, wrench_key
 from uniforce_vtla.tokenizer.latent_range import FreeAirError
-
-if TYPE_CHECKING:
-    from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
-    from lerobot_policy_pi05_uniforce.touch.sensors import PolicySensors
-    from uniforce_vtla.force_sensor import ForceSensor
 
 logger = logging.getLogger(__name__)
 
@@ -25,7 +21,6 @@ type Batch = dict[str, Tensor]
 
 # reference, current
 PAIR_KEYS = {finger: (tactile_key(finger, True), tactile_key(finger)) for finger in FINGERS}
-HEIGHT = AXES.index("z.pos")
 WIDTH = AXES.index("width.pos")
 OPEN_m = 0.004  # below its widest command: the measured width lags behind
 
@@ -96,7 +91,7 @@ class TouchInput:
             self._lost(error)
             state = batch[STATE]
             return state.new_full((len(state), *self.config.touch_shape), torch.nan)
-        if not bool(touch.isfinite().all()):
+        if not touch.isfinite().all():
             do = "Check the sensor or the dataset."
             self._lost(RolloutError(expected(slot, "finite numbers", "NaN or inf", do)))
         return touch
