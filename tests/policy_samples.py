@@ -7,10 +7,10 @@ import pytest
 import torch
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.policies.pi05 import modeling_pi05 as stock
+from lerobot.utils.constants import OBS_LANGUAGE_ATTENTION_MASK, OBS_LANGUAGE_TOKENS
 
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings
-from lerobot_policy_pi05_uniforce.modeling_pi05_uniforce import LANGUAGE
 from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs
 
 SITES = pytest.mark.parametrize("site", ["prefix", "suffix"])
@@ -38,7 +38,8 @@ def small_config(cameras=("front", "wrist"), **settings):
 
 def inputs(policy, batch):
     images, masks = policy._preprocess_images(batch)
-    return Inputs(images, masks, batch[LANGUAGE[0]], batch[LANGUAGE[1]], policy.felt(batch))
+    text = batch[OBS_LANGUAGE_TOKENS], batch[OBS_LANGUAGE_ATTENTION_MASK]
+    return Inputs(images, masks, *text, policy.felt(batch))
 
 
 def start_noise(policy, size=2):

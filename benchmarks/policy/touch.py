@@ -21,7 +21,7 @@ from benchmarks.policy.latency import (
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TouchSettings
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
 from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, drop_padding
-from lerobot_policy_pi05_uniforce.touch.felt import Felt
+from lerobot_policy_pi05_uniforce.touch.tokens import Felt
 from uniforce_vtla.tokenizer.weights import content_hash
 
 SLOTS = {"touch0": "right", "touch1": "left"}
@@ -79,14 +79,10 @@ def bench_training(
 def with_touch(network: PI05UniforcePytorch, given: Inputs, noise: torch.Tensor) -> Inputs:
     """Add cached latents of every slot and leave text padding out, as for short prompts."""
     config = network.config
-    touches = []
-    real = []
-    for _ in config.slots:
-        shape = 1, config.tokens_per_slot, config.latent_size
-        touches.append(torch.randn(shape, device=noise.device))
-        real.append(torch.ones(1, dtype=torch.bool, device=noise.device))
+    touches = torch.randn(len(config.slots), 1, *config.touch_shape, device=noise.device)
+    real = torch.ones(touches.shape[:2], dtype=torch.bool, device=noise.device)
     tokens, masks = drop_padding(given.tokens, given.masks)
-    felt = Felt(None, tuple(touches), tuple(real))
+    felt = Felt(None, touches, real)
     return Inputs(given.images, given.img_masks, tokens, masks, felt)
 
 

@@ -1,4 +1,4 @@
-"""π0.5 with force tokens.  Importing this package registers everything the distribution gives to LeRobot."""
+"""π0.5 with force tokens. Importing this registers everything the distribution gives to LeRobot."""
 
 import lerobot_env_uniforce_wiping  # noqa: F401  registers the environment type
 import uniforce_robots.franka

@@ -1,14 +1,16 @@
-"""Actions: what the network predicts, how that becomes the targets every robot takes, and what stops a policy.
+"""Actions: the network's predictions, how they become a robot's targets, and what stops a policy.
 
-``target_delta``: step k of a chunk is the change of the commanded target since the last *issued* command.
-Why: with a hidden board height and stiffness, force control is an increment on the last command.  A change
-relative to the *measured* pose would be a force command by itself (impedance turns commanded − measured into
-newtons), so a blind policy could hold a press without touch; and the network must not see the last
-command, because commanded − measured predicts the press.  Hence the base is added outside the network.
+``target_delta``: step k of a chunk is the change of the commanded target since the last *issued*
+command. With a hidden board height and stiffness, force control is an increment on the last
+command. A change relative to the *measured* pose would be a force command by itself: impedance
+turns commanded − measured into newtons, so a blind policy could hold a press without touch. The
+network must not see the last command, because commanded − measured predicts the press. So the base
+is added outside the network.
 
-Targets that follow targets run away from an arm that is held back, and it would go there once it is free. So each one
-issued stays within a leash of the measured pose. With the arm's springs that bounds the force of a blocked policy,
-stiffness × min(leash, clip) per axis: by default 18 mm × 2,000 N/m = 36 N in x and y, 18 mm × 800 N/m = 14.4 N in z.
+Targets that follow targets run away from an arm that is held back, and it would go there once free.
+So each one issued stays within a leash of the measured pose. With the arm's springs that bounds the
+force of a blocked policy, stiffness × min(leash, clip) per axis. By default that is
+18 mm × 2,000 N/m = 36 N in x and y, and 18 mm × 800 N/m = 14.4 N in z.
 """
 
 import math
@@ -27,24 +29,25 @@ from uniforce_vtla.errors import ContractError, RolloutError, expected
 from uniforce_vtla.keys import AXES
 
 YAW = AXES.index("yaw.pos")
-# of the leash per step since the pose was measured: 8 mm, the robot's 0.25 m/s; free motion isn't cut
+# of the leash per step since the pose was measured: 8 mm, the robot's 0.25 m/s
 STRIDE = 0.4
-# around the demos: of an axis' span, and m or rad where it hardly moved
-MARGIN, LEAST_ROOM = 0.5, 0.05
+MARGIN = 0.5  # around the demos, of an axis' span
+LEAST_ROOM = 0.05  # m or rad: the margin where an axis hardly moved
 # of ``delta_scale`` in one control step: 40 mm in x, 0.5 rad; demos stay below 2
 LARGEST_LEAP = 10.0
 
 
 class NetworkUnits(nn.Module):
-    """SI units ↔ what the network predicts, per axis: linear, or by logarithm (asinh) beyond a knee.
+    """SI units ↔ network units per axis: linear, or by logarithm (asinh) beyond a knee.
 
-    A newton of grip is a tenth of a millimetre of command where closing the hand is forty: squared errors of plain
-    moves hardly see forces. And a move grows along the chunk: in units of one size late steps, which are never
-    executed, weigh hundreds of times as much as the first. A unit therefore grows with the step, as at a steady speed.
+    A newton of grip is a tenth of a millimetre of command where closing the hand is forty: squared
+    errors of plain moves hardly see forces. And a move grows along the chunk: late steps, which are
+    never executed, would weigh hundreds of times as much as the first. So a unit grows with the
+    step, as at a steady speed.
 
     Args:
         scale: (A,) size of one network unit in the middle of a chunk, SI.
-        knee: (A,) where the logarithm begins and the size of one unit below it, SI; 0 = linear; () = all linear.
+        knee: (A,) where the logarithm begins, and the unit there, SI; 0 = linear; () = all linear.
         chunk: steps of a chunk.
     """
 
@@ -52,7 +55,7 @@ class NetworkUnits(nn.Module):
         super().__init__()
         knees = torch.tensor(list(knee) or [0.0] * len(scale))
         growth = (torch.arange(chunk)[:, None] + 1) / max(chunk / 2, 1)  # (chunk, 1)
-        unit = torch.where(knees > 0, knees, torch.tensor(list(scale))) * growth
+        unit = torch.where(knees > 0, knees, torch.tensor(scale)) * growth  # (chunk, A)
         self.register_buffer("bent", knees > 0, persistent=False)
         self.register_buffer("unit", unit, persistent=False)
 
@@ -72,9 +75,9 @@ def to_deltas(
     """Return (B, chunk, A) changes since the last command, in network units.
 
     Args:
-        actions: (B, 1 + chunk, A) absolute targets in SI units; the first is the last command issued.
+        actions: (B, 1 + chunk, A) absolute targets in SI units; the first is the last command.
         is_pad: (B, 1 + chunk) bool, or None; a padded first column means the episode starts here.
-        measured: (B, A) measured state, the base where no command has been issued yet, as in a rollout.
+        measured: (B, A) measured state, the base where no command has been issued yet.
         units: of the network.
     """
     base = actions[:, 0]
@@ -84,12 +87,12 @@ def to_deltas(
 
 
 def to_targets(deltas: Tensor, base: Tensor, units: NetworkUnits) -> Tensor:
-    """Invert :func:`to_deltas`: (B, chunk, A) network units on a (B, A) base → absolute targets, SI units."""
+    """Invert :func:`to_deltas`: (B, chunk, A) network units on a (B, A) base → targets, SI."""
     return base[:, None] + units.to_si(deltas)
 
 
 def previous_move(commands: Tensor) -> Tensor:
-    """Return (B, A) how far the command moved before a sample, SI: from the first of its (B, T, A) to the second."""
+    """Return (B, A) move, SI, from the first of a sample's (B, T, A) commands to the second."""
     return commands[:, 1] - commands[:, 0]
 
 
@@ -123,57 +126,57 @@ class IssuedTarget:
         if self.last is None:
             return measured
         if self.last.shape != measured.shape:
+            wanted = tuple(self.last.shape)
             came = tuple(measured.shape)
-            raise RolloutError(
-                expected("batch", tuple(self.last.shape), came, "Call policy.reset() first.")
-            )
+            raise RolloutError(expected("batch", wanted, came, "Call policy.reset() first."))
         return self.last
 
     def moved(self, measured: Tensor) -> Tensor:
-        """Return (B, A) how far the target moved over the steps kept, 0 before the second; raises as ``base``."""
+        """Return (B, A) move of the target over the steps kept, 0 at first; raises as ``base``."""
         if self.last is None:
             return torch.zeros_like(measured)
         return self.base(measured) - self._targets[0]
 
 
 def check_axes(state_size: int, action_size: int, settings: ActionSettings) -> None:
-    """Raise ContractError unless state, action and what ``settings`` give per axis describe the same axes."""
-    scale, knee, bounds = settings.delta_scale, settings.delta_knee, settings.target_range
-    leash = settings.leash
-    fit = [len(bound) for bound in bounds] == [len(scale)] * 2
-    if bounds and not (fit and all(low <= high for low, high in zip(*bounds, strict=True))):
-        do = "Two lists, [[lowest per axis], [highest per axis]], or [] for none."
-        raise ContractError(expected("target_range", "lowest and highest targets", bounds, do))
-    if settings.form == "target_delta" and not state_size == action_size == len(scale):
-        came = f"{state_size}, {action_size} and {len(scale)}"
+    """Raise ContractError unless state, action and ``settings`` describe the same axes."""
+    bounds = settings.target_range
+    axes = len(settings.delta_scale)
+    if bounds:
+        fits = len(bounds) == 2 and len(bounds[0]) == len(bounds[1]) == axes
+        if not fits or not all(low <= high for low, high in zip(*bounds, strict=True)):
+            do = "Two lists, [[lowest per axis], [highest per axis]], or [] for none."
+            raise ContractError(expected("target_range", "lowest and highest targets", bounds, do))
+    knee = settings.delta_knee
+    is_delta = settings.form == "target_delta"
+    if is_delta and not state_size == action_size == axes:
+        came = f"{state_size}, {action_size} and {axes}"
         do = "Or use action.form=absolute."
         raise ContractError(expected("state, action and delta_scale", "equal lengths", came, do))
-    if knee and (len(knee) != len(scale) or min(knee) < 0):
+    if knee and (len(knee) != axes or min(knee) < 0):
         do = "Give one per axis, 0 where moves stay linear, or [] for none."
-        raise ContractError(expected("delta_knee", f"{len(scale)} numbers from 0 on", knee, do))
-    if settings.form == "target_delta" and not (
-        len(leash) == len(scale) and all(0 < way < math.inf for way in leash)
-    ):
+        raise ContractError(expected("delta_knee", f"{axes} numbers from 0 on", knee, do))
+    leash = settings.leash
+    if is_delta and (len(leash) != axes or min(leash) <= 0 or not math.isfinite(sum(leash))):
         do = "Give one per axis: how far a target may lead the measured pose."
-        raise ContractError(expected("leash", f"{len(scale)} numbers above 0", leash, do))
+        raise ContractError(expected("leash", f"{axes} numbers above 0", leash, do))
 
 
 def check_leap(target: Tensor, last: Tensor | None, scale: Tensor) -> None:
-    """Raise RolloutError where a (B, A) target lies too far from the one before it; the first one always passes."""
+    """Raise RolloutError where a (B, A) target is too far from the last; the first passes."""
     if last is None or last.shape != target.shape:
         return
-    leap = ((target - last).abs() / scale).max(dim=0).values  # (A,)
-    if bool((leap > LARGEST_LEAP).any()):
-        axis = int(leap.argmax())
+    leap = (target - last).abs().amax(dim=0)  # (A,)
+    times = leap / scale
+    if (times > LARGEST_LEAP).any():
+        axis = int(times.argmax())
+        name = f"change of target, axis {axis}"
         wanted = f"at most {LARGEST_LEAP * float(scale[axis]):.3f} a step"
-        came = f"{float((target - last).abs()[:, axis].max()):.3f}"
-        raise RolloutError(
-            expected(f"change of target, axis {axis}", wanted, came, "Hold the robot.")
-        )
+        raise RolloutError(expected(name, wanted, f"{float(leap[axis]):.3f}", "Hold the robot."))
 
 
 def on_leash(target: Tensor, measured: Tensor, leash: Tensor, steps: int = 0) -> Tensor:
-    """Return (B, A) targets no farther from the measured pose than the leash; those within it stay bit-equal.
+    """Return (B, A) targets within the leash of the measured pose; those within stay bit-equal.
 
     Args:
         target: (B, A) that would be issued.
@@ -189,7 +192,7 @@ def on_leash(target: Tensor, measured: Tensor, leash: Tensor, steps: int = 0) ->
 
 
 def stops_outside(where: str) -> bool:
-    """Return whether an action outside the demos stops here; LeRobot's rollout is its only loop on a robot."""
+    """Return whether an action outside the demos stops; on a robot LeRobot's rollout runs."""
     return where == "always" or (where == "robot" and "lerobot.rollout" in sys.modules)
 
 
@@ -200,24 +203,30 @@ def check_within(
     margin: float = MARGIN,
     least_room: float = LEAST_ROOM,
 ) -> None:
-    """Raise RolloutError where an action (…, A) lies outside (A,) ``low`` … ``high``, widened by ``margin``."""
+    """Raise RolloutError where an action (…, A) leaves (A,) ``low`` … ``high`` and the margin."""
     room = (margin * (high - low)).clamp_min(least_room)
-    outside = ((action < low - room) | (action > high + room)).flatten(0, -2).any(dim=0)
-    if bool(outside.any()):
+    low = low - room
+    high = high + room
+    actions = action.flatten(0, -2)  # (n, A)
+    outside = ((actions < low) | (actions > high)).any(dim=0)
+    if outside.any():
         axis = int(outside.nonzero()[0])
-        came = action.flatten(0, -2)[:, axis].tolist()
-        wanted = f"within {float((low - room)[axis]):.3f} … {float((high + room)[axis]):.3f}"
-        do = "Hold the robot; nothing like it was ever demonstrated. Start where the demonstrations did."
+        came = actions[:, axis].tolist()
+        wanted = f"within {float(low[axis]):.3f} … {float(high[axis]):.3f}"
+        do = (
+            "Hold the robot; nothing like it was ever demonstrated. "
+            "Start where the demonstrations did."
+        )
         raise RolloutError(expected(f"action, axis {axis}", wanted, came, do))
 
 
 @ProcessorStepRegistry.register(name="uniforce_check_action")
 @dataclass
 class CheckActionStep(PolicyActionProcessorStep):
-    """Let an action pass that is finite and within the demos' range, widened by ``margin`` of its span on each side.
+    """Let an action pass that is finite and within the demos' range, widened on each side.
 
-    The last step of the postprocessor, so that it holds wherever LeRobot runs the policy. A robot's own guards come
-    after it and clamp; this one stops.
+    The last step of the postprocessor, so that it holds wherever LeRobot runs the policy. A robot's
+    own guards come after it and clamp; this one stops.
     """
 
     # per axis, as the robot takes it; []: only finite is asked
@@ -236,7 +245,7 @@ class CheckActionStep(PolicyActionProcessorStep):
 
         Raises RolloutError: NaN, inf, or an axis outside the range: hold the robot.
         """
-        if not bool(action.isfinite().all()):
+        if not action.isfinite().all():
             do = "Hold the robot; the policy or its input is broken."
             raise RolloutError(expected("action", "finite numbers", "NaN or inf", do))
         if not self.low or not stops_outside(self.where):

@@ -1,8 +1,8 @@
-"""Camera pictures as another day would show them, while training: light, colours, and a camera that was nudged.
+"""Camera pictures as another day would show them, while training: light, colours, a nudged camera.
 
-Fifty episodes show fifty lights and fifty camera poses. A policy that learns those by heart doesn't see in the next
-scene whether the hand is at the eraser or which row is still dirty (docs/experiments/tiny_policy.md). Not torchvision's
-transforms, which draw once for a whole batch: here every sample of a batch gets its own.
+Fifty episodes show fifty lights and fifty camera poses. A policy that learns those by heart doesn't
+see in the next scene whether the hand is at the eraser (docs/experiments/tiny_policy.md). Every
+sample of a batch draws for itself, which torchvision's transforms don't.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from torch.nn.functional import affine_grid, grid_sample
 
 @dataclass(frozen=True)
 class VariationRange:
-    """Each drawn evenly per picture; about what level ``touch`` draws per scene, so doubled with it."""
+    """Each drawn evenly per picture; about as scenes of level ``touch`` differ."""
 
     gain: float = 0.25  # ± log brightness
     tint: float = 0.08  # ± log gain of each colour
@@ -27,44 +27,39 @@ class VariationRange:
     zoom: float = 0.02  # ± log size
 
 
-def vary(images: Tensor, strength: float, ranges: VariationRange | None = None) -> Tensor:
-    """Return (B, 3, H, W) pictures in [-1, 1], each under a light and from a camera pose of its own.
+TOUCH_LEVEL = VariationRange()
+
+
+def vary(images: Tensor, strength: float, ranges: VariationRange = TOUCH_LEVEL) -> Tensor:
+    """Return (B, 3, H, W) pictures in [-1, 1], each under its own light and camera pose.
 
     ``strength`` 0 leaves them as they are, 1 draws as ``ranges`` says.
     """
     if not strength:
         return images
-    r = ranges or VariationRange()
-    moved = grid_sample(
-        images, _places(images, r, strength), padding_mode="border", align_corners=False
-    )
+
+    def drawn(spread: float, channels: int) -> Tensor:
+        """Draw (B, channels, 1, 1), evenly within ± spread."""
+        share = torch.rand(len(images), channels, 1, 1, device=images.device)
+        return spread * strength * (2 * share - 1)
+
+    # where the nudged camera looks, in [-1, 1]
+    turn = drawn(ranges.turn_rad, 1).flatten()  # (B,)
+    size = drawn(ranges.zoom, 1).flatten().exp()
+    shift = drawn(2 * ranges.shift, 2)[..., 0]  # (B, 2, 1); a side is 2 long
+    cos = turn.cos() * size
+    sin = turn.sin() * size
+    rotation = torch.stack([cos, -sin, sin, cos], dim=1).unflatten(1, (2, 2))  # (B, 2, 2)
+    pose = torch.cat([rotation, shift], dim=2)  # (B, 2, 3)
+    places = affine_grid(pose, list(images.shape), align_corners=False)  # (B, H, W, 2)
+    moved = grid_sample(images, places, padding_mode="border", align_corners=False)
     light = (moved + 1) / 2
     mean = light.mean(dim=(1, 2, 3), keepdim=True)
-    light = mean + (light - mean) * _drawn(images, r.contrast * strength, 1).exp()
-    light = (
-        light * (_drawn(images, r.gain * strength, 1) + _drawn(images, r.tint * strength, 3)).exp()
-    )
-    return (light * _shade(images, r.shade * strength)).clamp(0, 1) * 2 - 1
-
-
-def _drawn(images: Tensor, spread: float, channels: int) -> Tensor:
-    """Draw (B, channels, 1, 1), evenly within ± spread."""
-    return spread * (2 * torch.rand(len(images), channels, 1, 1, device=images.device) - 1)
-
-
-def _places(images: Tensor, r: VariationRange, strength: float) -> Tensor:
-    """Return the (B, H, W, 2) places in [-1, 1] at which the nudged camera looks."""
-    turn, zoom = (_drawn(images, s * strength, 1).flatten() for s in (r.turn_rad, r.zoom))
-    shift = _drawn(images, 2 * r.shift * strength, 2)[..., 0]  # (B, 2, 1); a side is 2 long
-    cos, sin = turn.cos() * zoom.exp(), turn.sin() * zoom.exp()
-    # (B, 2, 2)
-    rotation = torch.stack([torch.stack([cos, -sin], 1), torch.stack([sin, cos], 1)], 1)
-    return affine_grid(torch.cat([rotation, shift], 2), list(images.shape), align_corners=False)
-
-
-def _shade(images: Tensor, spread: float) -> Tensor:
-    """Return (B, 1, H, W) gains that rise along a direction of each picture's own."""
+    light = mean + (light - mean) * drawn(ranges.contrast, 1).exp()
+    light = light * (drawn(ranges.gain, 1) + drawn(ranges.tint, 3)).exp()
+    # a gain that rises along a direction of each picture's own
     height, width = images.shape[-2:]
     down = torch.linspace(-1, 1, height, device=images.device)[:, None]
-    right = torch.linspace(-1, 1, width, device=images.device)[None, :]
-    return (_drawn(images, spread, 1) * down + _drawn(images, spread, 1) * right).exp()
+    right = torch.linspace(-1, 1, width, device=images.device)
+    slope = drawn(ranges.shade, 1) * down + drawn(ranges.shade, 1) * right  # (B, 1, H, W)
+    return (light * slope.exp()).clamp(0, 1) * 2 - 1

@@ -27,8 +27,14 @@ logger = logging.getLogger(__name__)
 TYPE = "pi05_uniforce"
 PROCESSORS = ("policy_preprocessor.json", "policy_postprocessor.json")
 # of whole numbers in config.json: far beyond what is ever trained, far below what fills a machine
-COUNTS = ("chunk_size", "n_action_steps", "num_inference_steps", "max_action_dim", "max_state_dim")
-LIMITS = {**dict.fromkeys(COUNTS, 4096), "tokenizer_max_length": 65536}
+LIMITS = {
+    "chunk_size": 4096,
+    "n_action_steps": 4096,
+    "num_inference_steps": 4096,
+    "max_action_dim": 4096,
+    "max_state_dim": 4096,
+    "tokenizer_max_length": 65536,
+}
 TINY_LIMITS = {"width": 8192, "depth": 64, "mlp_dim": 65536}
 MAX_SIDE = 4096  # of an image or a feature's axis
 # raised by LeRobot, draccus and torch over settings that fit nothing
@@ -41,109 +47,110 @@ MISFITS = (
 def check_settings(saved: dict[str, Any], where: str) -> None:
     """Check a saved ``config.json``.
 
-    Raises CheckpointError: another policy, settings of 0.1.0, a tokenizer elsewhere, other marker images, or a size no
-    machine holds.
+    Raises CheckpointError: another policy, settings of 0.1.0, a tokenizer elsewhere, other marker
+    images, or a size no machine holds.
     """
-    if saved.get("type") != TYPE:
-        came = repr(saved.get("type"))[:80]
-        raise CheckpointError(
-            expected(f"policy type of {where}", TYPE, came, "Choose another folder.")
-        )
-    if "touch_input" in saved:
-        do = "Its tokenizer is no longer shipped: run it with version 0.1.0, or train again."
-        raise CheckpointError(
-            expected(where, "settings in groups", "the form of version 0.1.0", do)
-        )
+
+    def require(fits: object, what: str, wanted: str, came: object, do: str) -> None:
+        if not fits:
+            raise CheckpointError(expected(what, wanted, came, do))
+
+    came = repr(saved.get("type"))[:80]
+    is_ours = saved.get("type") == TYPE
+    require(is_ours, f"policy type of {where}", TYPE, came, "Choose another folder.")
+    do = "Its tokenizer is no longer shipped: run it with version 0.1.0, or train again."
+    is_grouped = "touch_input" not in saved
+    require(is_grouped, where, "settings in groups", "the form of version 0.1.0", do)
     for name, only in NEVER_STORED.items():
-        if saved.get(name, only) != only:
-            do = "Only who loads a checkpoint chooses this. Copy it again."
-            raise CheckpointError(
-                expected(f"{name} in {where}", repr(only), repr(saved[name])[:80], do)
-            )
-    touch, tiny = (
-        {} if not isinstance(saved.get(name), dict) else saved[name] for name in ("touch", "tiny")
-    )
-    encodes = touch.get("input") in ENCODED and touch.get("slots")
-    if not touch or (encodes and not isinstance(touch.get("tokenizer"), dict)):
-        do = "A checkpoint names its tokenizer; a path to another one is never followed. Copy it again."
-        raise CheckpointError(expected(f"touch.tokenizer in {where}", "sizes and hash", "none", do))
-    came = touch.get("marker_images", 1)
-    if touch.get("slots") and touch.get("input") in ENCODED and came != MARKER_IMAGES:
+        value = saved.get(name, only)
+        do = "Only who loads a checkpoint chooses this. Copy it again."
+        require(value == only, f"{name} in {where}", repr(only), repr(value)[:80], do)
+    touch = _table(saved, "touch")
+    encodes = touch.get("slots") and touch.get("input") in ENCODED
+    is_whole = touch and (not encodes or isinstance(touch.get("tokenizer"), dict))
+    do = "A checkpoint names its tokenizer; a path to another one is never followed. Copy it again."
+    require(is_whole, f"touch.tokenizer in {where}", "sizes and hash", "none", do)
+    if encodes:
+        version = touch.get("marker_images", 1)
+        wanted = f"version {MARKER_IMAGES}"
         do = "Train again, on demonstrations recorded with this version."
-        raise CheckpointError(
-            expected(f"marker images of {where}", f"version {MARKER_IMAGES}", came, do)
+        require(version == MARKER_IMAGES, f"marker images of {where}", wanted, version, do)
+        has_head = touch["input"] != "newtons" or touch.get("head_hash")
+        do = (
+            "Train again with this version: "
+            "a policy that feels newtons names the head that reads them."
         )
-    if touch.get("slots") and touch.get("input") == "newtons" and not touch.get("head_hash"):
-        do = "Train again with this version: a policy that feels newtons names the head that reads them."
-        raise CheckpointError(expected(f"touch.head_hash in {where}", "a hash", "none", do))
+        require(has_head, f"touch.head_hash in {where}", "a hash", "none", do)
     try:
-        for limits, numbers in ((LIMITS, saved), (TINY_LIMITS, tiny)):
-            for name, most in limits.items():
-                if numbers.get(name) is not None:
-                    check_count(name, numbers[name], most)
-        for side in _sides(saved):
-            check_count("a side", side, MAX_SIDE)
+        _check_sizes(saved)
     except ContractError as error:
         do = "It is damaged: copy the checkpoint again."
         raise CheckpointError(expected(where, "sizes a machine can hold", error, do)) from error
 
 
-def _sides(saved: dict[str, Any]) -> list[Any]:
-    features = [saved.get(name) for name in ("input_features", "output_features")]
-    found = [
-        entry for feature in features if isinstance(feature, dict) for entry in feature.values()
-    ]
-    shapes = [
-        saved.get("image_resolution"),
-        *(e.get("shape") for e in found if isinstance(e, dict)),
-    ]
-    return [side for shape in shapes if isinstance(shape, list) for side in shape]
+def _table(saved: dict[str, Any], name: str) -> dict[str, Any]:
+    """Return a table of a saved one; empty where there is none."""
+    found = saved.get(name)
+    return found if isinstance(found, dict) else {}
+
+
+def _check_sizes(saved: dict[str, Any]) -> None:
+    for limits, numbers in ((LIMITS, saved), (TINY_LIMITS, _table(saved, "tiny"))):
+        for name, most in limits.items():
+            if numbers.get(name) is not None:
+                check_count(name, numbers[name], most)
+    shapes = [saved.get("image_resolution")]
+    for name in ("input_features", "output_features"):
+        features = _table(saved, name)
+        shapes += [_table(features, key).get("shape") for key in features]
+    for shape in shapes:
+        if isinstance(shape, list):
+            for side in shape:
+                check_count("a side", side, MAX_SIDE)
 
 
 def check_processors(folder: Path) -> None:
     """Check the stored processors of a checkpoint's folder, where there are any.
 
-    LeRobot imports and calls whatever class a step names; only steps that registered themselves are let through, so
-    that a checkpoint can't run a program of its choice.
+    LeRobot imports and calls whatever class a step names. Only steps that registered themselves are
+    let through, so that a checkpoint can't run a program of its choice.
 
-    Raises CheckpointError: damaged, a step that names a class, or a state outside the folder, or with NaN or inf.
+    Raises CheckpointError: damaged, a step that names a class, or a state outside the folder, or
+    with NaN or inf.
     """
     for name in PROCESSORS:
-        if not (folder / name).is_file():
+        file = folder / name
+        if not file.is_file():
             continue
-        steps = read_object(folder / name, CheckpointError).get("steps")
+        steps = read_object(file, CheckpointError).get("steps")
         if not isinstance(steps, list) or not steps:
-            raise CheckpointError(
-                expected(str(folder / name), "steps", repr(steps)[:80], "Copy it again.")
-            )
+            came = repr(steps)[:80]
+            raise CheckpointError(expected(str(file), "steps", came, "Copy it again."))
         for step in steps:
-            _check_step(folder / name, step)
-            state = folder / str(step.get("state_file"))
-            if state.is_file():  # else LeRobot says so, or fetches it
-                with weights.opened(state) as stored:
-                    for tensor in stored.keys():  # noqa: SIM118 (not a dict)
-                        weights.finite(stored.get_tensor(tensor), f"{tensor} of {state}")
+            _check_step(file, step)
 
 
 def _check_step(file: Path, step: Any) -> None:
-    if (
-        not isinstance(step, dict)
-        or not isinstance(step.get("registry_name"), str)
-        or "class" in step
-    ):
-        came, do = repr(step)[:80], "Only registered steps are run. Who wrote this checkpoint?"
+    registered = isinstance(step, dict) and isinstance(step.get("registry_name"), str)
+    if not registered or "class" in step:
+        came = repr(step)[:80]
+        do = "Only registered steps are run. Who wrote this checkpoint?"
         raise CheckpointError(expected(f"a step in {file}", "a registry_name", came, do))
-    state = str(step.get("state_file") or "absent.safetensors")
-    if state != Path(state).name or "\\" in state or not state.endswith(".safetensors"):
+    name = str(step.get("state_file") or "absent.safetensors")
+    if name != Path(name).name or "\\" in name or not name.endswith(".safetensors"):
+        wanted = "a file beside it"
         do = "Copy the checkpoint again."
-        raise CheckpointError(
-            expected(f"state of a step in {file}", "a file beside it", state[:80], do)
-        )
+        raise CheckpointError(expected(f"state of a step in {file}", wanted, name[:80], do))
+    state = file.parent / name
+    if state.is_file():  # else LeRobot says so, or fetches it
+        with weights.opened(state) as stored:
+            for tensor in stored.keys():  # noqa: SIM118 (not a dict)
+                weights.check_finite(stored.get_tensor(tensor), f"{tensor} of {state}")
 
 
 @contextmanager
 def misfits_named(where: str) -> Iterator[None]:
-    """Turn what libraries raise over settings that fit nothing into a CheckpointError."""
+    """Turn the libraries' errors over settings that fit nothing into a CheckpointError."""
     try:
         yield
     except MISFITS as error:
@@ -153,11 +160,15 @@ def misfits_named(where: str) -> Iterator[None]:
 
 
 def check_same(saved: Mapping[str, Any], running: PI05UniforceConfig) -> None:
-    """Raise CheckpointError naming every fact of touch that differs between a checkpoint and the running config."""
-    stored, now = _facts(saved["touch"]), _facts(vars(running.touch))
-    differing = [name for name in stored if stored[name] != now[name]]
-    if differing:
-        wanted, came = ({name: facts[name] for name in differing} for facts in (stored, now))
+    """Raise CheckpointError naming every fact of touch that differs from the running config."""
+    now = _facts(vars(running.touch))
+    wanted = {}
+    came = {}
+    for name, fact in _facts(saved["touch"]).items():
+        if fact != now[name]:
+            wanted[name] = fact
+            came[name] = now[name]
+    if wanted:
         do = (
             "Run the checkpoint with its own tokenizer and slots; only swap and sensors may change."
         )
@@ -165,30 +176,32 @@ def check_same(saved: Mapping[str, Any], running: PI05UniforceConfig) -> None:
 
 
 def _facts(touch: Mapping[str, Any]) -> dict[str, Any]:
-    tokenizer = (touch["tokenizer"] or {}).get("hash", "")
-    alike = {name: touch[name] for name in ("input", "site")}
-    return {"slots": sorted(touch["slots"] or ()), "tokenizer": tokenizer, **alike}
+    return {
+        "slots": sorted(touch["slots"] or ()),
+        "tokenizer": (touch["tokenizer"] or {}).get("hash", ""),
+        "input": touch["input"],
+        "site": touch["site"],
+    }
 
 
 def check_sensors(config: PI05UniforceConfig, mounted: Mapping[Finger, str]) -> list[str]:
-    """Return one line per slot that runs on another kind of sensor than it was trained on; log and store them.
+    """Return one line per slot that runs on another type of sensor than it was trained on; log it.
 
     Args:
         config: the policy's config; ``swap`` or ``left_sensor``/``right_sensor`` ask for a change.
-        mounted: finger → kind of sensor worn now.
+        mounted: finger → type of sensor mounted now.
 
     Raises CheckpointError: a slot's sensor differs without being asked for.
     """
     notes = []
     for slot, finger in config.finger_by_slot().items():
-        trained, worn = config.touch.trained_sensors.get(slot, ""), mounted.get(finger, "")
-        if not trained or not worn or worn in trained.split("+"):
+        trained = config.touch.trained_sensors.get(slot, "")
+        now = mounted.get(finger, "")
+        if not trained or not now or now in trained.split("+"):
             continue
-        if getattr(config, f"{finger}_sensor") != worn and finger == config.touch.slots[slot]:
-            do = f"Say swap={slot}:FINGER or {finger}_sensor={worn} if you mean it."
-            raise CheckpointError(
-                expected(f"sensor of {slot} ({finger} finger)", trained, worn, do)
-            )
-        notes.append(f"{slot}: trained on {trained}, now {worn} on the {finger} finger")
+        if getattr(config, f"{finger}_sensor") != now and finger == config.touch.slots[slot]:
+            do = f"Say swap={slot}:FINGER or {finger}_sensor={now} if you mean it."
+            raise CheckpointError(expected(f"sensor of {slot} ({finger} finger)", trained, now, do))
+        notes.append(f"{slot}: trained on {trained}, now {now} on the {finger} finger")
         logger.warning("Sensor swap, as asked: %s", notes[-1])
     return notes

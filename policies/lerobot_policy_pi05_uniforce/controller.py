@@ -1,7 +1,7 @@
-"""A checkpoint behind its processors, as ``action chunk = f(observation)``, and whether it answers in time.
+"""A checkpoint behind its processors, as ``action chunk = f(observation)``, in time or not.
 
-The same batch conversion, preprocessor, ``select_action`` and postprocessor that ``lerobot-eval`` runs; only
-the observations that would meet a full action queue are never rendered, because the policy ignores them.
+The same batch conversion, preprocessor, ``select_action`` and postprocessor that ``lerobot-eval``
+runs. Observations that would meet a full action queue are never rendered: the policy ignores them.
 """
 
 import time
@@ -35,7 +35,8 @@ def shipped_checkpoint() -> Path:
 def stored_config(checkpoint: Path) -> PI05UniforceConfig:
     """Return the checked settings of a checkpoint folder, to be run on the CPU.
 
-    Raises CheckpointError: another policy, or settings or processors that are missing, damaged or don't fit.
+    Raises CheckpointError: another policy, or settings or processors that are missing, damaged or
+    don't fit.
     """
     file = weights.find(checkpoint, weights.CONFIG)
     stored.check_settings(read_object(file, CheckpointError), str(checkpoint))
@@ -53,14 +54,16 @@ class PolicyController:
 
     Args:
         checkpoint: folder with config, weights and processors.
-        mounted: finger → kind of sensor the robot or scene wears.
+        mounted: finger → type of sensor mounted on the robot or in the scene.
         swap: which finger fills a slot instead, e.g. ``touch0:left``.
-        asked: finger → kind the user named; only a named kind may differ from the trained one, which ``notes`` say.
-        calibrations: finger → folder of a calibration that its sensor wears.
+        asked: finger → type the user named; only a named one may differ from the trained one, which
+            ``notes`` say.
+        calibrations: finger → folder of its sensor's calibration.
         monitor: "stop" when a sensor isn't healthy | "off".
         grip: "read" | "held" | "", see the config's.
 
-    Raises CheckpointError: as ``stored_config``, weights that don't fit, or a sensor that differs unasked.
+    Raises CheckpointError: as ``stored_config``, weights that don't fit, or a sensor that differs
+    unasked.
     """
 
     def __init__(
@@ -74,22 +77,25 @@ class PolicyController:
         grip: str = "",
     ) -> None:
         config = stored_config(Path(checkpoint))
-        config.monitor, config.grip = monitor, grip
+        config.monitor = monitor
+        config.grip = grip
         config.swap = swap or config.swap
         for finger, sensor in (asked or {}).items():
-            setattr(config, f"{finger}_sensor", sensor or getattr(config, f"{finger}_sensor"))
+            if sensor:
+                setattr(config, f"{finger}_sensor", sensor)
         for finger, folder in (calibrations or {}).items():
             setattr(config, f"{finger}_calibration", folder)
-        self.notes = stored.check_sensors(config, mounted)
+        notes = stored.check_sensors(config, mounted)
         for finger, kind in mounted.items():  # whose health is watched
             setattr(config, f"{finger}_sensor", kind)
-        folder = str(config.pretrained_path)
-        self.policy = PI05UniforcePolicy.from_pretrained(folder, config=config)
-        self.notes = [*self.notes, *self.policy.touch.notes]
-        with stored.misfits_named(f"processors of {folder}"):
-            self._before, self._after = make_pre_post_processors(config, pretrained_path=folder)
-        self.config: PI05UniforceConfig = self.policy.config
-        self._hz, self._missed = float(CONTROL_HZ), 0
+        source = str(config.pretrained_path)
+        self.policy = PI05UniforcePolicy.from_pretrained(source, config=config)
+        self.notes = [*notes, *self.policy.touch.notes]
+        with stored.misfits_named(f"processors of {source}"):
+            self._before, self._after = make_pre_post_processors(config, pretrained_path=source)
+        self.config = config
+        self._hz = CONTROL_HZ
+        self._missed = 0
 
     @property
     def needs_true_wrench(self) -> bool:
@@ -99,13 +105,15 @@ class PolicyController:
     @property
     def reads(self) -> tuple[Finger, ...]:
         """Fingers whose marker images the policy looks at."""
-        images = self.config.touch.input not in ("wrench", "none")
-        return tuple(dict.fromkeys(self.config.finger_by_slot().values())) if images else ()
+        if self.config.touch.input in ("wrench", "none"):
+            return ()
+        return tuple(dict.fromkeys(self.config.finger_by_slot().values()))
 
     def reset(self, env: Any) -> None:
-        """Forget the previous episode: action queue, issued target, cached references, missed deadlines."""
+        """Forget the previous episode: queue, target, references, missed deadlines."""
         self.policy.reset()
-        self._hz, self._missed = getattr(env, "metadata", {}).get("render_fps", CONTROL_HZ), 0
+        self._hz = getattr(env, "metadata", {}).get("render_fps", CONTROL_HZ)
+        self._missed = 0
 
     def facts(self) -> dict[str, float]:
         """Return how many calls since the last reset left the robot without a new action."""
@@ -114,39 +122,32 @@ class PolicyController:
     @torch.no_grad()
     def chunk(self, observation: dict[str, Any], task: str) -> np.ndarray:
         """Return the next (n_action_steps, 5) absolute targets [m, m, m, rad, m]."""
-        begun, queued = time.perf_counter(), len(self.policy._action_queue)
+        begun = time.perf_counter()
+        queued = len(self.policy._action_queue)
         targets = self._issue(self._batch(observation, task))
         # due when these and the present step end
         self._missed += time.perf_counter() - begun > (queued + 1) / self._hz
         return targets
 
     def _issue(self, batch: dict[str, Any]) -> np.ndarray:
-        count = self.config.n_action_steps
-        targets = [self._after(self.policy.select_action(batch, steps)) for steps in range(count)]
+        targets = []
+        for steps in range(self.config.n_action_steps):
+            targets.append(self._after(self.policy.select_action(batch, steps)))
         return torch.cat(targets).numpy()
 
-    @torch.no_grad()
-    def predict(self, observation: dict[str, Any], task: str, noise: torch.Tensor) -> np.ndarray:
-        """Return the whole chunk (chunk_size, 5) for starting ``noise`` (1, chunk_size, max_action_dim)."""
-        chunk = self.policy.predict_action_chunk(self._batch(observation, task), noise=noise)
-        return self._after(chunk)[0].numpy()
-
     def _batch(self, observation: dict[str, Any], task: str) -> dict[str, Any]:
-        batch = preprocess_observation(self._wanted(observation))
-        return self._before(batch | {"task": [task]})
-
-    def _wanted(self, observation: dict[str, Any]) -> dict[str, Any]:
-        """Leave out marker images that neither a slot nor a monitor reads; name the ceiling control's true wrench."""
-        wanted = {k: v for k, v in observation.items() if not k.startswith("wrench_")}
+        """Return the preprocessed observation, without marker images that nothing reads."""
+        pixels = dict(observation["pixels"])
+        if not self.policy.touch.is_watched:
+            for name in TACTILE_NAMES:
+                if name.split("_")[1] not in self.reads:  # tactile_FINGER[_ref]
+                    pixels.pop(name, None)
+        wanted: dict[str, Any] = {"pixels": pixels}
+        for name, value in observation.items():
+            if name != "pixels" and not name.startswith("wrench_"):
+                wanted[name] = value
         if self.needs_true_wrench:
             for slot, finger in self.config.finger_by_slot().items():
-                wanted[wrench_key(slot).removeprefix("observation.")] = observation[
-                    f"wrench_{finger}"
-                ]
-        if self.policy.touch.is_watched:
-            return wanted
-        # tactile_FINGER[_ref]
-        unread = [name for name in TACTILE_NAMES if name.split("_")[1] not in self.reads]
-        return wanted | {
-            "pixels": {k: v for k, v in observation["pixels"].items() if k not in unread}
-        }
+                name = wrench_key(slot).removeprefix("observation.")
+                wanted[name] = observation[f"wrench_{finger}"]
+        return self._before(preprocess_observation(wanted) | {"task": [task]})

@@ -10,11 +10,12 @@ from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05Uniforc
 from uniforce_vtla.errors import ContractError, expected
 
 CARD = "README.md"
-BASE_MODEL = "lerobot/pi05_base"
+BASE_MODEL = {"base": "lerobot/pi05_base", "tiny": None}
+LICENCE_TAG = {"base": "gemma", "tiny": "apache-2.0"}
 LICENCE = {
-    "base": "The weights derive from π0.5, which builds on PaliGemma: they are provided under and subject to the "
-    "[Gemma Terms of Use](https://ai.google.dev/gemma/terms), passed on with every copy, and so is the text tokenizer "
-    "in the preprocessor. The code is Apache-2.0.",
+    "base": "The weights derive from π0.5, which builds on PaliGemma: they are provided under and "
+    "subject to the [Gemma Terms of Use](https://ai.google.dev/gemma/terms), passed on with every "
+    "copy, and so is the text tokenizer in the preprocessor. The code is Apache-2.0.",
     "tiny": "Weights and code: Apache-2.0. Nothing of Gemma is inside.",
 }
 TEMPLATE = Path(__file__).parent / "assets" / "model_card.md"
@@ -25,21 +26,30 @@ def model_card(
     training: Mapping[str, Any] | None = None,
     scores: Mapping[str, Any] | None = None,
 ) -> ModelCard:
-    """Return the card of a policy, trained with ``train_config.json``'s settings, scored by ``uniforce score``.
+    """Return a policy's card.
+
+    Args:
+        config: settings.
+        training: ``train_config.json``.
+        scores: of ``uniforce score``.
 
     Raises ContractError: scores without arms.
     """
-    base, asked = config.size == "base", ("steps", "batch_size", "seed")
-    trained_on = config.trained_on.get("repo_id") or ""
+    datasets = config.trained_on.get("repo_id") or None
+    if datasets and datasets.startswith("local/"):  # no place on the hub
+        datasets = None
     data = ModelCardData(
-        license=config.license or ("gemma" if base else "apache-2.0"),
+        license=config.license or LICENCE_TAG[config.size],
         library_name="lerobot",
         pipeline_tag="robotics",
         tags=sorted({*(config.tags or []), "robotics", "lerobot", "tactile", config.type}),
-        # local: no place on the hub
-        datasets=None if trained_on.startswith("local/") else trained_on or None,
-        base_model=BASE_MODEL if base else None,
+        datasets=datasets,
+        base_model=BASE_MODEL[config.size],
     )
+    facts = {}
+    for name in ("steps", "batch_size", "seed"):
+        if training and name in training:
+            facts[name] = training[name]
     return ModelCard(
         TEMPLATE.read_text().format(
             data=data.to_yaml(),
@@ -47,9 +57,7 @@ def model_card(
             config=config,
             touch=_touch(config),
             data_text=_lines(config.trained_on),
-            training=_lines(
-                {name: str(training[name]) for name in asked if training and name in training}
-            ),
+            training=_lines(facts),
             scores=_scores(scores),
             licence=LICENCE[config.size],
         )
@@ -59,15 +67,16 @@ def model_card(
 def _touch(config: PI05UniforceConfig) -> str:
     if not config.slots:
         return "None: it was trained without."
-    touch, known = config.touch, config.touch.trained_sensors
-    worn = {slot: known.get(slot) or "a sensor not stated" for slot in config.slots}
-    facts = {f"slot `{s}`": f"{touch.slots[s]} finger, trained on {worn[s]}" for s in config.slots}
-    facts |= {
-        "input": touch.input,
-        "token site": touch.site,
-        "tokens per slot": str(config.tokens_per_slot),
-    }
-    return _lines(facts | {"tactile tokenizer": config.tokenizer_hash or "none"})
+    touch = config.touch
+    facts = {}
+    for slot in config.slots:
+        sensor = touch.trained_sensors.get(slot) or "a sensor not stated"
+        facts[f"slot `{slot}`"] = f"{touch.slots[slot]} finger, trained on {sensor}"
+    facts["input"] = touch.input
+    facts["token site"] = touch.site
+    facts["tokens per slot"] = str(config.tokens_per_slot)
+    facts["tactile tokenizer"] = config.tokenizer_hash or "none"
+    return _lines(facts)
 
 
 def _scores(scores: Mapping[str, Any] | None) -> str:
@@ -77,12 +86,12 @@ def _scores(scores: Mapping[str, Any] | None) -> str:
         do = "Give the wiping.json that uniforce score wrote."
         raise ContractError(expected("scores", "a table of arms", sorted(scores), do))
     level = scores.get("level", "not stated")
-    head = [f"Simulated wiping, level `{level}`:", "", "| arm | clean | success |", "|---|---|---|"]
-    rows = [(name, arm["n"], arm["clean"], arm["success"]) for name, arm in scores["arms"].items()]
-    return "\n".join(
-        [*head, *(f"| {name} | {clean}/{n} | {done}/{n} |" for name, n, clean, done in rows)]
-    )
+    rows = [f"Simulated wiping, level `{level}`:", ""]
+    rows += ["| arm | clean | success |", "|---|---|---|"]
+    for name, arm in scores["arms"].items():
+        rows.append("| {0} | {clean}/{n} | {success}/{n} |".format(name, **arm))
+    return "\n".join(rows)
 
 
-def _lines(facts: Mapping[str, str]) -> str:
+def _lines(facts: Mapping[str, object]) -> str:
     return "\n".join(f"- {name}: {value}" for name, value in facts.items()) or "Not stated."

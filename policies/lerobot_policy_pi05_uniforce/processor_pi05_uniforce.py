@@ -1,4 +1,4 @@
-"""Pre- and post-processors: LeRobot's π0.5 pipeline with a local text tokenizer and state-only normalisation."""
+"""Pre- and post-processors: LeRobot's π0.5 pipeline with a local text tokenizer."""
 
 import logging
 from dataclasses import dataclass
@@ -64,8 +64,9 @@ class KeepMeasuredStateStep(ObservationProcessorStep):
 class UniforceTokenizerProcessorStep(TokenizerProcessorStep):
     """Tokenize the prompt, with nothing but the checkpoint at hand.
 
-    LeRobot stores a tokenizer by name; a folder's is gone on the next machine, and PaliGemma's needs an account. So the
-    packaged one is found wherever the package is installed, and any other is saved whole, as this step's state.
+    LeRobot stores a tokenizer by name. A folder's is gone on the next machine, PaliGemma's needs
+    an account. So the packaged one is found wherever the package is installed, and any other is
+    saved whole, as this step's state.
     """
 
     tokenizer_name: str | None = PACKAGED
@@ -73,19 +74,17 @@ class UniforceTokenizerProcessorStep(TokenizerProcessorStep):
     def __post_init__(self) -> None:
         self._files: dict[str, Tensor] = {}
         self._warned = False
-        if self.tokenizer_name == SAVED:
-            return  # load_state_dict brings it
         stored = self.tokenizer_name or PACKAGED
-        self.tokenizer_name = str(FOLDER) if stored == PACKAGED else stored
-        super().__post_init__()
+        if stored == PACKAGED:
+            self.tokenizer_name = str(FOLDER)
+        if stored != SAVED:  # else load_state_dict brings it
+            super().__post_init__()
         self.tokenizer_name = stored
 
     def get_config(self) -> dict[str, Any]:
         """Return what the pipeline's JSON holds."""
-        return {
-            **super().get_config(),
-            "tokenizer_name": PACKAGED if self.tokenizer_name == PACKAGED else SAVED,
-        }
+        name = PACKAGED if self.tokenizer_name == PACKAGED else SAVED
+        return {**super().get_config(), "tokenizer_name": name}
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return the tokenizer's files as (n,) uint8; nothing for the packaged one."""
@@ -103,39 +102,40 @@ class UniforceTokenizerProcessorStep(TokenizerProcessorStep):
 
     def _tokenize_text(self, text: str | list[str]) -> dict[str, Tensor]:
         if self.input_tokenizer is None:
+            wanted = "its files in the preprocessor"
             do = "Copy the checkpoint again, with every file of its preprocessor."
-            raise CheckpointError(
-                expected("text tokenizer", "its files in the preprocessor", "none", do)
-            )
+            raise CheckpointError(expected("text tokenizer", wanted, "none", do))
         tokens = super()._tokenize_text(text)
-        if not self._warned and bool(tokens["attention_mask"].all(dim=-1).any()):
+        if not self._warned and tokens["attention_mask"].all(dim=-1).any():
             self._warned = True
-            logger.warning(
-                "A prompt fills all %d text tokens; its end may be cut: %r", self.max_length, text
-            )
+            message = "A prompt fills all %d text tokens; its end may be cut: %r"
+            logger.warning(message, self.max_length, text)
         return tokens
 
 
 def _to_tensors(tokenizer: Any) -> dict[str, Tensor]:
+    files = {}
     with TemporaryDirectory() as folder:
         tokenizer.save_pretrained(folder)
-        files = {
-            p.name: bytearray(p.read_bytes()) for p in sorted(Path(folder).iterdir()) if p.is_file()
-        }
-    return {name: torch.frombuffer(content, dtype=torch.uint8) for name, content in files.items()}
+        for path in sorted(Path(folder).iterdir()):
+            if path.is_file():
+                files[path.name] = torch.frombuffer(bytearray(path.read_bytes()), dtype=torch.uint8)
+    return files
 
 
 def floor_quantiles(stats: dict[str, dict[str, Any]] | None) -> dict[str, dict[str, Any]]:
     """Return ``stats`` with q01…q99 of state and action at least ``SPAN_FLOOR`` apart, centre kept.
 
-    An axis that never moved in the demos then can't explode at rollout. Other keys pass untouched, and so do vectors
-    that don't have the five axes of the contract. Applying it twice changes nothing.
+    An axis that never moved in the demos then can't explode at rollout. Other keys pass untouched,
+    and so do vectors without the five axes of the contract. Applying it twice changes nothing.
     """
     floored = dict(stats or {})
-    for key, stat in floored.items():
-        if key in (STATE, ACTION) and np.size(stat.get("q01", ())) == len(SPAN_FLOOR):
-            low, high = (np.asarray(stat[q], dtype=np.float64) for q in ("q01", "q99"))
-            lack = np.maximum(np.asarray(SPAN_FLOOR) - (high - low), 0.0) / 2
+    for key in (STATE, ACTION):
+        stat = floored.get(key, {})
+        if np.size(stat.get("q01", ())) == len(SPAN_FLOOR):
+            low = np.asarray(stat["q01"], dtype=np.float64)
+            high = np.asarray(stat["q99"], dtype=np.float64)
+            lack = np.maximum(SPAN_FLOOR - (high - low), 0.0) / 2
             floored[key] = {**stat, "q01": low - lack, "q99": high + lack}
     return floored
 
@@ -145,23 +145,24 @@ def make_pi05_uniforce_pre_post_processors(
 ) -> tuple[PolicyProcessorPipeline, PolicyProcessorPipeline]:
     """Build both pipelines; only ``observation.state`` (and absolute actions) are normalised.
 
-    Latents and wrenches stay as they are: statistics of one sensor in front of the tokens would end the swap.
+    Latents and wrenches stay as they are: one sensor's statistics would hinder a swap.
     """
     stats = floor_quantiles(dataset_stats)
-    norm: dict[str, Any] = {"norm_map": config.normalization_mapping, "stats": stats}
+    mapping = config.normalization_mapping
+    text_tokenizer = {"tiny": PACKAGED, "base": PALIGEMMA}[config.size]
     before = [
         RenameObservationsProcessorStep(rename_map={}),
         AddBatchDimensionProcessorStep(),
         KeepMeasuredStateStep(),
         NormalizerProcessorStep(
             features={**config.input_features, **config.output_features},
+            norm_map=mapping,
+            stats=stats,
             normalize_observation_keys={STATE},
-            **norm,
         ),
         Pi05PrepareStateTokenizerProcessorStep(max_state_dim=config.max_state_dim),
         UniforceTokenizerProcessorStep(
-            tokenizer_name=config.text_tokenizer_name
-            or (PACKAGED if config.size == "tiny" else PALIGEMMA),
+            tokenizer_name=config.text_tokenizer_name or text_tokenizer,
             max_length=config.tokenizer_max_length,
             padding_side="right",
             padding="max_length",
@@ -169,7 +170,7 @@ def make_pi05_uniforce_pre_post_processors(
         DeviceProcessorStep(device=config.device),
     ]
     after = [
-        UnnormalizerProcessorStep(features=config.output_features, **norm),
+        UnnormalizerProcessorStep(config.output_features, mapping, stats),
         DeviceProcessorStep(device="cpu"),
         CheckActionStep(*read_target_range(stats), where=config.action.stop_outside_demos),
     ]

@@ -1,8 +1,8 @@
 """Facts that a new policy takes from its training data, and the parameters that train.
 
-π0.5's action loss reads the VLM through the keys and values of every layer alone. The last layer's queries, output
-projection and MLP, and the VLM's final norm, therefore get no gradient. Frozen, they cost no optimiser state, and
-data-parallel training need not look for unused parameters in every step.
+π0.5's action loss reads the VLM only through the keys and values of every layer. The last layer's
+queries, output projection and MLP, and the VLM's final norm, therefore get no gradient. Frozen,
+they cost no optimiser state, and data-parallel training needn't look for unused parameters.
 """
 
 from collections.abc import Iterable
@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from lerobot.policies.pi05 import modeling_pi05 as stock
 from torch import Tensor, nn
 
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import ENCODED, PI05UniforceConfig
@@ -19,7 +18,6 @@ from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import ACTION, VIEW_MARKER, latent_key
 
-Named = tuple[str, nn.Parameter]
 # random even on a pretrained backbone
 NEW_MODULES = ("force_tokens", "state_token", "touch_gate")
 NEW_MODULE_RATE = {"tiny": 1.0, "base": 4.0}  # of optimizer_lr: tiny's backbone is as new
@@ -28,67 +26,69 @@ EXPERT = (
     r".*\.gemma_expert\.model\.layers\.\d+\.(self_attn\.(q|k|v|o)_proj|mlp\.(gate|up|down)_proj)"
 )
 PROJECTIONS = r"model\.(action_in_proj|action_out_proj|time_mlp_in|time_mlp_out)"
-# inputs standardised by the training data
 
 
-def parameter_groups(named: Iterable[Named], config: PI05UniforceConfig) -> list[dict[str, Any]]:
-    """Return trainable parameters in an optimiser's groups, each with its rate: backbone, new modules, gate."""
-    new = config.optimizer_lr * NEW_MODULE_RATE[config.size]
-    rates: dict[str, dict[str, Any]] = {"": {}, "new": {"lr": new}, "gate": {"lr": GATE_LR}}
-    groups: dict[str, list[nn.Parameter]] = {name: [] for name in rates}
+def parameter_groups(
+    named: Iterable[tuple[str, nn.Parameter]], config: PI05UniforceConfig
+) -> list[dict[str, Any]]:
+    """Return trainable parameters in an optimiser's groups: backbone, new modules, gate."""
+    new_lr = config.optimizer_lr * NEW_MODULE_RATE[config.size]
+    backbone: dict[str, Any] = {"params": []}
+    new: dict[str, Any] = {"params": [], "lr": new_lr}
+    gate: dict[str, Any] = {"params": [], "lr": GATE_LR}
     for name, parameter in named:
-        # a wrapper (PEFT) may stand before or behind the module's name
-        parts = set(name.split("."))
-        group = "gate" if "touch_gate" in parts else "new" if parts & set(NEW_MODULES) else ""
+        parts = name.split(".")  # a wrapper (PEFT) may stand before or behind the module's name
+        group = backbone
+        if "touch_gate" in parts:
+            group = gate
+        elif not set(NEW_MODULES).isdisjoint(parts):
+            group = new
         if parameter.requires_grad:
-            groups[group].append(parameter)
-    return [{"params": groups[name], **rate} for name, rate in rates.items() if groups[name]]
+            group["params"].append(parameter)
+    return [group for group in (backbone, new, gate) if group["params"]]
 
 
-def freeze_unread(network: stock.PI05Pytorch) -> None:
+def freeze_unread(vlm: nn.Module) -> None:
     """Take the gradient from the VLM's weights behind its last keys and values."""
-    vlm = network.paligemma_with_expert.paligemma.model.language_model
-    last, attention = vlm.layers[-1], vlm.layers[-1].self_attn
-    for unread in (
-        vlm.norm,
-        last.post_attention_layernorm,
-        last.mlp,
-        attention.q_proj,
-        attention.o_proj,
-    ):
-        unread.requires_grad_(False)
+    last = vlm.layers[-1]
+    attention = last.self_attn
+    unread = (vlm.norm, last.post_attention_layernorm, last.mlp, attention.q_proj, attention.o_proj)
+    for module in unread:
+        module.requires_grad_(False)
 
 
-def lora_targets(network: stock.PI05Pytorch) -> dict[str, Any]:
-    """Return PEFT's settings: which layers get adapters, and which modules, that start random, train whole.
+def lora_targets(network: Any) -> dict[str, Any]:
+    """Return PEFT's settings: layers that get adapters, and new modules, which train whole.
 
-    The action expert and the action and time projections get adapters everywhere, the VLM on queries and values where
-    they are read. LeRobot's own list names modules π0.5 doesn't have and leaves out its time MLP.
+    The action expert and the action and time projections get adapters everywhere, the VLM on
+    queries and values where they are read. LeRobot's list names modules π0.5 doesn't have and
+    leaves out its time MLP.
     """
-    depth = len(network.paligemma_with_expert.paligemma.model.language_model.layers)
-    read = "|".join(str(n) for n in range(depth - 1))
+    last = len(network.vlm.layers) - 1
+    read = "|".join(map(str, range(last)))
     layer = r".*\.language_model\.layers\."
-    vlm = rf"{layer}({read})\.self_attn\.(q|v)_proj|{layer}{depth - 1}\.self_attn\.v_proj"
+    vlm = rf"{layer}({read})\.self_attn\.(q|v)_proj|{layer}{last}\.self_attn\.v_proj"
     saved = [name for name in NEW_MODULES if getattr(network, name) is not None]
     return {"target_modules": rf"({EXPERT}|{PROJECTIONS}|{vlm})", "modules_to_save": saved}
 
 
 def read_touch_scale(
-    stats: dict[str, dict[str, Any]], config: PI05UniforceConfig, shape: tuple[int, int]
+    stats: dict[str, dict[str, Any]], config: PI05UniforceConfig
 ) -> tuple[Tensor, Tensor] | None:
-    """Return the touch input's mean (rows, size) and spread (size,), alike for all slots; None where there is none."""
-    if config.touch.input != "latent":
+    """Return the latents' mean (K, L) and spread (L,) over all slots; None without latents."""
+    means = []
+    spreads = []
+    for slot in config.slots:
+        row = stats.get(latent_key(slot))
+        if row is None or config.touch.input != "latent":
+            continue
+        means.append(torch.as_tensor(row["mean"]).float().reshape(config.touch_shape))
+        std = torch.as_tensor(row["std"]).float().reshape(config.touch_shape)
+        spread = std.square().mean(dim=0).sqrt()  # (L,)
+        spreads.append(spread.clamp_min(1e-3))  # an unused channel must not explode
+    if not means:
         return None
-    keys = [latent_key(slot) for slot in config.slots]
-    rows = [stats[key] for key in keys if key in stats]
-    if not rows:
-        return None
-    mean = torch.stack([torch.as_tensor(row["mean"]).float().reshape(shape) for row in rows]).mean(
-        dim=0
-    )
-    stds = torch.stack([torch.as_tensor(row["std"]).float().reshape(shape) for row in rows])
-    spreads = stds.square().mean(dim=1).sqrt().clamp_min(1e-3)  # an unused channel must not explode
-    return mean, spreads.square().mean(dim=0).sqrt()
+    return torch.stack(means).mean(dim=0), torch.stack(spreads).square().mean(dim=0).sqrt()
 
 
 def read_target_range(stats: dict[str, dict[str, Any]]) -> list[list[float]]:
@@ -101,38 +101,39 @@ def read_target_range(stats: dict[str, dict[str, Any]]) -> list[list[float]]:
 
 def read_provenance(dataset_meta: Any, config: PI05UniforceConfig) -> None:
     """Write into ``config`` which recordings it is trained on; a model card quotes it."""
-    found = {name: getattr(dataset_meta, name, None) for name in ("repo_id", "fps")}
+    found = {
+        "repo_id": getattr(dataset_meta, "repo_id", None),
+        "fps": getattr(dataset_meta, "fps", None),
+    }
     for name in ("episodes", "frames"):  # a view also says how many of them are sampled from
         total = getattr(dataset_meta, f"total_{name}", None)
         found[name] = getattr(dataset_meta, f"used_{name}", total)
     config.trained_on = {name: str(value) for name, value in found.items() if value is not None}
 
 
-def read_carried(dataset_meta: Any, config: PI05UniforceConfig, encoder: Any) -> None:
-    """Note by slot which grip the demonstrations' finger reads once something is lifted, where a view's latents say."""
+def read_carried(dataset_meta: Any, config: PI05UniforceConfig, frozen: Any) -> None:
+    """Note by slot which grip the demonstrations' finger reads once something is lifted.
+
+    Only where a training view has latents and the policy a force head.
+    """
     episodes = getattr(dataset_meta, "touch_episodes", None)
-    if episodes is None or encoder is None or encoder.head is None:
+    if episodes is None or frozen is None or frozen.head is None:
         return
-    shape = config.tokens_per_slot, config.latent_size
     for slot in config.slots:
-        felt = (
-            (torch.from_numpy(state), _newtons(torch.from_numpy(latents), shape, encoder.head))
-            for state, latents in episodes(latent_key(slot))
-        )
+        felt = []
+        for state, latents in episodes(latent_key(slot)):  # (T, axes), (T, K · L)
+            latent = torch.from_numpy(latents).float()
+            latent = latent.reshape(len(latent), config.tokens_per_slot, config.latent_size)
+            with torch.no_grad():
+                force_N = frozen.head.step(latent, None)[0]  # (T, 3)
+            felt.append((torch.from_numpy(state), force_N))
         carried_N = carried_grip(felt)
         if carried_N is not None:
             config.touch.carried_N[slot] = carried_N
 
 
-@torch.no_grad()
-def _newtons(latents: Tensor, shape: tuple[int, int], head: Any) -> Tensor:
-    """Return (T, 3) N that a head reads in pooled latents (T, K · latent)."""
-    force_N: Tensor = head.step(latents.float().reshape(len(latents), *shape), None)[0]
-    return force_N
-
-
 def read_view(dataset_meta: Any, config: PI05UniforceConfig) -> None:
-    """Take provenance from a training view: refuse latents of another tokenizer, note which sensors it holds.
+    """Note which sensors a training view holds.
 
     Raises DatasetError: the view's latents were made by another tokenizer than the policy's.
     """
@@ -140,9 +141,10 @@ def read_view(dataset_meta: Any, config: PI05UniforceConfig) -> None:
     if dataset_meta is None or not config.slots or not marker.is_file():
         return
     view = read_object(marker, DatasetError)
-    worn = getattr(dataset_meta, "sensors", {})  # finger → kinds in the episodes sampled from
-    kinds = {slot: "+".join(worn.get(config.touch.slots[slot], [])) for slot in config.slots}
-    config.touch.trained_sensors = {**kinds, **config.touch.trained_sensors}
+    sensors = getattr(dataset_meta, "sensors", {})  # finger → types in the episodes sampled from
+    for slot in config.slots:
+        types = "+".join(sensors.get(config.touch.slots[slot], []))
+        config.touch.trained_sensors.setdefault(slot, types)
     made_by = view.get("tokenizer_hash", "")
     if config.touch.input in ENCODED and made_by and made_by != config.tokenizer_hash:
         do = "Build the view again with this policy's tokenizer."

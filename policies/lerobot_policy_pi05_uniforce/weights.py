@@ -1,6 +1,6 @@
-"""Strict loading: a checkpoint fits tensor by tensor, or an error names those that don't; a published π0.5's names."""
+"""Load weights strictly, tensor by tensor; understand a published π0.5's names."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ ALIGNED_BELOW = 2**20  # bytes: all of tiny's matrices, hardly anything of base
 WEIGHTS = "model.safetensors"
 CONFIG = "config.json"
 # start fresh whatever the source had
-TOUCH = tuple(f"model.{name}." for name in ("force_tokens", "touch_gate", "tactile_encoder"))
+TOUCH = ("model.force_tokens.", "model.touch_gate.", "model.tactile_encoder.")
 FRESH = (*TOUCH, "model.state_token.")  # no other checkpoint has them
 BACKBONE = "model.paligemma_with_expert."
 EMBEDDING = f"{BACKBONE}paligemma.model.language_model.embed_tokens.weight"
@@ -44,14 +44,15 @@ def find(
             hf_hub_download(str(source), name, revision=revision, local_files_only=local_files_only)
         )
     except (HfHubHTTPError, OSError) as error:
-        do, wanted = "Check path and network.", "a folder or hub repository"
+        wanted = "a folder or hub repository"
+        do = "Check path and network."
         raise CheckpointError(expected(f"{source}/{name}", wanted, error, do)) from error
 
 
 def check_files(
     source: str | Path, verify: str, revision: str | None, local_files_only: bool
 ) -> None:
-    """Compare every file of a checkpoint folder or hub repository with its hash, fetching those of a repository.
+    """Compare every file of a checkpoint with its hash, fetching those of a hub repository.
 
     Raises CheckpointError: a file that is missing, changed or without a hash.
     """
@@ -64,17 +65,20 @@ def check_files(
     check_hashes(folder, CheckpointError, verify)
 
 
+def same_names(stored: Iterable[str]) -> dict[str, str]:
+    """Return each name as it is stored."""
+    return {name: name for name in stored}
+
+
 def fill(
     module: nn.Module,
     path: Path,
-    rename: Callable[[list[str]], dict[str, str]] = lambda names: dict(
-        zip(names, names, strict=True)
-    ),
+    rename: Callable[[Iterable[str]], dict[str, str]] = same_names,
     fresh: tuple[str, ...] = (),
 ) -> None:
     """Put a safetensors file's tensors into ``module``, which may be empty (``no_weights``).
 
-    Peak memory is the weights and little more. Nothing may be missing, left over or of another shape.
+    Peak memory is the weights and little more. Nothing may be missing, left over or misshapen.
 
     Args:
         module: takes each tensor in its own dtype and, unless empty, on its own device.
@@ -82,31 +86,29 @@ def fill(
         rename: stored names → stored name: name in ``module``; what isn't in it isn't wanted.
         fresh: prefixes of names that may be missing: modules the file's author didn't have.
 
-    Raises CheckpointError: a truncated or damaged file, or naming the tensors that don't fit or aren't finite.
+    Raises CheckpointError: a damaged file, or naming the tensors that don't fit or aren't finite.
     """
+    tensors = {}
     with opened(path) as stored:
-        tensors = {
-            own: stored.get_tensor(name) for name, own in rename(list(stored.keys())).items()
-        }
+        for name, own in rename(stored.keys()).items():
+            tensors[own] = stored.get_tensor(name)
     wanted = module.state_dict()
     _check(wanted, tensors, fresh)
     for name, tensor in tensors.items():
-        finite(tensor, f"{name} of {path}")
-        # A copy has aligned memory; in the file a tensor may start anywhere, and a matrix product's last bits hang on
-        # that. Large ones stay mapped from the file: base must never be held twice.
+        check_finite(tensor, f"{name} of {path}")
+        # A copy has aligned memory. In the file a tensor may start anywhere, and a matrix product's
+        # last bits depend on that. Large ones stay mapped: base must never be held twice.
         copy = tensor.nbytes < ALIGNED_BELOW
         device = tensor.device if wanted[name].is_meta else wanted[name].device
         tensors[name] = tensor.to(device, wanted[name].dtype, copy=copy)
     module.load_state_dict(tensors, strict=False, assign=True)
 
 
-def finite(tensor: Tensor, what: str) -> Tensor:
-    """Return ``tensor``; raise CheckpointError if it holds NaN or inf."""
+def check_finite(tensor: Tensor, name: str) -> None:
+    """Raise CheckpointError if a tensor holds NaN or inf."""
     if not is_finite(tensor):
-        raise CheckpointError(
-            expected(what, "finite numbers", "NaN or inf", "Copy the checkpoint again.")
-        )
-    return tensor
+        do = "Copy the checkpoint again."
+        raise CheckpointError(expected(name, "finite numbers", "NaN or inf", do))
 
 
 @contextmanager
@@ -121,46 +123,48 @@ def opened(path: Path) -> Iterator[Any]:
 
 
 def no_weights() -> AbstractContextManager:
-    """Return a context in which modules are built without memory for their parameters; ``fill`` gives it."""
+    """Return a context in which modules get no memory for parameters; ``fill`` gives it."""
     return init_empty_weights(include_buffers=False)
 
 
 def _check(own: dict[str, Tensor], stored: dict[str, Tensor], fresh: tuple[str, ...]) -> None:
-    misshapen = [
-        name for name in own.keys() & stored.keys() if own[name].shape != stored[name].shape
-    ]
     missing = [name for name in own.keys() - stored.keys() if not name.startswith(fresh)]
-    kinds = {"missing": missing, "unexpected": stored.keys() - own.keys(), "misshapen": misshapen}
-    found = ", ".join(
-        f"{len(names)} {kind} ({_some(names)})" for kind, names in kinds.items() if names
-    )
+    misshapen = []
+    for name in own.keys() & stored.keys():
+        if own[name].shape != stored[name].shape:
+            misshapen.append(name)
+    found = [
+        *_counted("missing", missing),
+        *_counted("unexpected", stored.keys() - own.keys()),
+        *_counted("misshapen", misshapen),
+    ]
     if found:
+        wanted = f"the {len(own)} of this policy"
         do = "Load it with the settings it was trained with (its own config.json)."
-        raise CheckpointError(
-            expected("checkpoint tensors", f"the {len(own)} of this policy", found, do)
-        )
+        raise CheckpointError(expected("checkpoint tensors", wanted, ", ".join(found), do))
 
 
-def _some(names: Iterable[str]) -> str:
-    first, *others = sorted(names)
-    return f"{first} …" if others else first
+def _counted(problem: str, names: Collection[str]) -> Iterator[str]:
+    if names:
+        more = " …" if len(names) > 1 else ""
+        yield f"{len(names)} {problem} ({min(names)}{more})"
 
 
 def own_names(stored: Iterable[str]) -> dict[str, str]:
     """Return stored name → ours; what isn't in the result isn't wanted.
 
-    Both language heads are left out, since nothing reads them, and so is the touch of a pi05_uniforce. Where a file
-    ties the input embedding to the VLM's head and stores it only there, the embedding is taken from it. openpi's names
-    of the time MLP are understood. Nothing else is forgiven: a strange name stays and makes ``fill`` raise.
+    Both language heads are left out, since nothing reads them, and so is a pi05_uniforce's touch.
+    Where a file stores the tied input embedding as the VLM's head, it is taken from there. openpi's
+    names of the time MLP are understood. A strange name stays and makes ``fill`` raise.
     """
-    names = {name: name if name.startswith("model.") else f"model.{name}" for name in stored}
-    left_out = (*HEADS, *TOUCH)
-    kept = {name: full for name, full in names.items() if not full.startswith(left_out)}
-    ours = {
-        name: full.replace("model.action_time_mlp_", "model.time_mlp_")
-        for name, full in kept.items()
-    }
-    if EMBEDDING not in ours.values():
-        tied = [name for name, full in names.items() if full == HEADS[0]]
-        ours |= dict.fromkeys(tied, EMBEDDING)
+    ours = {}
+    tied = ""
+    for name in stored:
+        full = name if name.startswith("model.") else f"model.{name}"
+        if full == HEADS[0]:
+            tied = name
+        if not full.startswith((*HEADS, *TOUCH)):
+            ours[name] = full.replace("model.action_time_mlp_", "model.time_mlp_")
+    if tied and EMBEDDING not in ours.values():
+        ours[tied] = EMBEDDING
     return ours

@@ -14,8 +14,7 @@ import pytest
 import torch
 
 from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
-from lerobot_policy_pi05_uniforce.modeling_pi05_uniforce import PI05UniforcePolicy
-from lerobot_policy_pi05_uniforce.warm_up import made_up_batch
+from lerobot_policy_pi05_uniforce.modeling_pi05_uniforce import PI05UniforcePolicy, made_up_batch
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.readers.films import film_frames
 from uniforce_datasets.source import episode_frames

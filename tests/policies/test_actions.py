@@ -13,7 +13,8 @@ from lerobot.policies.rtc.configuration_rtc import RTCConfig
 from lerobot.rollout.inference.rtc import supports_rtc_inference
 from properties import examples
 
-from lerobot_policy_pi05_uniforce import PI05UniforcePolicy, make_pi05_uniforce_pre_post_processors
+from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
+from lerobot_policy_pi05_uniforce import make_pi05_uniforce_pre_post_processors as make_processors
 from lerobot_policy_pi05_uniforce.action import (
     STRIDE,
     CheckActionStep,
@@ -25,13 +26,13 @@ from lerobot_policy_pi05_uniforce.action import (
     to_targets,
 )
 from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
+from lerobot_policy_pi05_uniforce.modeling_pi05_uniforce import made_up_batch
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import (
     MEASURED_STATE,
     SPAN_FLOOR,
     floor_quantiles,
 )
-from lerobot_policy_pi05_uniforce.warm_up import made_up_batch
 from uniforce_vtla.errors import ContractError, RolloutError
 from uniforce_vtla.keys import ACTION
 
@@ -119,7 +120,7 @@ def test_a_range_that_is_none_is_refused(bounds, make_policy):
 
 def test_postprocessor_leaves_targets_in_si_units(make_policy, make_batch, stats):
     policy = make_policy(touch__input="none")
-    _, after = make_pi05_uniforce_pre_post_processors(policy.config, stats)
+    _, after = make_processors(policy.config, stats)
     action = policy.select_action(make_batch(policy))
     assert torch.equal(after(action), action)
 
@@ -127,7 +128,7 @@ def test_postprocessor_leaves_targets_in_si_units(make_policy, make_batch, stats
 def test_absolute_actions_are_normalised_by_lerobot(make_policy, stats):
     policy = make_policy(touch__input="none", action__form="absolute")
     assert policy.config.action_delta_indices == list(range(16))
-    _, after = make_pi05_uniforce_pre_post_processors(policy.config, stats)
+    _, after = make_processors(policy.config, stats)
     low = after(-torch.ones(1, 5))
     assert np.allclose(low.numpy()[0], stats["action"]["q01"], atol=1e-6)
 
@@ -207,7 +208,7 @@ def test_quantile_spans_are_floored(low, span):
 def test_a_still_axis_cannot_explode(make_config, stats):
     still = {k: {**v, "q01": v["q01"].copy(), "q99": v["q99"].copy()} for k, v in stats.items()}
     still["observation.state"]["q99"][3] = still["observation.state"]["q01"][3]
-    before, _ = make_pi05_uniforce_pre_post_processors(make_config(touch__input="none"), still)
+    before, _ = make_processors(make_config(touch__input="none"), still)
     state = torch.tensor(still["observation.state"]["q01"], dtype=torch.float32)
     state[3] += 0.01  # rad
     batch = before({"observation.state": state, "task": "wipe"})
@@ -216,7 +217,7 @@ def test_a_still_axis_cannot_explode(make_config, stats):
 
 def test_local_text_tokenizer_round_trips(make_config, stats, monkeypatch):
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
-    before, _ = make_pi05_uniforce_pre_post_processors(make_config(), stats)
+    before, _ = make_processors(make_config(), stats)
     state = torch.tensor([0.5, 0.0, 0.1, 0.0, 0.04])
     batch = before({"observation.state": state, "task": "wipe the züge_off"})
     tokens, mask = (
@@ -230,7 +231,7 @@ def test_local_text_tokenizer_round_trips(make_config, stats, monkeypatch):
 
 
 def test_a_cut_prompt_is_said(make_config, stats, caplog):
-    before, _ = make_pi05_uniforce_pre_post_processors(make_config(), stats)
+    before, _ = make_processors(make_config(), stats)
     before({"observation.state": torch.tensor([0.5, 0.0, 0.1, 0.0, 0.04]), "task": "x" * 100})
     assert any("may be cut" in r.message for r in caplog.records)
 
@@ -241,9 +242,9 @@ def test_larger_camera_frames_shrink_as_training_views_do(make_policy, make_batc
     key = next(iter(policy.config.image_features))
     side = policy.config.image_resolution[0]
     large = torch.rand(len(batch[key]), 3, 4 * side, 4 * side)
-    shrunk = policy._shrunk({**batch, key: large})[key]
+    images, _ = policy._preprocess_images({**batch, key: large})
     wanted = large.unflatten(3, (side, 4)).unflatten(2, (side, 4)).mean((3, 5))
-    assert torch.allclose(shrunk, wanted, atol=1e-6)
+    assert torch.allclose(images[0], 2 * wanted - 1, atol=1e-6)
 
 
 def test_regression_trains_the_very_actions_it_samples(make_policy, make_batch):
@@ -376,9 +377,7 @@ def test_what_is_not_stops(row, says) -> None:
 
 
 def test_the_check_travels_with_the_policy(make_config, stats, tmp_path) -> None:
-    _, after = make_pi05_uniforce_pre_post_processors(
-        make_config(action__stop_outside_demos=True), stats
-    )
+    _, after = make_processors(make_config(action__stop_outside_demos=True), stats)
     after.save_pretrained(tmp_path)
     saved = json.loads((tmp_path / "policy_postprocessor.json").read_text())["steps"][-1]
     assert saved["registry_name"] == "uniforce_check_action"
@@ -416,7 +415,7 @@ def test_outside_the_demos_a_robot_stops_and_a_poor_policy_in_a_scene_is_scored(
     bounds = [list(stats["action"][name]) for name in ("min", "max")]
     more = {"action__target_range": bounds, "action__stop_outside_demos": stop}
     policy = make_policy(touch__input="none", action__form=form, **more)
-    _, after = make_pi05_uniforce_pre_post_processors(policy.config, stats)
+    _, after = make_processors(policy.config, stats)
     far = torch.tensor([[0.5, 0.0, 5.0, 0.0, 0.04]])
     batch = make_batch(policy, size=1) | {MEASURED_STATE: far}
 
@@ -552,8 +551,7 @@ def test_a_loaded_policy_has_answered_before_a_robot_is_connected(
 @pytest.mark.parametrize("kind", ["latent", "newtons", "wrench", "none"])
 @pytest.mark.parametrize("slots", [{"touch0": "right"}, {"touch0": "right", "touch1": "left"}])
 def test_every_kind_of_policy_is_warmed_up(kind, slots, make_policy) -> None:
-    more = {"touch__tokenizer_path": None} if kind == "newtons" else {}
-    policy = make_policy(touch__input=kind, touch__slots=slots, **more)
+    policy = make_policy(touch__input=kind, touch__slots=slots)
     policy.warm_up()
     assert policy.issued.last is None
 

@@ -38,6 +38,19 @@ def checkpoint(make_policy, tmp_path):
     return tmp_path
 
 
+def change_settings(checkpoint, **touch):
+    """Change stored settings of touch, hashes and all."""
+    path = checkpoint / "config.json"
+    config = json.loads(path.read_text())
+    config["touch"] |= touch
+    path.write_text(json.dumps(config))
+    write_hashes(checkpoint)
+
+
+def stored_touch(checkpoint):
+    return json.loads((checkpoint / "config.json").read_text())["touch"]
+
+
 def test_lerobot_finds_the_policy_by_name():
     register_third_party_plugins()
     assert "pi05_uniforce" in PreTrainedConfig.get_known_choices()
@@ -140,12 +153,8 @@ def test_other_sensors_must_be_asked_for(make_config):
         check_sensors(make_config(touch__trained_sensors=trained), mounted)
     notes = check_sensors(make_config(touch__trained_sensors=trained, left_sensor="uskin"), mounted)
     assert len(notes) == 1 and "gelsight" in notes[0] and "uskin" in notes[0]
-    assert (
-        check_sensors(
-            make_config(touch__trained_sensors=trained), {"left": "gelsight", "right": "tactip"}
-        )
-        == []
-    )
+    same = {"left": "gelsight", "right": "tactip"}
+    assert check_sensors(make_config(touch__trained_sensors=trained), same) == []
     slots = {"touch__slots": {"touch0": "right"}, "touch__trained_sensors": {"touch0": "tactip"}}
     one = make_config(**slots, swap="touch0:left")
     assert len(check_sensors(one, mounted)) == 1
@@ -286,15 +295,11 @@ def test_files_of_a_hub_repository_are_fetched_and_verified(checkpoint, monkeypa
         weights.check_files("somebody/policy", "full", None, False)
 
 
-def test_a_policy_of_other_marker_images_is_refused(make_policy, tmp_path: Path) -> None:
-    make_policy().save_pretrained(tmp_path)
-    config = json.loads((tmp_path / "config.json").read_text())
-    assert config["touch"]["marker_images"] == MARKER_IMAGES
-    config["touch"]["marker_images"] = 1
-    (tmp_path / "config.json").write_text(json.dumps(config))
-    write_hashes(tmp_path)
+def test_a_policy_of_other_marker_images_is_refused(checkpoint) -> None:
+    assert stored_touch(checkpoint)["marker_images"] == MARKER_IMAGES
+    change_settings(checkpoint, marker_images=1)
     with pytest.raises(CheckpointError, match="marker images"):
-        PI05UniforcePolicy.from_pretrained(tmp_path)
+        PI05UniforcePolicy.from_pretrained(checkpoint)
 
 
 @pytest.mark.parametrize(
@@ -304,22 +309,18 @@ def test_a_policy_of_another_force_head_is_refused(
     make_policy, tmp_path: Path, stored: str, said: str
 ) -> None:
     """Its newtons would be in another scale, and nothing else would show it."""
-    make_policy(touch__input="newtons", touch__tokenizer_path=None).save_pretrained(tmp_path)
-    path = tmp_path / "config.json"
-    config = json.loads(path.read_text())
-    assert config["touch"]["head_hash"] == ForceHead.from_pretrained("tactip").hash
-    config["touch"]["head_hash"] = stored
-    path.write_text(json.dumps(config))
-    write_hashes(tmp_path)
+    make_policy(touch__input="newtons").save_pretrained(tmp_path)
+    assert stored_touch(tmp_path)["head_hash"] == ForceHead.from_pretrained("tactip").hash
+    change_settings(tmp_path, head_hash=stored)
     with pytest.raises(CheckpointError, match=said):
         PI05UniforcePolicy.from_pretrained(tmp_path)
 
 
 def test_a_head_of_ones_own_travels_with_its_tokenizer(
-    make_policy, make_batch, tmp_path: Path
+    make_policy, make_batch, tokenizer_path, tmp_path: Path
 ) -> None:
     """Only the package's tokenizers have heads in the package."""
-    tokenizer = Tokenizer.from_pretrained(make_policy().config.touch.tokenizer_path)
+    tokenizer = Tokenizer.from_pretrained(tokenizer_path)
     path = tokenizer.save(tmp_path / "made" / "tokenizer")
     head = ForceHead(ForceRegressor(HeadConfig(hidden=4, mlp=8)), "tactip", tokenizer.hash)
     head.save(path.parent / "force_head_tactip")
@@ -339,21 +340,16 @@ def test_a_head_of_ones_own_travels_with_its_tokenizer(
         PI05UniforcePolicy.from_pretrained(tmp_path / "policy")
 
     (tmp_path / "gone").rename(path.parent)
-    config = json.loads((tmp_path / "policy" / "config.json").read_text())
-    config["touch"]["head_sizes"] = None
-    (tmp_path / "policy" / "config.json").write_text(json.dumps(config))
-    write_hashes(tmp_path / "policy")
+    change_settings(tmp_path / "policy", head_sizes=None)
     # a path in a checkpoint is never followed
     with pytest.raises(CheckpointError, match="Fit a head"):
         PI05UniforcePolicy.from_pretrained(tmp_path / "policy")
 
 
-def test_a_tokenizer_without_a_head_of_its_own_is_refused(make_policy, tmp_path: Path) -> None:
-    path = str(
-        Tokenizer.from_pretrained(make_policy().config.touch.tokenizer_path).save(
-            tmp_path / "tokenizer"
-        )
-    )
+def test_a_tokenizer_without_a_head_of_its_own_is_refused(
+    make_policy, tokenizer_path, tmp_path: Path
+) -> None:
+    path = str(Tokenizer.from_pretrained(tokenizer_path).save(tmp_path / "tokenizer"))
     with pytest.raises(CheckpointError, match="uniforce pretrain"):
         make_policy(touch__input="newtons", touch__tokenizer_path=path)
     ForceHead(ForceRegressor(HeadConfig()), "tactip", "another").save(

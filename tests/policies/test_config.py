@@ -9,7 +9,7 @@ from lerobot.configs import PreTrainedConfig
 from lerobot.scripts import lerobot_train
 
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig
-from lerobot_policy_pi05_uniforce.sizes import OFF
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import OFF
 from uniforce_vtla.errors import ContractError
 
 GROUPS = ("touch", "action", "augment", "tiny", "sampler")

@@ -45,7 +45,9 @@ def test_equals_the_stock_loop(touch, steps, site, make_policy, make_batch):
 
 def lost(felt, rows):
     """Return what is felt where the last slot's sensor is lost in some rows of the batch."""
-    return replace(felt, masks=(*felt.masks[:-1], felt.masks[-1] & rows))
+    masks = felt.masks.clone()
+    masks[-1] &= rows
+    return replace(felt, masks=masks)
 
 
 @SITES

@@ -19,10 +19,13 @@ from lerobot_policy_pi05_uniforce.controller import (
     stored_config,
 )
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
-from lerobot_policy_pi05_uniforce.touch.felt import Felt
-from lerobot_policy_pi05_uniforce.touch.sensors import load_calibrations, make_monitor
-from lerobot_policy_pi05_uniforce.touch.tokens import SHUT, ForceTokens
-from lerobot_policy_pi05_uniforce.touch.touch_input import marker_images
+from lerobot_policy_pi05_uniforce.touch.sensors import (
+    PolicySensors,
+    load_calibrations,
+    make_monitor,
+)
+from lerobot_policy_pi05_uniforce.touch.tokens import SHUT, Felt, ForceTokens
+from lerobot_policy_pi05_uniforce.touch.touch_input import TouchInput, marker_images
 from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError, SensorError
 from uniforce_vtla.keys import latent_key, tactile_key
 from uniforce_vtla.tokenizer.calibration import Agreement, Calibration
@@ -66,7 +69,7 @@ def test_masked_touch_equals_no_touch(site, make_policy, make_batch):
     policy = make_policy(touch__site=site)
     *seen, felt = inputs(policy, make_batch(policy))
     start = start_noise(policy)
-    off = replace(felt, masks=tuple(torch.zeros_like(mask) for mask in felt.masks))
+    off = replace(felt, masks=torch.zeros_like(felt.masks))
     masked = policy.model.sample_actions(*seen, off, noise=start)
     without = policy.model.sample_actions(*seen, Felt(felt.state), noise=start)
     touched = policy.model.sample_actions(*seen, felt, noise=start)
@@ -84,11 +87,12 @@ def test_joint_training_velocity_equals_sampling_velocity(site, gate, make_polic
     x_t = time[:, None, None] * x
     # (u − v)², u = x − 0
     squared = policy.model.forward(*seen, felt, actions=actions, noise=x, time=time)
-    prefix, pads, atts = policy.model.embed_prefix(*seen, felt)
-    mask = stock.prepare_attention_masks_4d(stock.make_att_2d_masks(pads, atts))
-    joint, places = policy.model.paligemma_with_expert, torch.cumsum(pads, 1) - 1
-    _, cache = joint.forward(mask, places, None, [prefix, None], use_cache=True)
-    velocity = policy.model.denoise_step(pads, cache, x_t, time)
+    with policy.model.feeling(felt):
+        prefix, pads, atts = policy.model.embed_prefix(*seen)
+        mask = stock.prepare_attention_masks_4d(stock.make_att_2d_masks(pads, atts))
+        joint, places = policy.model.paligemma_with_expert, torch.cumsum(pads, 1) - 1
+        _, cache = joint.forward(mask, places, None, [prefix, None], use_cache=True)
+        velocity = policy.model.denoise_step(pads, cache, x_t, time)
     assert torch.allclose(squared.sqrt(), (x - velocity).abs(), atol=1e-4)
 
 
@@ -122,7 +126,7 @@ def test_cached_latents_equal_encoding_the_images(make_policy, make_batch):
         latent_key(slot): touches[i].flatten(1) for i, slot in enumerate(("touch0", "touch1"))
     }
     again = policy.felt(cached).touches
-    assert all(torch.equal(a, b) for a, b in zip(touches, again, strict=True))
+    assert torch.equal(touches, again)
 
 
 def test_reference_is_encoded_once_until_reset(make_policy, make_batch, monkeypatch):
@@ -189,29 +193,24 @@ def test_a_sensor_that_is_not_healthy_stops_the_rollout_at_the_third_look(make_p
 def test_an_open_hand_in_free_air_takes_a_new_reference_once_an_episode(
     make_policy, make_batch, caplog, kind
 ):
-    policy = make_policy(
-        touch__input=kind, **({"touch__tokenizer_path": None} if kind == "newtons" else {})
-    )
+    policy = make_policy(touch__input=kind)
     batch = make_batch(policy, size=1)
     current = marker_images(batch, "right")[1]
     sensor = watched(policy).touch.sensors["touch0"]
     sensor.monitor._usual.mean = sensor.raw_latent(current, current)[0].flatten()
     open_m = batch[MEASURED_STATE][0, 4].item()
     policy.config.action.target_range = [[0.0] * 5, [0.0] * 4 + [open_m]]
-    odd = [
-        policy.touch.gather(batch, current.device, training=False)[0][0]
-        for _ in range(FREE_LOOKS + 2)
-    ]
+    odd = [policy.touch.gather(batch, training=False)[0][0] for _ in range(FREE_LOOKS + 2)]
     assert torch.equal(odd[0], odd[FREE_LOOKS - 2]) and not torch.equal(odd[0], odd[FREE_LOOKS - 1])
     assert sum("new reference" in record.message for record in caplog.records) == 1
     policy.reset()  # the next episode begins with the reference it is given
-    assert torch.equal(policy.touch.gather(batch, current.device, training=False)[0][0], odd[0])
+    assert torch.equal(policy.touch.gather(batch, training=False)[0][0], odd[0])
     policy.reset()
     # the hand may hold something
     policy.config.action.target_range = [[0.0] * 5, [0.0] * 4 + [open_m + 0.03]]
     with pytest.raises(SensorError, match="in free air"):
         for _ in range(FREE_LOOKS):
-            policy.touch.gather(batch, current.device, training=False)
+            policy.touch.gather(batch, training=False)
 
 
 def tensors_in(thing, seen):
@@ -237,20 +236,16 @@ def test_whatever_touch_holds_follows_the_policy_to_its_device(
     kind, make_policy, make_batch, tmp_path
 ):
     """No module registers ranges, maps and references: on a GPU the first look failed."""
-    more = {"touch__tokenizer_path": None} if kind == "newtons" else {}
-    policy = make_policy(touch__input=kind, touch__slots={"touch0": "right"}, **more)
-    names = policy.config.tokenizer_hash, policy.config.touch.head_hash
-    Calibration(LatentMap(16, 6), *names, "tactip:7", "tactip:7", 0.0, 0.0, {}).save(tmp_path)
-    policy = make_policy(
-        touch__input=kind, touch__slots={"touch0": "right"}, right_calibration=str(tmp_path), **more
-    )
+    one = {"touch__input": kind, "touch__slots": {"touch0": "right"}}
+    folder = calibrate(tmp_path, make_policy(**one).config)
+    policy = make_policy(**one, right_calibration=folder)
     sensor = watched(policy, 99.0).touch.sensors["touch0"]
-    worn = sensor.calibration.map
-    sensor.monitor._worn = worn
+    latent_map = sensor.calibration.map
+    sensor.monitor._worn = latent_map
     policy.select_action(make_batch(policy, size=1))
     policy.to("meta")
     elsewhere = [t for t in tensors_in(policy.touch, {}) if t.device.type != "meta"]
-    assert not elsewhere and worn.weight.device.type == "meta"
+    assert not elsewhere and latent_map.weight.device.type == "meta"
     assert not [t for t in tensors_in(policy.issued, {}) if t.device.type != "meta"]
 
 
@@ -278,10 +273,10 @@ def test_touch_dropout_in_training_with_two_slots_or_on_request(make_policy, mak
         batch = make_batch(policy, size=32)
         policy.train()
         masks = policy.felt(batch).masks
-        assert (not all(m.all() for m in masks)) == hidden
+        assert (not masks.all()) == hidden
         policy.eval()
         masks = policy.felt(batch).masks
-        assert all(m.all() for m in masks)
+        assert masks.all()
 
 
 def with_dots(batch):
@@ -297,14 +292,17 @@ def with_dots(batch):
     return shown
 
 
-def test_newtons_are_what_the_shipped_head_reads_in_the_latents(make_policy, make_batch):
-    shipped = {"touch__tokenizer_path": None}
+def test_newtons_are_what_the_shipped_head_reads_in_the_latents(
+    make_policy, make_batch, tokenizer_path
+):
     with pytest.raises(CheckpointError, match="packaged"):
-        make_policy(touch__input="newtons")  # the tests' own tokenizer has no head
-    policy, latents = make_policy(touch__input="newtons", **shipped), make_policy(**shipped)
+        # the tests' own tokenizer has no head
+        make_policy(touch__input="newtons", touch__tokenizer_path=str(tokenizer_path))
+    policy = make_policy(touch__input="newtons")
+    latents = make_policy(touch__tokenizer_path=None)
     batch = with_dots(make_batch(policy))
-    newtons, _ = policy.touch.gather(batch, torch.device("cpu"), training=False)
-    read, _ = latents.touch.gather(batch, torch.device("cpu"), training=False)
+    newtons, _ = policy.touch.gather(batch, training=False)
+    read, _ = latents.touch.gather(batch, training=False)
     head = ForceHead.from_pretrained("tactip").model
     for force, z in zip(newtons, read, strict=True):
         torch.testing.assert_close(force[:, 0], head.step(z, None)[0])
@@ -312,17 +310,15 @@ def test_newtons_are_what_the_shipped_head_reads_in_the_latents(make_policy, mak
     cached |= {
         latent_key(slot): z.flatten(1) for slot, z in zip(policy.config.slots, read, strict=True)
     }
-    stored, _ = policy.touch.gather(cached, torch.device("cpu"), training=False)
+    stored, _ = policy.touch.gather(cached, training=False)
     torch.testing.assert_close(stored, newtons)
     assert policy.model.force_tokens.input_scale.tolist() == [5.0, 5.0, 10.0]
 
 
 @pytest.mark.parametrize("kind", ["latent", "newtons"])
 def test_touch_acts_and_a_swap_mirrors_as_the_right_finger_did(make_policy, make_batch, kind):
-    shipped = {"touch__tokenizer_path": None} if kind == "newtons" else {}
-    policy = make_policy(
-        touch__input=kind, touch__slots={"touch0": "right"}, sampler__noise_scale=0.0, **shipped
-    )
+    one = {"touch__input": kind, "touch__slots": {"touch0": "right"}}
+    policy = make_policy(**one, sampler__noise_scale=0.0)
     batch = with_dots(make_batch(policy))
     first = policy.predict_action_chunk(batch)
     other = {**batch, tactile_key("right"): batch[tactile_key("left")]}
@@ -332,7 +328,9 @@ def test_touch_acts_and_a_swap_mirrors_as_the_right_finger_did(make_policy, make
         tactile_key("left", r): batch[tactile_key("right", r)].flip(-1) for r in (True, False)
     }
     policy.config.swap = "touch0:left"
-    policy.touch = policy._make_touch_input()
+    policy.touch = TouchInput(
+        policy.config, PolicySensors(policy.config, policy.model.tactile_encoder)
+    )
     torch.testing.assert_close(policy.predict_action_chunk({**batch, **flipped}), first)
 
 
@@ -429,99 +427,98 @@ def test_the_gate_and_what_starts_random_learn_at_their_own_rates(make_policy):
     assert trained == {id(p) for p in policy.parameters() if p.requires_grad}
 
 
-def test_a_finger_wears_its_calibration_at_rollout_and_no_checkpoint_names_one(
+JUDGED = {"tool": Agreement(9, (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))}
+
+
+def calibrate(folder, config, shift=0.0, new="tactip:7", anchor="tactip:7", gain=1.0, **hashes):
+    """Save a calibration for a policy whose map adds ``shift``; return its folder."""
+    found = LatentMap(config.tokens_per_slot, config.latent_size)
+    found.shift.fill_(shift)
+    tokenizer_hash = hashes.get("tokenizer_hash", config.tokenizer_hash)
+    head_hash = hashes.get("head_hash", config.touch.head_hash)
+    names = (tokenizer_hash, head_hash, new, anchor)
+    return str(Calibration(found, *names, 1.0, 0.0, JUDGED, gain).save(folder))
+
+
+@pytest.fixture
+def shipped():
+    """The shipped policy's settings."""
+    return stored_config(shipped_checkpoint())
+
+
+def test_a_finger_is_calibrated_at_rollout_and_no_checkpoint_names_a_calibration(
     make_policy, make_batch, tmp_path
 ):
     policy = make_policy()
     batch = make_batch(policy)
-    before = policy.touch.gather(batch, torch.device("cpu"), training=False)[0][0]
-    found = LatentMap(policy.config.tokens_per_slot, policy.config.latent_size)
-    found.shift.fill_(0.5)
-    judged = {"tool": Agreement(9, (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))}
-    Calibration(found, policy.config.tokenizer_hash, "", "new", "tactip", 1.0, 0.0, judged).save(
-        tmp_path / "map"
-    )
+    before = policy.touch.gather(batch, training=False)[0][0]
+    folder = calibrate(tmp_path / "map", policy.config, shift=0.5)
     finger = policy.config.finger_by_slot()["touch0"]
     policy.save_pretrained(tmp_path / "policy")
     config = PI05UniforceConfig.from_pretrained(
-        tmp_path / "policy", cli_overrides=[f"--{finger}_calibration={tmp_path / 'map'}"]
+        tmp_path / "policy", cli_overrides=[f"--{finger}_calibration={folder}"]
     )
-    worn = PI05UniforcePolicy.from_pretrained(tmp_path / "policy", config=config)
-    after = worn.touch.gather(batch, torch.device("cpu"), training=False)[0][0]
+    calibrated = PI05UniforcePolicy.from_pretrained(tmp_path / "policy", config=config)
+    after = calibrated.touch.gather(batch, training=False)[0][0]
     assert torch.allclose(after, before + 0.5, atol=1e-6)
-    worn.save_pretrained(tmp_path / "again")
+    calibrated.save_pretrained(tmp_path / "again")
     stored = json.loads((tmp_path / "again" / "config.json").read_text())
     assert stored[f"{finger}_calibration"] == ""
     with pytest.raises(CheckpointError, match="Only who loads"):
         check_settings(stored | {f"{finger}_calibration": "/elsewhere"}, "config.json")
-    Calibration(found, "another", "", "new", "tactip", 1.0, 0.0, judged).save(tmp_path / "map")
+    calibrate(tmp_path / "map", policy.config, tokenizer_hash="another")
     with pytest.raises(CheckpointError, match="Calibrate again"):
         PI05UniforcePolicy.from_pretrained(tmp_path / "policy", config=config)
 
 
-def test_a_policy_that_feels_no_latents_wears_no_calibration(make_policy, tmp_path):
+def test_a_policy_that_feels_no_latents_takes_no_calibration(make_policy, tmp_path):
     with pytest.raises(ContractError, match="latents to map"):
         make_policy(touch__input="wrench", left_calibration=str(tmp_path))
 
 
 @pytest.mark.parametrize(("anchor", "judged"), [("tactip:1", "after"), ("gelsight:1", "before")])
-def test_a_calibrated_unit_is_watched_as_the_unit_that_it_was_calibrated_to(
-    tmp_path, anchor, judged
+def test_a_calibrated_sensor_is_watched_as_the_one_that_it_was_calibrated_to(
+    tmp_path, shipped, anchor, judged
 ):
-    config = stored_config(shipped_checkpoint())
-    found = LatentMap(config.tokens_per_slot, config.latent_size)
-    found.shift.fill_(50.0)  # the map turns healthy latents into odd ones
-    Calibration(found, config.tokenizer_hash, "", "tactip:7", anchor, 1.0, 0.0, {}).save(tmp_path)
-    config.right_sensor, config.right_calibration = "tactip", str(tmp_path)
-    worn = load_calibrations(config, (config.tokens_per_slot, config.latent_size))
-    monitor = make_monitor(config, "touch0", worn["right"])
-    healthy = monitor._usual.mean.view(1, config.tokens_per_slot, config.latent_size)
+    shipped.right_sensor = "tactip"
+    # the map turns healthy latents into odd ones
+    shipped.right_calibration = calibrate(tmp_path, shipped, shift=50.0, anchor=anchor)
+    monitor = make_monitor(shipped, "touch0", load_calibrations(shipped)["right"])
+    healthy = monitor._usual.mean.view(1, shipped.tokens_per_slot, shipped.latent_size)
     with pytest.raises(FreeAirError) if judged == "after" else nullcontext():
         for _ in range(FREE_LOOKS):
             monitor.see(healthy)
 
 
-def test_a_calibration_of_another_kind_of_sensor_is_refused(tmp_path):
-    config = stored_config(shipped_checkpoint())
-    found = LatentMap(config.tokens_per_slot, config.latent_size)
-    Calibration(found, config.tokenizer_hash, "", "uskin:2", "tactip:1", 1.0, 0.0, {}).save(
-        tmp_path
-    )
-    config.right_sensor, config.right_calibration = "gelsight", str(tmp_path)
+def test_a_calibration_of_another_type_of_sensor_is_refused(tmp_path, shipped):
+    shipped.right_sensor = "gelsight"
+    shipped.right_calibration = calibrate(tmp_path, shipped, new="uskin:2", anchor="tactip:1")
     with pytest.raises(CheckpointError, match="one of a gelsight, got one of uskin:2"):
-        load_calibrations(config, (config.tokens_per_slot, config.latent_size))
+        load_calibrations(shipped)
 
 
-def worn_gain(folder, head_hash, gain=2.0):
-    config = stored_config(shipped_checkpoint())
-    found = LatentMap(config.tokens_per_slot, config.latent_size)
-    names = config.tokenizer_hash, head_hash, "tactip:7", "tactip:7"
-    return str(Calibration(found, *names, 0.0, 0.0, {}, gain).save(folder))
-
-
-def test_newtons_are_scaled_by_the_gain_that_known_loads_gave(tmp_path):
+def test_newtons_are_scaled_by_the_gain_that_known_loads_gave(tmp_path, shipped):
     read = {}
-    head_hash = stored_config(shipped_checkpoint()).touch.head_hash
-    folder = worn_gain(tmp_path / "gain", head_hash)
-    for worn in ("", folder):
+    folder = calibrate(tmp_path / "gain", shipped, gain=2.0)
+    for calibration in ("", folder):
         config = stored_config(shipped_checkpoint())
-        config.right_sensor, config.right_calibration = "tactip", worn
+        config.right_sensor = "tactip"
+        config.right_calibration = calibration
         policy = PI05UniforcePolicy.from_pretrained(shipped_checkpoint(), config=config)
         env = WipeEnv("touch", right_sensor="tactip:7", drawn=("right",))
         env.reset(seed=20_000)
-        keys = tactile_key("right", True), tactile_key("right")
-        pair = zip(keys, env.marker_pair("right"), strict=True)
-        batch = {key: torch.from_numpy(image)[None] / 255.0 for key, image in pair}
-        read[worn] = policy.touch.read(batch, "touch0", torch.device("cpu"))
+        batch = {}
+        for reference, image in zip((True, False), env.marker_pair("right"), strict=True):
+            batch[tactile_key("right", reference)] = torch.from_numpy(image)[None] / 255.0
+        read[calibration] = policy.touch.read(batch, "touch0")
     assert read[folder].shape == (1, 1, 3) and torch.allclose(read[folder], 2 * read[""])
-    config.right_calibration = worn_gain(tmp_path / "other", "another")
-    with pytest.raises(
-        CheckpointError, match="right_calibration: expected a gain of newtons that head"
-    ):
-        load_calibrations(config, (config.tokens_per_slot, config.latent_size))
-    config.touch.input = "latent"
+    shipped.right_calibration = calibrate(tmp_path, shipped, gain=2.0, head_hash="another")
+    wanted = "right_calibration: expected a gain of newtons that head"
+    with pytest.raises(CheckpointError, match=wanted):
+        load_calibrations(shipped)
+    shipped.touch.input = "latent"
     with pytest.raises(CheckpointError, match="this policy feels no newtons"):
-        load_calibrations(config, (config.tokens_per_slot, config.latent_size))
+        load_calibrations(shipped)
 
 
 def watch_start(words, monitor="stop", drawn=("right",)):

@@ -1,116 +1,125 @@
 """Replay the fast sampler's kernels from CUDA graphs: one for the prefill, one for the flow.
 
-An eager call launches thousands of small kernels, and launching takes longer than running them. A graph fixes shapes
-and addresses, so inputs are copied into buffers of its own, text is padded to one of a few lengths (one pair of graphs
-each), masks are always there, and what is returned is a copy. The flow's graph reads the keys and values where the
-first leaves them.
+An eager call launches thousands of small kernels, and launching takes longer than running them.
+A graph fixes shapes and addresses. So inputs are copied into buffers of its own, text is padded to
+one of a few lengths (one pair of graphs each), masks are always there, and the returned actions are
+a copy. The flow's graph reads the keys and values where the prefill's leaves them.
 
-Whatever is captured is an ordinary function of tensors. ``capture=False`` runs the same functions on the same fixed
-buffers without a graph, on any device: that is what the tests do. Graphs were recorded once, by a bench on an H200
-(docs/results/policy_latency.json).
+``capture=False`` runs the same functions on the same fixed buffers without a graph, on any device:
+the tests do. A bench on an H200 recorded graphs (docs/results/policy_latency.json).
 """
 
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
-from lerobot_policy_pi05_uniforce.sampler.layers import Prepared, StepTable
-from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, Prefill, Prefix, PrefixEncoder
-from lerobot_policy_pi05_uniforce.touch.felt import Felt
-from lerobot_policy_pi05_uniforce.touch.tokens import GatedColumns, SuffixTouch
+from lerobot_policy_pi05_uniforce.sampler.layers import StepTable
+from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, Prefill
+from lerobot_policy_pi05_uniforce.touch.tokens import Felt, TouchTokens
 from uniforce_vtla.errors import ContractError, expected
 
-Recordable = Callable[..., tuple[Tensor, ...]]
+if TYPE_CHECKING:
+    from lerobot_policy_pi05_uniforce.sampler.fast import FastSampler
+
 BUCKETS = (48, 96, 200)  # text tokens: a short prompt, one with many state digits, π0.5's most
 KEPT = 6  # pairs of graphs: buckets times a camera that comes and goes; each holds its own buffers
 
 
-class Replayed:
-    """A function of tensors on fixed buffers, recorded into a CUDA graph or (without ``capture``) called again.
+class Replayed[Result]:
+    """A function of fixed buffers, recorded into a CUDA graph or called again.
 
     Args:
-        function: tensors in, a tuple of tensors out; no shape or branch may depend on values.
-        inputs: an example; shapes, dtypes and device stay.
+        function: reads the buffers; no shape or branch may depend on their values.
+        inputs: the buffers.
+        outputs: takes a result apart into its tensors, the buffers that the next call overwrites.
         capture: record a graph (CUDA).
     """
 
-    def __init__(self, function: Recordable, inputs: list[Tensor], capture: bool) -> None:
+    def __init__(
+        self,
+        function: Callable[[], Result],
+        inputs: list[Tensor],
+        outputs: Callable[[Result], list[Tensor]],
+        capture: bool,
+    ) -> None:
         self._function = function
-        self._inputs = [value.clone() for value in inputs]
+        self._inputs = inputs
+        self._outputs = outputs
         self._graph: torch.cuda.CUDAGraph | None = None
         if capture:
-            self._graph, self.outputs = _record(function, self._inputs)
+            self._graph = torch.cuda.CUDAGraph()
+            aside = torch.cuda.Stream()  # torch asks for calls aside before one is recorded
+            aside.wait_stream(torch.cuda.current_stream())
+            with torch.cuda.stream(aside):
+                function()
+                function()
+            torch.cuda.current_stream().wait_stream(aside)
+            with torch.cuda.graph(self._graph):
+                self.result = function()
         else:
-            self.outputs = tuple(value.clone() for value in function(*self._inputs))
+            self.result = function()
 
-    def __call__(self, *inputs: Tensor) -> tuple[Tensor, ...]:
-        """Return the outputs for ``inputs``, in buffers that the next call overwrites.
+    def __call__(self, *inputs: Tensor) -> Result:
+        """Return the result for ``inputs``.
 
-        Raises ContractError: inputs of other shapes than the example's.
+        Raises ContractError: inputs of other shapes than the buffers'.
         """
-        wanted, came = (
-            [tuple(value.shape) for value in values] for values in (self._inputs, inputs)
-        )
+        wanted = [tuple(value.shape) for value in self._inputs]
+        came = [tuple(value.shape) for value in inputs]
         if wanted != came:
-            raise ContractError(
-                expected(
-                    "inputs of a graph", wanted, came, "Record another graph for other shapes."
-                )
-            )
-        for own, new in zip(self._inputs, inputs, strict=True):
-            own.copy_(new)
+            do = "Record another graph for other shapes."
+            raise ContractError(expected("inputs of a graph", wanted, came, do))
+        _copy(inputs, self._inputs)
         if self._graph is not None:
             self._graph.replay()
-            return self.outputs
-        for own, new in zip(self.outputs, self._function(*self._inputs), strict=True):
-            own.copy_(new)
-        return self.outputs
+        else:
+            _copy(self._outputs(self._function()), self._outputs(self.result))
+        return self.result
+
+
+def _copy(sources: list[Tensor] | tuple[Tensor, ...], buffers: list[Tensor]) -> None:
+    for source, buffer in zip(sources, buffers, strict=True):
+        buffer.copy_(source)
 
 
 class Pair(NamedTuple):
-    """The two graphs of one set of shapes; the flow's reads the buffers that the prefill's writes."""
+    """The two graphs of one set of shapes; the flow reads the buffers that the prefill writes."""
 
-    prefill: Replayed
-    flow: Replayed
-
-
-class Sampler(Protocol):
-    """The sampler that is recorded: a ``FastSampler``."""
-
-    network: Any
-    prepared: Prepared
-    encoder: PrefixEncoder
-
-    def flow(self, prefix: Prefix, noise: Tensor, tables: list[StepTable]) -> Tensor:
-        """Return the actions at the end of the flow."""
+    prefill: Replayed[Prefill]
+    flow: Replayed[Tensor]
 
 
 class GraphedSampler:
-    """Samples like the ``FastSampler`` it is given, by replay; without ``capture`` (tests, CPU) by calling again."""
+    """Samples like the ``FastSampler`` it is given, by replay."""
 
-    def __init__(self, sampler: Sampler, capture: bool = True) -> None:
-        self._sampler, self._capture = sampler, capture
+    def __init__(self, sampler: FastSampler, capture: bool = True) -> None:
+        self._sampler = sampler
+        self._capture = capture
         self._pairs: dict[tuple, Pair] = {}
         self._version = -1
 
     def sample(self, inputs: Inputs, noise: Tensor, tables: list[StepTable]) -> Tensor:
         """Return (B, chunk, max_action_dim) actions of inputs that are all there."""
+        tokens, masks = bucketed(inputs.tokens, inputs.masks)
+        inputs = inputs._replace(tokens=tokens, masks=masks)
         touch = self._sampler.network.suffix_touch(inputs.felt)
-        text = bucketed(inputs.tokens, inputs.masks)
-        whole = inputs._replace(tokens=text[0], masks=text[1])
-        observed = flattened(whole)
-        suffix = [noise] if touch is None else [noise, touch.tokens, touch.mask]
-        pair = self._pair(whole, suffix, tables)
-        pair.prefill(*observed)
-        return pair.flow(*suffix)[0].clone()
+        suffix = [noise]
+        if touch is not None:
+            suffix += [touch.tokens, touch.real]
+        pair = self._pair(inputs, suffix, tables)
+        pair.prefill(*flattened(inputs))
+        return pair.flow(*suffix).clone()
 
     def _pair(self, inputs: Inputs, suffix: list[Tensor], tables: list[StepTable]) -> Pair:
         if self._version != self._sampler.prepared.version:  # other weights: tables were made anew
-            self._pairs, self._version = {}, self._sampler.prepared.version
-        shapes = (tuple(value.shape) for value in (*flattened(inputs), *suffix))
+            self._pairs = {}
+            self._version = self._sampler.prepared.version
+        shapes = [tuple(value.shape) for value in (*flattened(inputs), *suffix)]
         key = (len(tables), len(inputs.images), *shapes)
         if key not in self._pairs:
             while len(self._pairs) >= KEPT:
@@ -118,75 +127,45 @@ class GraphedSampler:
             self._pairs[key] = self._record_pair(inputs, suffix, tables)
         return self._pairs[key]
 
-    def _record_pair(self, example: Inputs, suffix: list[Tensor], tables: list[StepTable]) -> Pair:
+    def _record_pair(self, inputs: Inputs, suffix: list[Tensor], tables: list[StepTable]) -> Pair:
         encoder = self._sampler.encoder
-        chunk, room = suffix[0].shape[1], sum(part.shape[1] for part in suffix[:2])
-        gated_at: list[int] = []  # first column of touch: a number, fixed with the shapes
+        chunk = suffix[0].shape[1]
+        room = sum(part.shape[1] for part in suffix[:2])  # noise and tokens
+        observed = copied(inputs)
+        noise, *touch = map(torch.clone, suffix)
 
-        def prefill(*given: Tensor) -> tuple[Tensor, ...]:
-            made = encoder.prefill(restored(given, example), room, always_mask=True)
-            gated_at[:] = [] if made.gated is None else [made.gated.first]
-            gate = () if made.gated is None else (made.gated.bias, made.gated.real)
-            return (made.pads, *gate, *made.cache)
+        def prefill() -> Prefill:
+            return encoder.prefill(observed, room, always_mask=True)
 
-        recorded = Replayed(prefill, flattened(example), self._capture)
-        pads, *rest = recorded.outputs
-        gated = GatedColumns(gated_at[0], *rest[:2]) if gated_at else None
-        whole = Prefill(rest[2 * len(gated_at) :], pads, gated)
+        def flow() -> Tensor:
+            tokens = TouchTokens(*touch) if touch else None
+            prefix = encoder.with_suffix(recorded.result, tokens, chunk, always_mask=True)
+            return self._sampler.flow(prefix, noise, tables)
 
-        def flow(noise: Tensor, *touch: Tensor) -> tuple[Tensor, ...]:
-            run = SuffixTouch(*touch) if touch else None
-            prefix = encoder.with_suffix(whole, run, chunk, always_mask=True)
-            return (self._sampler.flow(prefix, noise, tables),)
-
-        return Pair(recorded, Replayed(flow, suffix, self._capture))
+        recorded = Replayed(prefill, flattened(observed), Prefill.tensors, self._capture)
+        flowing = Replayed(flow, [noise, *touch], lambda actions: [actions], self._capture)
+        return Pair(recorded, flowing)
 
 
 def flattened(inputs: Inputs) -> list[Tensor]:
     """Return the tensors of an observation, one behind the other."""
-    state = [] if inputs.felt.state is None else [inputs.felt.state]
-    felt = [*state, *inputs.felt.touches, *inputs.felt.masks]
-    return [*inputs.images, *inputs.img_masks, inputs.tokens, inputs.masks, *felt]
+    felt = inputs.felt
+    seen = [*inputs.images, *inputs.img_masks, inputs.tokens, inputs.masks]
+    return [*seen, *filter(torch.is_tensor, (felt.state, felt.touches, felt.masks))]
 
 
-def restored(tensors: Sequence[Tensor], example: Inputs) -> Inputs:
-    """Return the observation that ``flattened`` took apart, of as many cameras and slots as an example."""
-    rest = list(tensors)
-
-    def take(count: int) -> list[Tensor]:
-        taken = rest[:count]
-        del rest[:count]
-        return taken
-
-    images = take(len(example.images))
-    img_masks = take(len(example.images))
-    tokens, masks = take(2)
-    state = None if example.felt.state is None else take(1)[0]
-    touches = take(len(example.felt.touches))
-    felt = Felt(state, tuple(touches), tuple(rest))
-    return Inputs(images, img_masks, tokens, masks, felt)
+def copied(inputs: Inputs) -> Inputs:
+    """Return an observation in memory of its own."""
+    felt = []
+    for part in (inputs.felt.state, inputs.felt.touches, inputs.felt.masks):
+        felt.append(None if part is None else part.clone())
+    images = list(map(torch.clone, inputs.images))
+    img_masks = list(map(torch.clone, inputs.img_masks))
+    return Inputs(images, img_masks, inputs.tokens.clone(), inputs.masks.clone(), Felt(*felt))
 
 
 def bucketed(tokens: Tensor, masks: Tensor) -> tuple[Tensor, Tensor]:
-    """Pad (B, L) text to the next of ``BUCKETS``, masked: a prompt of another length then finds its graph."""
-    room = (
-        next((size for size in BUCKETS if size >= tokens.shape[1]), tokens.shape[1])
-        - tokens.shape[1]
-    )
+    """Pad (B, L) text to the next of ``BUCKETS``, masked, so that another length finds a graph."""
+    length = tokens.shape[1]
+    room = min((size - length for size in BUCKETS if size >= length), default=0)
     return F.pad(tokens, (0, room)), F.pad(masks.bool(), (0, room))
-
-
-def _record(
-    function: Recordable, inputs: list[Tensor]
-) -> tuple[torch.cuda.CUDAGraph, tuple[Tensor, ...]]:
-    """Run twice aside, as torch asks for, then record; return the graph and the buffers it writes."""
-    aside = torch.cuda.Stream()
-    aside.wait_stream(torch.cuda.current_stream())
-    with torch.cuda.stream(aside):
-        for _ in range(2):
-            function(*inputs)
-    torch.cuda.current_stream().wait_stream(aside)
-    graph = torch.cuda.CUDAGraph()
-    with torch.cuda.graph(graph):
-        outputs = function(*inputs)
-    return graph, outputs

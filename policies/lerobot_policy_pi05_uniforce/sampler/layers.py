@@ -1,35 +1,45 @@
-"""Arithmetic of the fast sampler, and what it prepares once per weights; without copies that LeRobot's layers make.
+"""Arithmetic of the fast sampler, without LeRobot's copies, and tensors prepared once per weights.
 
-Products run in oneDNN where it takes them: torch sends a float32 ``linear`` on a CPU to MKL, which on AMD processors
-runs at half of oneDNN's speed (docs/experiments/policy_speed.md). Results agree within rounding. Without oneDNN, on
-another device, in another dtype, where a gradient is wanted, or where torch.compile traces, torch runs.
+Products run in oneDNN where it takes them: torch sends a float32 ``linear`` on a CPU to MKL, which
+on AMD processors has half of oneDNN's speed (docs/experiments/policy_speed.md). Results agree
+within rounding. Without oneDNN, on another device, in another dtype, where a gradient is wanted, or
+where torch.compile traces, torch runs.
 """
 
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 from lerobot.policies.pi05 import modeling_pi05 as stock
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
+if TYPE_CHECKING:
+    from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
+
 AVAILABLE = torch.backends.mkldnn.is_available() and hasattr(torch.ops.mkldnn, "_linear_pointwise")
-# of attention: fewer aren't worth five operations, more leave the cache, and torch's tiled attention wins
+# of attention: fewer aren't worth five operations, more leave the cache: torch's is faster
 SCORES = (2**16, 2**20)
 # cos, and sin with the sign rotate_half would give; (B, heads, L, head) each
 Rotary = tuple[Tensor, Tensor]
 
 
 class Modulation(NamedTuple):
-    """One adaptive norm at one flow time: normed · scale + shift, and the gate of what follows; (D,) each."""
+    """One adaptive norm at one flow time: normed · scale + shift, and a gate; (D,) each."""
 
     scale: Tensor
     shift: Tensor
     gate: Tensor
 
 
+# of one flow step: before attention and before MLP of each layer in turn, and the last norm's
+StepTable = tuple[Modulation, ...]
+
+
 def here(x: Tensor) -> bool:
-    """Return whether oneDNN takes this tensor's products: float32 on a CPU, no gradient wanted, not compiling."""
+    """Return whether oneDNN takes this tensor's products: float32, CPU, no gradient, no tracing."""
     wanted = x.device.type == "cpu" and x.dtype == torch.float32 and not torch.is_grad_enabled()
     return AVAILABLE and wanted and not torch.compiler.is_compiling()
 
@@ -81,7 +91,10 @@ def attend_one(q: Tensor, k: Tensor, v: Tensor, mask: Tensor | None) -> Tensor:
     scores = linear(q.flatten(0, 2), k)  # (heads·L, L_keys)
     if mask is not None:
         apart = scores.view(*q.shape[:3], -1)
-        apart.masked_fill_(~mask, -torch.inf) if mask.dtype == torch.bool else apart.add_(mask)
+        if mask.dtype == torch.bool:
+            apart.masked_fill_(~mask, -torch.inf)
+        else:
+            apart.add_(mask)
     return linear(scores.softmax(dim=-1), v.t()).view(q.shape)
 
 
@@ -91,7 +104,7 @@ def modulated(x: Tensor, by: Modulation, eps: Tensor) -> Tensor:
 
 
 def rms(x: Tensor, eps: Tensor) -> Tensor:
-    """Return ``x`` over its root mean square, in float32 as LeRobot computes it; ``eps`` a number in a tensor."""
+    """Return ``x`` over its RMS, in float32 as LeRobot computes it; ``eps`` is a 0-d tensor."""
     wide = x.float()
     norm = torch.linalg.vector_norm(wide, dim=-1, keepdim=True)
     return wide * torch.rsqrt(torch.addcmul(eps, norm, norm, value=1 / x.shape[-1]))
@@ -106,43 +119,45 @@ def project(layer: nn.Module, normed: Tensor) -> Tensor:
 
 
 def rotary_of(model: nn.Module, x: Tensor, positions: Tensor) -> Rotary:
-    """Return cos and signed sin for (B, heads + 2, L, head) rows: queries also scaled, the value left as it is."""
+    """Return cos and signed sin for (B, heads + 2, L, head) rows: queries, key, value.
+
+    Queries are also scaled; the value is left as it is.
+    """
     cos, sin = model.rotary_emb(x, positions)  # (B, L, head)
     half = cos.shape[-1] // 2
     sin = torch.cat([-sin[..., :half], sin[..., half:]], dim=-1)
-    heads, scale = model.config.num_attention_heads, model.layers[0].self_attn.scaling
-    queries = [(part * scale)[:, None].expand(-1, heads, -1, -1) for part in (cos, sin)]
-    still = torch.ones_like(cos)[:, None], torch.zeros_like(sin)[:, None]
-    return tuple(  # type: ignore[return-value]
-        torch.cat([queries[n], part[:, None], still[n]], dim=1) for n, part in enumerate((cos, sin))
-    )
+    heads = model.config.num_attention_heads
+    turn = torch.stack([cos, sin])[:, :, None]  # (2, B, 1, L, head)
+    still = torch.stack([torch.ones_like(cos), torch.zeros_like(sin)])[:, :, None]
+    queries = (turn * model.layers[0].self_attn.scaling).expand(-1, -1, heads, -1, -1)
+    cos, sin = torch.cat([queries, turn, still], dim=2).unbind()
+    return cos, sin
 
 
 def rotated(rows: Tensor, rotary: Rotary) -> Tensor:
-    """Return rows turned by their positions: x·cos + swap(x)·signed sin, halves swapped by rolling."""
+    """Return rows turned by their positions: x·cos + swap(x)·signed sin, swapped by rolling."""
     cos, sin = rotary
     return torch.addcmul(rows * cos, rows.roll(rows.shape[-1] // 2, dims=-1), sin)
 
 
 def attend(q: Tensor, cache: Tensor, mask: Tensor | None) -> Tensor:
-    """Return (B, L, heads·head) of scaled (B, heads, L, head) queries; one key/value head serves all of them."""
-    if (
-        here(q)
-        and len(q) == 1
-        and SCORES[0] <= q.shape[1] * q.shape[2] * cache.shape[2] <= SCORES[1]
-    ):
+    """Return (B, L, heads·head) of scaled queries (B, heads, L, head); all share one key/value."""
+    heads = q.shape[1]
+    scores = heads * q.shape[2] * cache.shape[2]
+    if here(q) and len(q) == 1 and SCORES[0] <= scores <= SCORES[1]:
         mixed = attend_one(q, cache[0, 0], cache[0, 1], mask)
     else:
-        k, v = (cache[:, n : n + 1].expand(-1, q.shape[1], -1, -1) for n in (0, 1))
-        mixed = F.scaled_dot_product_attention(q, k, v, attn_mask=mask, scale=1.0)
+        keys = cache[:, :1].expand(-1, heads, -1, -1)
+        values = cache[:, 1:].expand(-1, heads, -1, -1)
+        mixed = F.scaled_dot_product_attention(q, keys, values, attn_mask=mask, scale=1.0)
     return mixed.transpose(1, 2).flatten(2)
 
 
 def embed_cameras(paligemma: nn.Module, images: Tensor) -> Tensor:
-    """Return (cameras, patches, D) tokens of (cameras, 3, H, W) images in [−1, 1], all in one batch.
+    """Return (cameras, patches, D) tokens of (cameras, 3, H, W) images in [−1, 1].
 
     Args:
-        paligemma: PaliGemma's ``model``: vision tower and projector, in float32 as LeRobot keeps them.
+        paligemma: PaliGemma's ``model``: vision tower and projector, in float32 as LeRobot's.
         images: of the resolution the tower was built for.
     """
     tower = paligemma.vision_tower
@@ -159,9 +174,11 @@ def embed_cameras(paligemma: nn.Module, images: Tensor) -> Tensor:
 
 
 def _vision_attention(a: nn.Module, x: Tensor, residual: Tensor) -> Tensor:
-    parts = [linear(x, p.weight, p.bias) for p in (a.q_proj, a.k_proj, a.v_proj)]
-    # (B, heads, L, head)
-    q, k, v = (part.unflatten(-1, (-1, a.head_dim)).transpose(1, 2) for part in parts)
+    rows = []
+    for part in (a.q_proj, a.k_proj, a.v_proj):
+        row = linear(x, part.weight, part.bias).unflatten(-1, (-1, a.head_dim))
+        rows.append(row.transpose(1, 2))  # (B, heads, L, head)
+    q, k, v = rows
     mixed = F.scaled_dot_product_attention(q, k, v, scale=a.scale).transpose(1, 2).flatten(2)
     return linear_plus(mixed, a.out_proj.weight, a.out_proj.bias, residual)
 
@@ -170,85 +187,71 @@ def _normed(norm: nn.LayerNorm, x: Tensor) -> Tensor:
     return F.layer_norm(x, norm.normalized_shape, norm.weight, norm.bias, norm.eps)
 
 
-@dataclass(frozen=True)
-class StepTable:
-    """Modulations of one flow step: ``layers`` holds (before attention, before MLP) per layer."""
-
-    layers: list[tuple[Modulation, Modulation]]
-    last: Modulation
-
-
 class Prepared:
     """Tensors prepared once per weights; made anew when a weight changed since the last call."""
 
-    def __init__(self, network: stock.PI05Pytorch) -> None:
+    def __init__(self, network: PI05UniforcePytorch) -> None:
         self._network = network
         self._prepared_for: Any = None
-        self._tables: dict[int, list[StepTable]] = {}
         self.version = 0  # counts preparations
-        self.eps = torch.empty(0)  # of the norms, one for all of π0.5
-        # of the VLM's norms, before attention and MLP, per layer
-        self.gains: list[tuple[Tensor, Tensor]] = []
-        # of the expert's layers, side by side, ((heads + 2)·head, D) each
-        self.qkv: list[Tensor] = []
 
     def tables(self, num_steps: int) -> list[StepTable]:
         """Return the step tables of these weights, for a flow of so many steps."""
-        weights = tuple((p.data_ptr(), p._version) for p in self._prepared_parameters())
+        weights = [(p.data_ptr(), p._version) for p in self._weights()]
         if weights != self._prepared_for:
-            self._prepared_for, self._tables = weights, {}
+            self._prepared_for = weights
             self.version += 1
-            vlm = self._network.paligemma_with_expert.paligemma.model.language_model
-            expert = self._network.paligemma_with_expert.gemma_expert.model
-            self.eps = torch.full((), vlm.norm.eps, device=vlm.norm.weight.device)
-            norms = [
-                (la.input_layernorm.weight, la.post_attention_layernorm.weight) for la in vlm.layers
-            ]
-            self.gains = [(1 + first.float(), 1 + second.float()) for first, second in norms]
-            heads = [
-                (a.q_proj, a.k_proj, a.v_proj) for a in (layer.self_attn for layer in expert.layers)
-            ]
-            self.qkv = [torch.cat([part.weight for part in parts]) for parts in heads]
+            self._prepare()
         if num_steps not in self._tables:
             self._tables[num_steps] = self._step_tables(num_steps)
         return self._tables[num_steps]
 
-    def _prepared_parameters(self) -> list[Tensor]:
-        network, joint = self._network, self._network.paligemma_with_expert
-        layers = joint.paligemma.model.language_model.layers
-        norms = [
-            norm.weight
-            for la in layers
-            for norm in (la.input_layernorm, la.post_attention_layernorm)
-        ]
-        time = [*network.time_mlp_in.parameters(), *network.time_mlp_out.parameters()]
-        return [*joint.gemma_expert.model.parameters(), *time, *norms]
+    def _weights(self) -> Iterator[Tensor]:
+        """Yield every weight that anything is prepared from."""
+        yield from self._network.expert.parameters()
+        yield from self._network.time_mlp_in.parameters()
+        yield from self._network.time_mlp_out.parameters()
+        for layer in self._network.vlm.layers:
+            yield layer.input_layernorm.weight
+            yield layer.post_attention_layernorm.weight
+
+    def _prepare(self) -> None:
+        vlm = self._network.vlm
+        self._tables: dict[int, list[StepTable]] = {}
+        # of the norms, one for all of π0.5
+        self.eps = torch.full((), vlm.norm.eps, device=vlm.norm.weight.device)
+        # of the VLM's norms, before attention and before the MLP of each layer
+        self.gains: list[tuple[Tensor, Tensor]] = []
+        for layer in vlm.layers:
+            before = 1 + layer.input_layernorm.weight.float()
+            self.gains.append((before, 1 + layer.post_attention_layernorm.weight.float()))
+        # of the expert's layers, side by side, ((heads + 2)·head, D) each
+        self.qkv: list[Tensor] = []
+        for layer in self._network.expert.layers:
+            a = layer.self_attn
+            self.qkv.append(torch.cat([a.q_proj.weight, a.k_proj.weight, a.v_proj.weight]))
 
     def _step_tables(self, num_steps: int) -> list[StepTable]:
-        """Return the modulation of every norm at the times Euler's method visits: 1, 1 − 1/n, …, 1/n."""
-        network, expert = self._network, self._network.paligemma_with_expert.gemma_expert.model
-        device = network.action_in_proj.weight.device
-        times = torch.tensor([1.0 - step / num_steps for step in range(num_steps)], device=device)
-        width, config = network.action_in_proj.out_features, network.config
-        periods = config.min_period, config.max_period
-        wave = stock.create_sinusoidal_pos_embedding(times, width, *periods, device=device).to(
-            times.dtype
+        """Return every norm's modulation at the times Euler's method visits: 1, 1 − 1/n, …, 1/n."""
+        network = self._network
+        weight = network.action_in_proj.weight  # (D, max_action_dim)
+        visited = [1.0 - step / num_steps for step in range(num_steps)]
+        times = torch.tensor(visited, device=weight.device)
+        periods = network.config.min_period, network.config.max_period
+        wave = stock.create_sinusoidal_pos_embedding(
+            times, len(weight), *periods, device=weight.device
         )
-        cond = F.silu(network.time_mlp_out(F.silu(network.time_mlp_in(wave))))  # (steps, D)
-        dtype = expert.layers[0].self_attn.q_proj.weight.dtype
-        before = [_modulation(layer.input_layernorm, cond, dtype) for layer in expert.layers]
-        after = [
-            _modulation(layer.post_attention_layernorm, cond, dtype) for layer in expert.layers
-        ]
-        final = _modulation(expert.norm, cond, dtype)
-        layers = [
-            [(a[n], b[n]) for a, b in zip(before, after, strict=True)] for n in range(num_steps)
-        ]
-        return [StepTable(pairs, last) for pairs, last in zip(layers, final, strict=True)]
+        hidden = F.silu(network.time_mlp_in(wave.to(times.dtype)))
+        cond = F.silu(network.time_mlp_out(hidden))  # (steps, D)
+        norms = []
+        for layer in network.expert.layers:
+            norms += [layer.input_layernorm, layer.post_attention_layernorm]
+        dtype = network.expert.layers[0].self_attn.q_proj.weight.dtype
+        by_norm = [_modulation(norm, cond, dtype) for norm in (*norms, network.expert.norm)]
+        return list(zip(*by_norm, strict=True))
 
 
 def _modulation(norm: nn.Module, cond: Tensor, dtype: torch.dtype) -> list[Modulation]:
-    """Return a norm's modulation per step; gates in the network's own ``dtype``, as LeRobot casts them."""
-    scale, shift, gate = norm.dense(cond).chunk(3, dim=-1)
-    rows = zip(scale, shift, gate, strict=True)
-    return [Modulation(1 + s.float(), h.float(), g.to(dtype)) for s, h, g in rows]
+    """Return a norm's modulation per step; gates in the network's ``dtype``, as LeRobot's."""
+    scale, shift, gate = norm.dense(cond).chunk(3, dim=-1)  # (steps, D) each
+    return list(map(Modulation, 1 + scale.float(), shift.float(), gate.to(dtype)))

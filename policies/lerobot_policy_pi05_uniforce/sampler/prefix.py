@@ -1,24 +1,27 @@
-"""Once per observation: cameras, text and extra tokens through the VLM, kept as keys and values of every layer."""
+"""Once per observation: cameras, text and felt tokens through the VLM, kept as keys and values."""
 
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
-from lerobot.policies.pi05 import modeling_pi05 as stock
 from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
 from lerobot_policy_pi05_uniforce.sampler import layers as ops
 from lerobot_policy_pi05_uniforce.sampler.layers import Prepared
-from lerobot_policy_pi05_uniforce.touch.felt import NOTHING, Felt
-from lerobot_policy_pi05_uniforce.touch.tokens import GatedColumns, SuffixTouch
+from lerobot_policy_pi05_uniforce.touch.tokens import NOTHING, Felt, GatedColumns, TouchTokens
+
+if TYPE_CHECKING:
+    from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
 
 
 class Inputs(NamedTuple):
     """An observation: cameras, text, state and touch."""
 
-    images: list  # (B, 3, H, W) each
-    img_masks: list  # (B,) bool each
+    images: list[Tensor]  # (B, 3, H, W) each
+    img_masks: list[Tensor]  # (B,) bool each
     tokens: Tensor  # (B, L) text
     masks: Tensor  # (B, L) bool
     felt: Felt = NOTHING
@@ -26,21 +29,26 @@ class Inputs(NamedTuple):
 
 @dataclass(frozen=True)
 class Prefill:
-    """Cameras, text and extra tokens after the VLM."""
+    """Cameras, text and felt tokens after the VLM."""
 
     # per layer (B, 2, L_prefix + L_suffix, head): key and value, the suffix's places still empty
     cache: list[Tensor]
-    pads: Tensor  # (B, L_prefix) bool, which kept tokens are real
+    real: Tensor  # (B, L_prefix) bool, False where a token is padding
     gated: GatedColumns | None  # the weight of touch, or None: as any other token
+
+    def tensors(self) -> list[Tensor]:
+        """Return every tensor in it."""
+        gate = [] if self.gated is None else [self.gated.bias, self.gated.real]
+        return [*self.cache, self.real, *gate]
 
 
 @dataclass(frozen=True)
 class Prefix:
     """A prefill ready for the flow: with touch in the suffix, and how the suffix attends."""
 
-    prefill: Prefill  # keys and values; the suffix's own take their places in every step
-    touch: SuffixTouch | None  # force tokens in front of the actions, or None
-    # (B, 1, 1 or L_suffix, L_prefix + L_suffix), bool or (touch behind a gate) additive; None: all see all
+    prefill: Prefill  # the suffix's own keys and values take their places in every step
+    touch: TouchTokens | None  # force tokens in front of the actions, or None
+    # (B, 1, 1 or L_suffix, L_prefix + L_suffix), bool or additive; None: all see all
     mask: Tensor | None
     # of the suffix's positions, for queries, key and value; the value's turns nothing
     rotary: ops.Rotary
@@ -49,85 +57,85 @@ class Prefix:
 class PrefixEncoder:
     """Makes prefixes for one network."""
 
-    def __init__(self, network: stock.PI05Pytorch, prepared: Prepared) -> None:
+    def __init__(self, network: PI05UniforcePytorch, prepared: Prepared) -> None:
         self._network = network
         self._prepared = prepared
 
     def encode(self, inputs: Inputs, chunk: int) -> Prefix:
         """Encode an observation and make its prefix ready for a chunk of that many steps."""
         touch = self._network.suffix_touch(inputs.felt)
-        room = chunk + (0 if touch is None else touch.mask.shape[1])
+        room = chunk
+        if touch is not None:
+            room += touch.real.shape[1]
         return self.with_suffix(self.prefill(inputs, room), touch, chunk)
 
     def prefill(self, inputs: Inputs, room: int, always_mask: bool = False) -> Prefill:
-        """Run cameras, text and extra tokens through the VLM once and keep keys and values of every layer.
+        """Run cameras, text and felt tokens through the VLM; keep every layer's keys and values.
 
         Args:
             inputs: of the observation.
             room: places to leave for the suffix.
             always_mask: don't ask whether all tokens are real, which would wait for the device.
         """
-        eps, gains = self._prepared.eps, self._prepared.gains
-        vlm = self._network.paligemma_with_expert.paligemma.model.language_model
-        x, pads, gated = self._embed(inputs)
-        x = x.to(vlm.layers[0].self_attn.q_proj.weight.dtype)
-        plain = not always_mask and bool(pads.all())
-        mask = None if plain else pads[:, None, None, :]  # what a padded token sees is not read
-        if gated is not None and gated.first < pads.shape[1]:  # touch is in the prefix
-            mask = _additive(mask, pads, gated, x.dtype)
-        rotary, cache = ops.rotary_of(vlm, x, _positions(pads, gated)), []
+        eps = self._prepared.eps
+        gains = self._prepared.gains
+        vlm = self._network.vlm
+        x, real, gated = self._network.append_felt(inputs.felt, *self._seen(inputs))
+        x = x.to(vlm.layers[0].self_attn.q_proj.weight.dtype)  # (B, L, D)
+        mask = None
+        if always_mask or not real.all():
+            mask = real[:, None, None, :]  # the output of a padded token is not read
+        if gated is not None and gated.first < real.shape[1]:  # touch is in the prefix
+            mask = _additive(mask, real, gated, x.dtype)
+        rotary = ops.rotary_of(vlm, x, _positions(real, gated))
+        cache = []
         for depth, layer in enumerate(vlm.layers):
-            turned = ops.rotated(ops.project(layer, ops.rms(x, eps).mul_(gains[depth][0])), rotary)
+            rows = ops.project(layer, ops.rms(x, eps).mul_(gains[depth][0]))
+            turned = ops.rotated(rows, rotary)  # (B, heads + 2, L, head)
             cache.append(F.pad(turned[:, -2:], (0, 0, 0, room)))
             if depth == len(vlm.layers) - 1:
-                break  # what the last layer makes of the prefix is not read
+                break  # the last layer's output for the prefix is not read
             mixed = ops.attend(turned[:, :-2], turned[:, -2:], mask)
             x = ops.linear_plus(mixed, layer.self_attn.o_proj.weight, None, x)
             normed = ops.rms(x, eps).mul_(gains[depth][1]).to(x.dtype)
-            x = ops.linear_plus(
-                ops.gated_hidden(layer.mlp, normed), layer.mlp.down_proj.weight, None, x
-            )
-        return Prefill(cache, pads, gated)
+            hidden = ops.gated_hidden(layer.mlp, normed)
+            x = ops.linear_plus(hidden, layer.mlp.down_proj.weight, None, x)
+        return Prefill(cache, real, gated)
 
     def with_suffix(
-        self, prefill: Prefill, touch: SuffixTouch | None, chunk: int, always_mask: bool = False
+        self, prefill: Prefill, touch: TouchTokens | None, chunk: int, always_mask: bool = False
     ) -> Prefix:
-        """Return whom the suffix attends to and where it stands; ``always_mask`` as in :meth:`prefill`."""
-        expert = self._network.paligemma_with_expert.gemma_expert.model
-        gated, behind = prefill.gated, prefill.pads.new_ones(len(prefill.pads), chunk)
+        """Return whom the suffix attends to and where it stands; arguments as ``prefill``'s."""
+        gated = prefill.gated
+        length = prefill.real.shape[1]
+        behind = prefill.real.new_ones(len(prefill.real), chunk)
         if touch is not None:
-            gated = None if gated is None else replace(gated, real=touch.mask)
-            behind = torch.cat([touch.mask, behind], dim=1)  # (B, L_suffix)
-        real = torch.cat([prefill.pads, behind], dim=1)  # (B, L_prefix + L_suffix)
-        after = _positions(real, gated)[:, prefill.pads.shape[1] :]
-        columns = real[:, None, None, :]
-        mask = None if touch is None and not always_mask and bool(columns.all()) else columns
+            behind = torch.cat([touch.real, behind], dim=1)  # (B, L_suffix)
+        real = torch.cat([prefill.real, behind], dim=1)  # (B, L_prefix + L_suffix)
+        mask = None
+        if touch is not None or always_mask or not real.all():
+            mask = real[:, None, None, :]
         if touch is not None:  # touch sees the prefix and itself, actions see everything
-            rows = real.new_ones(behind.shape[1], columns.shape[-1])
-            rows[: touch.mask.shape[1], -chunk:].fill_(False)
-            mask = columns & rows
-        mask = _additive(mask, real, gated, prefill.cache[0].dtype)
-        return Prefix(prefill, touch, mask, ops.rotary_of(expert, prefill.cache[0], after))
+            rows = real.new_ones(behind.shape[1], real.shape[1])
+            rows[: touch.real.shape[1], -chunk:].fill_(False)
+            mask = mask & rows
+        dtype = prefill.cache[0].dtype
+        positions = _positions(real, gated)[:, length:]
+        rotary = ops.rotary_of(self._network.expert, prefill.cache[0], positions)
+        return Prefix(prefill, touch, _additive(mask, real, gated, dtype), rotary)
 
-    def _embed(self, inputs: Inputs) -> tuple[Tensor, Tensor, GatedColumns | None]:
-        """Return (B, L, D) tokens in LeRobot's order, (B, L) whether each is real, and the weight of touch."""
-        model = self._network.paligemma_with_expert
-        parts: list[Tensor] = []
+    def _seen(self, inputs: Inputs) -> tuple[Tensor, Tensor]:
+        """Return (B, L, D) tokens of cameras and text, and (B, L) whether each is real."""
+        backbone = self._network.paligemma_with_expert
+        parts = [backbone.embed_language_tokens(inputs.tokens)]
+        reals = [inputs.masks.bool()]
         if inputs.images:
-            cameras = ops.embed_cameras(model.paligemma.model, torch.cat(inputs.images))
-            parts += cameras.chunk(len(inputs.images))
-        pads = [
-            mask[:, None].expand(-1, part.shape[1])
-            for part, mask in zip(parts, inputs.img_masks, strict=True)
-        ]
-        parts.append(model.embed_language_tokens(inputs.tokens))
-        pads.append(inputs.masks.bool())
-        before = sum(part.shape[1] for part in parts)
-        behind, gated = self._network.embed_felt(inputs.felt, before)
-        for part, mask in behind:
-            parts.append(part.to(parts[0].dtype))
-            pads.append(mask[:, None].expand(-1, part.shape[1]))
-        return torch.cat(parts, dim=1), torch.cat(pads, dim=1), gated
+            cameras = ops.embed_cameras(backbone.paligemma.model, torch.cat(inputs.images))
+            patches = cameras.shape[1]
+            parts = [*cameras.chunk(len(inputs.images)), *parts]
+            present = torch.stack(inputs.img_masks, dim=1)  # (B, cameras)
+            reals = [present.repeat_interleave(patches, dim=1), *reals]
+        return torch.cat(parts, dim=1), torch.cat(reals, dim=1)
 
 
 def drop_dead(inputs: Inputs) -> Inputs:
@@ -135,31 +143,38 @@ def drop_dead(inputs: Inputs) -> Inputs:
 
     Positions count real tokens only, and masked ones are not attended to, so nothing else changes.
     """
-    kept = [number for number, mask in enumerate(inputs.img_masks) if bool(mask.any())]
-    images = [inputs.images[number] for number in kept]
-    img_masks = [inputs.img_masks[number] for number in kept]
-    tokens, masks = drop_padding(inputs.tokens, inputs.masks)
-    return Inputs(images, img_masks, tokens, masks, inputs.felt)
+    images = []
+    img_masks = []
+    for image, mask in zip(inputs.images, inputs.img_masks, strict=True):
+        if mask.any():
+            images.append(image)
+            img_masks.append(mask)
+    return Inputs(images, img_masks, *drop_padding(inputs.tokens, inputs.masks), inputs.felt)
 
 
 def drop_padding(tokens: Tensor, masks: Tensor) -> tuple[Tensor, Tensor]:
     """Return text (B, L) and its mask without the columns that no prompt of the batch uses."""
-    used = int(masks.any(dim=0).nonzero().max()) + 1 if bool(masks.any()) else 0
+    used = 0
+    if masks.any():
+        used = int(masks.any(dim=0).nonzero().max()) + 1
     return tokens[:, :used], masks[:, :used]
 
 
 def _positions(real: Tensor, gated: GatedColumns | None) -> Tensor:
     """Return (B, L) positions: real tokens counted, touch behind a gate not."""
     positions = real.cumsum(dim=1) - 1
-    return positions if gated is None else gated.placed(positions, real.shape[1])
+    if gated is None:
+        return positions
+    return gated.placed(positions, real.shape[1])
 
 
 def _additive(
     mask: Tensor | None, real: Tensor, gated: GatedColumns | None, dtype: torch.dtype
 ) -> Tensor | None:
-    """Return a bool mask (B, 1, rows, L) as an additive one with touch's logits; unchanged without a gate."""
+    """Return a bool mask (B, 1, rows, L), with a gate an additive one that holds its logits."""
     if gated is None:
         return mask
-    seen = real.new_ones(1, 1, 1, real.shape[1]) if mask is None else mask
-    additive = torch.zeros(seen.shape, device=real.device).masked_fill_(~seen, -torch.inf)
+    if mask is None:
+        mask = real.new_ones(1, 1, 1, real.shape[1])
+    additive = torch.zeros(mask.shape, device=real.device).masked_fill_(~mask, -torch.inf)
     return gated.masked(additive).to(dtype)

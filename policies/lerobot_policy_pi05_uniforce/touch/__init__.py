@@ -1,1 +1,1 @@
-"""Touch in a policy: inputs, the frozen tokenizer, force tokens, and what only training or a control needs."""
+"""Touch in a policy: the frozen tokenizer, force sensors, the network's input and force tokens."""

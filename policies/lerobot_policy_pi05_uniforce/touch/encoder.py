@@ -1,13 +1,12 @@
-"""The frozen tokenizer and force head inside a policy: built anew or from its checkpoint, compared by their hashes."""
-
-from __future__ import annotations
+"""The frozen tokenizer and force head inside a policy: built, or loaded, and checked."""
 
 from contextlib import nullcontext
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from typing import Self
 
 from torch import nn
 
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.weights import no_weights
 from uniforce_vtla.errors import CheckpointError, expected
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
@@ -16,27 +15,21 @@ from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadCo
 from uniforce_vtla.tokenizer.model import build_model
 from uniforce_vtla.tokenizer.weights import content_hash
 
-if TYPE_CHECKING:
-    from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import (
-        PI05UniforceConfig,
-        TouchSettings,
-    )
-
 # its tensors in a policy; stored only where the package doesn't have them
 ENCODER = "model.tactile_encoder."
 
 
 class FrozenTouch(nn.Module):
-    """The frozen tokenizer and force head as modules of a policy, which moves and stores them; in eval mode.
+    """The frozen tokenizer and force head as modules of a policy, which moves and stores them.
 
     The decoder is kept too, so that the tokenizer's hash can be checked.
 
     Args:
-        tokenizer: it, which encodes.
-        head: force head that reads newtons; None where the policy feels with the latents themselves.
+        tokenizer: encodes.
+        head: force head that reads newtons; None where the policy feels latents.
     """
 
-    def __init__(self, tokenizer: Tokenizer, head: ForceHead | None = None) -> None:
+    def __init__(self, tokenizer: Tokenizer, head: ForceHead | None) -> None:
         super().__init__()
         self.tokenizer = tokenizer
         self.force_head = head
@@ -44,39 +37,43 @@ class FrozenTouch(nn.Module):
         self.model = tokenizer.model
         self.head = None if head is None else head.model
         self.requires_grad_(False)
-        self.train(False)
+        self.eval()
 
-    def train(self, mode: bool = True) -> FrozenTouch:
+    def train(self, mode: bool = True) -> Self:
         """Stay in eval mode: LeRobot calls ``policy.train()`` at every step."""
         return super().train(False)
 
 
 def is_packaged(config: PI05UniforceConfig) -> bool:
-    """Return whether the policy's tokenizer comes with the package, so that its checkpoint holds only the hash."""
+    """Return whether the tokenizer comes with the package: checkpoints then hold its hash only."""
     return bool(config.tokenizer_hash) and config.tokenizer_hash in shipped_sizes()
 
 
-def build_frozen_touch(config: PI05UniforceConfig, empty: bool = False) -> FrozenTouch:
-    """Make a new policy's frozen networks and note them in the config, or those a checkpoint's config names.
+def build_frozen_touch(config: PI05UniforceConfig, empty: bool) -> FrozenTouch:
+    """Make a new policy's frozen networks and note them in the config, or those that it names.
 
-    Tokenizer and head are the packaged ones of their hash, or rebuilt, ``empty``, and filled from the checkpoint.
+    Tokenizer and head are the packaged ones of their hash, or rebuilt; ``empty`` where the
+    checkpoint fills them.
 
-    Raises CheckpointError: made behind another canonicalizer, or as ``read_head``.
+    Raises CheckpointError: made behind another canonicalizer; no such head, or another's.
     """
     tokenizer = _build_tokenizer(config, empty)
-    head = _build_head(config, empty) if config.touch.input == "newtons" else None
+    head = None
+    if config.touch.input == "newtons":
+        head = _build_head(config, empty)
     return FrozenTouch(tokenizer, head)
 
 
 def _build_tokenizer(config: PI05UniforceConfig, empty: bool) -> Tokenizer:
     facts = config.touch.tokenizer
-    if facts is not None and is_packaged(config):
-        return Tokenizer.from_pretrained(shipped_sizes()[config.tokenizer_hash])
     if facts is None:
         tokenizer = Tokenizer.from_pretrained(config.touch.tokenizer_path)
         config.touch.tokenizer = {**tokenizer.facts(), "hash": tokenizer.hash}
         return tokenizer
-    stored, running = facts.get(STORED_KEY), canonicalizer_facts()
+    if is_packaged(config):
+        return Tokenizer.from_pretrained(shipped_sizes()[config.tokenizer_hash])
+    stored = facts.get(STORED_KEY)
+    running = canonicalizer_facts()
     if stored != running:
         do = "Use the version it was trained with, or train again."
         raise CheckpointError(expected("canonicalizer of the checkpoint", stored, running, do))
@@ -86,53 +83,44 @@ def _build_tokenizer(config: PI05UniforceConfig, empty: bool) -> Tokenizer:
 
 
 def _build_head(config: PI05UniforceConfig, empty: bool) -> ForceHead:
+    """Return the head of a sensor type: of the checkpoint, the package, or one's own tokenizer."""
     touch = config.touch
     if touch.head_sizes is not None:
         with no_weights() if empty else nullcontext():
             model = ForceRegressor(HeadConfig(**touch.head_sizes))
         return ForceHead(model, touch.head, config.tokenizer_hash)
-    head = read_head(touch, config.tokenizer_hash)
-    found = head.hash
-    if (trained_with := touch.head_hash or found) != found:
-        do = "Use the version it was trained with, or train again."
-        raise CheckpointError(expected(f"force head of {touch.head}", trained_with, found, do))
-    touch.head_hash = found
-    touch.head_sizes = None if is_packaged(config) else asdict(head.model.config)
-    return head
-
-
-def read_head(touch: TouchSettings, tokenizer_hash: str) -> ForceHead:
-    """Return the force head of a kind of sensor: the package's, or the one beside a tokenizer of one's own.
-
-    Raises CheckpointError: no such head, or one of another tokenizer.
-    """
     # a path in a checkpoint is never followed
     beside = None if touch.head_hash else touch.tokenizer_path
+    size = shipped_sizes().get(config.tokenizer_hash)
     try:
-        head = ForceHead.from_pretrained(touch.head, shipped_sizes().get(tokenizer_hash) or beside)
+        head = ForceHead.from_pretrained(touch.head, size or beside)
     except CheckpointError as error:
+        wanted = f"a force head of {touch.head}"
         do = "Let `uniforce pretrain` fit one, use a packaged tokenizer, or touch.input=latent."
-        raise CheckpointError(
-            expected("touch.head", f"a force head of {touch.head}", error, do)
-        ) from error
-    if head.tokenizer_hash != tokenizer_hash:
-        came, do = head.tokenizer_hash, "Fit a head to this tokenizer, or use touch.input=latent."
-        raise CheckpointError(
-            expected(f"tokenizer of the force head of {touch.head}", tokenizer_hash, came, do)
-        )
+        raise CheckpointError(expected("touch.head", wanted, error, do)) from error
+    if head.tokenizer_hash != config.tokenizer_hash:
+        name = f"tokenizer of the force head of {touch.head}"
+        do = "Fit a head to this tokenizer, or use touch.input=latent."
+        raise CheckpointError(expected(name, config.tokenizer_hash, head.tokenizer_hash, do))
+    if touch.head_hash not in ("", head.hash):
+        do = "Use the version it was trained with, or train again."
+        name = f"force head of {touch.head}"
+        raise CheckpointError(expected(name, touch.head_hash, head.hash, do))
+    touch.head_hash = head.hash
+    if not is_packaged(config):
+        touch.head_sizes = asdict(head.model.config)
     return head
 
 
 def check_hash(frozen: FrozenTouch, config: PI05UniforceConfig) -> None:
-    """Raise CheckpointError unless loaded tokenizer and head are, bit by bit, those the policy was trained with."""
-    facts = {name: fact for name, fact in (config.touch.tokenizer or {}).items() if name != "hash"}
+    """Raise CheckpointError unless tokenizer and head are, bit by bit, those of the training."""
+    facts = dict(config.touch.tokenizer or {})
+    facts.pop("hash", None)
     found = content_hash(frozen.model, facts)
     if found != config.tokenizer_hash:
         do = "The tokenizer inside the checkpoint was changed; copy the checkpoint again."
         raise CheckpointError(expected("tokenizer hash", config.tokenizer_hash, found, do))
-    if frozen.force_head is None:
-        return
-    found = frozen.force_head.hash
-    if found != config.touch.head_hash:
+    if frozen.force_head is not None and frozen.force_head.hash != config.touch.head_hash:
+        found = frozen.force_head.hash
         do = "The head inside the checkpoint was changed; copy the checkpoint again."
         raise CheckpointError(expected("force head hash", config.touch.head_hash, found, do))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.touch.encoder import FrozenTouch
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
@@ -17,12 +17,10 @@ from uniforce_vtla.keys import AXES
 from uniforce_vtla.sensors import list_sensors
 from uniforce_vtla.tokenizer.api import shipped_sizes
 from uniforce_vtla.tokenizer.calibration import Calibration
+from uniforce_vtla.tokenizer.finger_balance import EVERY, FingerBalance, imbalance
 from uniforce_vtla.tokenizer.latent_range import FREE_LOOKS, HealthMonitor
 from uniforce_vtla.tokenizer.newtons import FZ, Lift
 from uniforce_vtla.tokenizer.weights import checkpoint_folder
-
-if TYPE_CHECKING:
-    from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 
 logger = logging.getLogger(__name__)
 HEIGHT = AXES.index("z.pos")
@@ -33,19 +31,20 @@ class PolicySensors:
 
     Attributes:
         by_slot: slot → sensor of the finger that fills it.
-        other: sensor of the finger beside the first slot's, whose grip is compared; None without slots.
+        comparison: of the first slot's finger with the other one; None without slots.
         notes: a sentence about each grip that is held.
     """
 
-    def __init__(self, config: PI05UniforceConfig, frozen: FrozenTouch) -> None:
-        shape = config.tokens_per_slot, config.latent_size
-        calibrations = load_calibrations(config, shape)
-        held_N: dict[str, float] = {}
+    def __init__(self, config: PI05UniforceConfig, frozen: FrozenTouch | None) -> None:
+        self.by_slot: dict[str, ForceSensor] = {}
+        self.comparison: GripComparison | None = None
         self.notes: list[str] = []
+        if frozen is None:
+            return
+        calibrations = load_calibrations(config)
+        held_N: dict[str, float] = {}
         if frozen.force_head is not None:
             held_N, self.notes = held_grips(config, calibrations)
-        self.by_slot: dict[str, ForceSensor] = {}
-        self.other: ForceSensor | None = None
 
         def sensor(finger: Finger, held_N: float | None = None) -> ForceSensor:
             return ForceSensor(
@@ -63,20 +62,67 @@ class PolicySensors:
             finger = fingers[slot]
             self.by_slot[slot] = sensor(finger, held_N.get(slot))
             self.by_slot[slot].monitor = make_monitor(config, slot, calibrations.get(finger))
-            if self.other is None:
-                beside = next(one for one in FINGERS if one != finger)
-                self.other = sensor(beside)
+        left, right = FINGERS
+        own = self.by_slot[config.slots[0]]
+        other = sensor(left if own.finger == right else right)
+        self.comparison = GripComparison(own, other, config.n_action_steps)
 
 
-def load_calibrations(
-    config: PI05UniforceConfig, shape: tuple[int, int]
-) -> dict[Finger, Calibration]:
-    """Return finger → calibration onto the (rows, numbers) that the policy knows, where one is named.
+class GripComparison:
+    """Compares the grip that two fingers read, and warns once an episode where they differ.
 
-    Raises CheckpointError: made for another tokenizer, head or kind of sensor, of other sizes than this
-    policy's input, or a gain of newtons where it feels none.
+    Args:
+        own: sensor that the policy feels with; nothing is compared where it reads no newtons.
+        other: sensor of the finger beside it.
+        steps: control steps between two readings of the policy.
     """
-    found: dict[Finger, Calibration] = {}
+
+    def __init__(self, own: ForceSensor, other: ForceSensor, steps: int) -> None:
+        self.own = own
+        self.other = other
+        self._every = max(1, EVERY // steps)
+        self._balance = FingerBalance()
+        self.reset()
+
+    def reset(self) -> None:
+        """Start an episode."""
+        self._balance.reset()
+        self._readings = 0
+
+    def is_due(self) -> bool:
+        """Count a reading of the policy; return whether it compares."""
+        self._readings += 1
+        is_due = self._readings % self._every == 0
+        return is_due and self.own.newtons is not None and not self._balance.done
+
+    def see(self, latent: Tensor, other_pair: tuple[Tensor, Tensor]) -> None:
+        """Take in own calibrated latents (B, K, L) and the other finger's images (B, H, W)."""
+        try:
+            beside = self.other.encode(*other_pair)
+        except ContractError:  # it shows no markers: the policy does without it
+            return
+        times = self._balance.see(_grip_N(self.own, latent), _grip_N(self.other, beside))
+        if times is not None and imbalance(times) > 1:
+            message = (
+                "%s finger reads %.2f times the other one's grip: one of them is wrong in scale, "
+                "calibrate it"
+            )
+            logger.warning(message, self.own.finger, times)
+
+
+def _grip_N(sensor: ForceSensor, latent: Tensor) -> float:  # noqa: N802  a unit
+    assert sensor.newtons is not None, "is_due() has seen that there is a head"
+    return float(sensor.newtons(latent)[:, FZ].mean())
+
+
+def load_calibrations(config: PI05UniforceConfig) -> dict[Finger, Calibration]:
+    """Return finger → calibration onto the latents that the policy knows, where one is named.
+
+    Raises CheckpointError: made for another tokenizer, head or type of sensor, of other sizes than
+    this policy's latents, or a gain of newtons where it feels none.
+    """
+    shape = config.tokens_per_slot, config.latent_size
+    found = {}
     for finger in FINGERS:
         folder = getattr(config, f"{finger}_calibration")
         if not folder:
@@ -86,8 +132,7 @@ def load_calibrations(
         if came != shape:
             do = "Calibrate with this version."
             raise CheckpointError(expected(f"latents of {folder}", shape, came, do))
-        _check_kind(config, finger, calibration)
-        _check_gain(config, finger, calibration)
+        _check_fits(config, finger, calibration)
         logger.info(
             "%s finger: calibration of %s against %s", finger, calibration.new, calibration.anchor
         )
@@ -96,42 +141,37 @@ def load_calibrations(
     return found
 
 
-def _check_kind(config: PI05UniforceConfig, finger: Finger, calibration: Calibration) -> None:
-    """Refuse the calibration of another kind of sensor than the finger wears."""
+def _check_fits(config: PI05UniforceConfig, finger: Finger, calibration: Calibration) -> None:
+    """Refuse a calibration of another sensor type, or with a gain for another head's newtons."""
+    name = f"{finger}_calibration"
     made_of = calibration.new.partition("+")[0].partition(":")[0]
     kind = getattr(config, f"{finger}_sensor")
     if kind and made_of in list_sensors() and made_of != kind:
         do = "Calibrate the sensor that the finger wears."
         came = f"one of {calibration.new}"
-        raise CheckpointError(expected(f"{finger}_calibration", f"one of a {kind}", came, do))
-
-
-def _check_gain(config: PI05UniforceConfig, finger: Finger, calibration: Calibration) -> None:
-    """Refuse a gain of newtons that another head reads, or none."""
+        raise CheckpointError(expected(name, f"one of a {kind}", came, do))
     head = config.touch.head_hash if config.touch.input == "newtons" else ""
-    if calibration.gain == 1 or calibration.head_hash == head:
-        return
-    wanted = "a map: this policy feels no newtons"
-    if head:
-        wanted = f"a gain of newtons that head {head[:12]} reads"
-    came = f"a gain of those of head {calibration.head_hash[:12]}"
-    do = "Calibrate by pairs with fit.gain=false, or with this policy's head."
-    raise CheckpointError(expected(f"{finger}_calibration", wanted, came, do))
+    if calibration.gain != 1 and calibration.head_hash != head:
+        wanted = "a map: this policy feels no newtons"
+        if head:
+            wanted = f"a gain of newtons that head {head[:12]} reads"
+        came = f"a gain of those of head {calibration.head_hash[:12]}"
+        do = "Calibrate by pairs with fit.gain=false, or with this policy's head."
+        raise CheckpointError(expected(name, wanted, came, do))
 
 
 def make_monitor(
     config: PI05UniforceConfig, slot: str, calibration: Calibration | None
 ) -> HealthMonitor | None:
-    """Return the health monitor of a slot's sensor; None where it isn't known, or has no range."""
-    size = shipped_sizes().get(config.tokenizer_hash) if config.tokenizer_hash else None
+    """Return the health monitor of a slot's sensor; None where no range is known for it."""
+    size = shipped_sizes().get(config.tokenizer_hash)
     finger = config.finger_by_slot()[slot]
     kind = getattr(config, f"{finger}_sensor") or config.touch.trained_sensors.get(slot, "")
     if config.monitor == "off" or size is None or not kind:
         return None
     if not checkpoint_folder(size, f"latent_range_{kind}").is_dir():
-        logger.info(
-            "%s finger (%s): no range of latents is shipped, it isn't watched", finger, kind
-        )
+        message = "%s finger (%s): no range of latents is shipped, it isn't watched"
+        logger.info(message, finger, kind)
         return None
     readings = max(FREE_LOOKS, round(HALF_SECOND / config.n_action_steps))
     return monitor_of(kind, finger, size, readings, calibration)
@@ -140,27 +180,27 @@ def make_monitor(
 def held_grips(
     config: PI05UniforceConfig, calibrations: Mapping[Finger, Calibration]
 ) -> tuple[dict[str, float], list[str]]:
-    """Return slot → grip to hold in N, and a sentence about each; by ``config.grip``, or as calibrations say.
+    """Return slot → grip to hold in N, and a sentence about each.
 
-    Raises ContractError: it is to be held, and the checkpoint doesn't know what demonstrations read.
+    ``config.grip`` decides, or what the fingers' calibrations can read.
+
+    Raises ContractError: it is to be held, and the demonstrations' grip isn't known.
     """
-    found: dict[str, float] = {}
-    notes: list[str] = []
+    found = {}
+    notes = []
     for slot, finger in config.finger_by_slot().items():
         calibration = calibrations.get(finger)
         can_read = calibration is None or calibration.reads_grip
         if config.grip == "read" or (config.grip == "" and can_read):
             continue
         carried_N = config.touch.carried_N.get(slot)
-        if carried_N is None and config.grip == "held":
-            do = "Train it again from a view of this version, or leave grip as read."
-            wanted = "one in touch.carried_N"
-            raise ContractError(expected(f"grip of {slot} to hold", wanted, "none", do))
         if carried_N is None:
-            logger.warning(
-                "%s finger: grip can't be read and the checkpoint has none to hold; taken as read",
-                finger,
-            )
+            if config.grip == "held":
+                do = "Train it again from a view of this version, or leave grip as read."
+                wanted = "one in touch.carried_N"
+                raise ContractError(expected(f"grip of {slot} to hold", wanted, "none", do))
+            message = "grip can't be read and the checkpoint has none to hold; taken as read"
+            logger.warning("%s finger: %s", finger, message)
             continue
         found[slot] = carried_N
         why = "as asked"
@@ -173,18 +213,14 @@ def held_grips(
 
 
 def carried_grip(episodes: Iterable[tuple[Tensor, Tensor]]) -> float | None:
-    """Return the median grip over demonstrations while something is lifted, N; None where nothing is.
+    """Return the median grip of demonstrations while something is lifted, N, or None.
 
     Each episode is the measured state (T, axes) and the finger's newtons (T, 3).
     """
-    grips: list[Tensor] = []
+    grips_N = []
     for state, force_N in episodes:
         lift = Lift()
-        lifted = []
-        for height_m, grip_N in zip(
-            state[:, HEIGHT].split(1), force_N[:, FZ].split(1), strict=True
-        ):
-            lifted.append(lift.see(height_m, grip_N))
-        grips.append(force_N[:, FZ][torch.cat(lifted)])
-    every = torch.cat(grips) if grips else torch.zeros(0)
-    return float(every.median()) if len(every) else None
+        for height_m, grip_N in zip(state[:, HEIGHT], force_N[:, FZ], strict=True):
+            if lift.see(height_m[None], grip_N[None]):
+                grips_N.append(grip_N)
+    return float(torch.stack(grips_N).median()) if grips_N else None
