@@ -114,6 +114,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
     def _take_dataset_facts(self, stats: dict[str, Any] | None, meta: Any) -> None:
         config = self.config
         if meta is not None:
+            training.refuse_force_in_state(meta)
             training.read_view(meta, config)
             training.read_provenance(meta, config)
             training.read_carried(meta, config, self.model.tactile_encoder)

@@ -14,9 +14,10 @@ from torch import Tensor, nn
 
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import ENCODED, PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.touch.sensors import carried_grip
+from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.json_file import read_object
-from uniforce_vtla.keys import ACTION, VIEW_MARKER, latent_key
+from uniforce_vtla.keys import ACTION, STATE, VIEW_MARKER, force_axes, latent_key
 
 # random even on a pretrained backbone
 NEW_MODULES = ("force_tokens", "state_token", "touch_gate")
@@ -130,6 +131,17 @@ def read_carried(dataset_meta: Any, config: PI05UniforceConfig, frozen: Any) -> 
         carried_N = carried_grip(felt)
         if carried_N is not None:
             config.touch.carried_N[slot] = carried_N
+
+
+def refuse_force_in_state(dataset_meta: Any) -> None:
+    """Raise DatasetError where a dataset's state holds newtons, made for policies without touch."""
+    features = getattr(dataset_meta, "features", {})
+    names = features.get(STATE, {}).get("names") or ()
+    forces = {axis for finger in FINGERS for axis in force_axes(finger)} & set(names)
+    if forces:
+        do = "This policy feels by itself: train on the recorded dataset, or on its training view."
+        came = f"also {', '.join(sorted(forces))}"
+        raise DatasetError(expected("state of the dataset", "the five axes alone", came, do))
 
 
 def read_view(dataset_meta: Any, config: PI05UniforceConfig) -> None:

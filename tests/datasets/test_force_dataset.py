@@ -9,10 +9,12 @@ from lerobot.policies.act.configuration_act import ACTConfig
 from lerobot.policies.act.modeling_act import ACTPolicy
 from lerobot.utils.feature_utils import dataset_to_policy_features
 
+from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy
 from uniforce_cli import view
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.source import episode_frames
 from uniforce_datasets.synthetic import record_synthetic
+from uniforce_vtla.errors import DatasetError
 from uniforce_vtla.force_sensor import ForceSensor
 from uniforce_vtla.keys import ACTION, AXES, CAMERAS, STATE, TACTILE_KEYS, camera_key, tactile_key
 
@@ -87,3 +89,16 @@ def test_nothing_is_overwritten_and_an_empty_choice_is_refused(demos, written, c
     assert "Choose another out" in capsys.readouterr().err
     renamed = [*again[:1], f"out={written.parent / 'other'}", again[2], "cameras=front:cam_high"]
     assert view.main(renamed) == 2
+
+
+def test_a_policy_that_feels_by_itself_refuses_it(written) -> None:
+    meta = LeRobotDataset("local/forces", root=written).meta
+    features = dataset_to_policy_features(meta.features)
+    config = PI05UniforceConfig(
+        size="tiny",
+        device="cpu",
+        input_features={key: one for key, one in features.items() if key != ACTION},
+        output_features={ACTION: features[ACTION]},
+    )
+    with pytest.raises(DatasetError, match="feels by itself"):
+        PI05UniforcePolicy(config, dataset_meta=meta)
