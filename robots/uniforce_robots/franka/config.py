@@ -15,7 +15,7 @@ from uniforce_robots.franka.limits import (
     require_kind,
 )
 from uniforce_robots.sensors.config_uniforce import TactileFingerConfig
-from uniforce_vtla.errors import require_one_of
+from uniforce_vtla.errors import ContractError, expected, require_one_of
 
 NESTED = {"gains": Gains, "guards": GuardLimits, "stream": StreamSettings, "gripper": HandSettings}
 
@@ -48,6 +48,9 @@ class UniforceFrankaConfig(RobotConfig):
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
     # fingers so far apart count as open, as a free-air reference needs; 0.08 is the widest
     open_width_m: float = 0.06
+    # the right finger's newtons behind the axes, no marker images: for any LeRobot policy
+    touch_in_state: bool = False
+    right_calibration: str = ""  # with touch_in_state: folder of `uniforce calibrate`
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -56,6 +59,20 @@ class UniforceFrankaConfig(RobotConfig):
             require_kind(f"UniforceFrankaConfig.{name}", getattr(self, name), kind)
         require_one_of("backend", self.backend, ("franky",))
         require_one_of("realtime", self.realtime, ("ignore", "enforce"))
+        if self.right_calibration and not self.touch_in_state:
+            do = "Set touch_in_state=true, or give it to the policy."
+            came = self.right_calibration
+            raise ContractError(
+                expected("right_calibration of the robot", "touch_in_state", came, do)
+            )
+
+    @property
+    def right_finger(self) -> str | None:
+        """Name of the right finger's camera; None without one."""
+        for name, finger in self.fingers.items():
+            if finger.finger == "right":
+                return name
+        return None
 
     @property
     def fingers(self) -> dict[str, TactileFingerConfig]:

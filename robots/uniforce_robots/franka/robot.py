@@ -22,9 +22,9 @@ from uniforce_robots.franka.poses import ToolPose, by_axis
 from uniforce_robots.franka.stream import ArmStream
 from uniforce_robots.sensors.finger import SampledCamera
 from uniforce_robots.sensors.plain_camera import PlainCamera
-from uniforce_vtla.errors import RobotError, SensorError, UniForceError, expected
+from uniforce_vtla.errors import ContractError, RobotError, SensorError, UniForceError, expected
 from uniforce_vtla.hand import Hand, HandReading, require_open
-from uniforce_vtla.keys import AXES
+from uniforce_vtla.keys import AXES, force_axes
 
 log = logging.getLogger(__name__)
 STRATEGIES = "lerobot.rollout.strategies.core"
@@ -76,16 +76,40 @@ class UniforceFranka(Robot):
         # LeRobot's own cameras, watched from the connection on
         self._plain: dict[str, PlainCamera] = {}
         self._fault: RobotError | None = None
+        self._force_sensor: Any = None  # ForceSensor; read into the state
+        if config.touch_in_state:
+            from uniforce_vtla.force_sensor import ForceSensor
+
+            if config.right_finger is None:
+                wanted = "a tactile camera with finger: right"
+                do = "Name it, or leave touch_in_state out."
+                raise ContractError(expected("cameras", wanted, sorted(config.cameras), do))
+
+            calibration = config.right_calibration or None
+            self._force_sensor = ForceSensor("", "right", calibration=calibration)
 
     @property
     def observation_features(self) -> dict[str, Any]:
-        """Five measured axes, (height, width, 3) for each camera and each finger's reference."""
+        """Five measured axes, (height, width, 3) for each camera and each finger's reference.
+
+        With ``touch_in_state`` the right finger's newtons instead of the fingers' images.
+        """
         features: dict[str, Any] = dict.fromkeys(AXES, float)
+        if self._force_sensor is not None:
+            features |= dict.fromkeys(force_axes("right"), float)
         for name, camera in self.config.cameras.items():
-            features[name] = (camera.height, camera.width, 3)
-        for name in self.config.fingers:
-            features[f"{name}_ref"] = features[name]
+            if name in self._shown:
+                features[name] = (camera.height, camera.width, 3)
+                if name in self.config.fingers:
+                    features[f"{name}_ref"] = features[name]
         return features
+
+    @property
+    def _shown(self) -> list[str]:
+        """Names of the cameras whose pictures are part of the observation."""
+        if self._force_sensor is None:
+            return list(self.config.cameras)
+        return [name for name in self.config.cameras if name not in self.config.fingers]
 
     @property
     def is_connected(self) -> bool:
@@ -231,9 +255,25 @@ class UniforceFranka(Robot):
         with self._halting():
             axes = by_axis(self.measured())
         images = {name: self._image(name, camera) for name, camera in self.cameras.items()}
+        if self._force_sensor is not None:
+            forces = self._forces(images)
+            return {**axes, **forces, **{name: images[name] for name in self._shown}}
         for name in self.config.fingers:  # copies: what LeRobot gets it may write to
             images[f"{name}_ref"] = self.cameras[name].reference_image().copy()
         return {**axes, **images}
+
+    def _forces(self, images: dict[str, np.ndarray]) -> dict[str, float]:
+        """Return the right finger's newtons by axis; an error stops the robot."""
+        name = self.config.right_finger
+        assert name is not None, "the settings were checked"
+        reference = np.ascontiguousarray(self.cameras[name].reference_image()[..., 0])
+        try:
+            force_N = self._force_sensor.read_forces(reference, images[name][None, ..., 0])[0]
+        except UniForceError as error:
+            self.guards.counts["sensor"] += 1
+            self._halt(RobotError(f"{name}: {error}", "sensor"))
+            raise
+        return dict(zip(force_axes("right"), force_N.tolist(), strict=True))
 
     def _image(self, name: str, camera: Camera) -> np.ndarray:
         try:

@@ -74,6 +74,11 @@ def read_devices(
         return None, decode_file(classes["teleop"], "teleop", settings["teleop"])
     cameras = section("robot.cameras", settings["robot"].pop("cameras", None))
     robot = decode_file(classes["robot"], "robot", settings["robot"])
+    if robot.touch_in_state:
+        do = (
+            "Marker images are recorded; `uniforce view touch_in_state=true` reads newtons in them."
+        )
+        raise ContractError(expected("robot.touch_in_state", "false for a recording", "true", do))
     cameras = {name: _camera(f"robot.cameras.{name}", camera) for name, camera in cameras.items()}
     return replace(robot, cameras=cameras), decode_file(
         classes["teleop"], "teleop", settings["teleop"]
