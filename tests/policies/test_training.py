@@ -140,8 +140,13 @@ def test_a_training_view_is_read_through_its_own_reader(tmp_path, monkeypatch):
 def test_other_datasets_are_checked_and_stay_with_lerobot(dataset, tmp_path, monkeypatch):
     root = Path(shutil.copytree(dataset, tmp_path / "copy"))
     monkeypatch.setattr(factory, "make_dataset", lambda cfg: SimpleNamespace(root=root))
-    local = SimpleNamespace(root=root, repo_id="local/wipe", streaming=False, episodes=None)
-    shared = SimpleNamespace(root=None, repo_id="somebody/wipe", streaming=False, episodes=None)
+    plain = {
+        "streaming": False,
+        "episodes": None,
+        "image_transforms": SimpleNamespace(enable=False),
+    }
+    local = SimpleNamespace(root=root, repo_id="local/wipe", **plain)
+    shared = SimpleNamespace(root=None, repo_id="somebody/wipe", **plain)
     with lerobot_training.training_views():
         assert factory.make_dataset(SimpleNamespace(dataset=local)).root == root
         next((root / "data").rglob("*.parquet")).unlink()
