@@ -1,13 +1,11 @@
-"""``ForceSensor``: what one finger feels.
-
-Raw frame → marker image → latent → calibrated latent → newtons.
+"""``ForceSensor``: raw frame → marker image → latent → calibrated latent → newtons, of one finger.
 
 Every program that feels goes through here: policy, training view, `uniforce show`, `uniforce
 touch`, `uniforce calibrate`. Each part is a file of its own:
 
 1. markers: ``markers/canonicalizer.py``, a raw frame becomes a binary marker image.
-2. latent: ``tokenizer/api.py``, a reference and a current image become a latent force map, pooled 4
-× 4. 3. calibrated latent: ``tokenizer/latent_map.py``, a map onto the known sensor's latents.
+2. latent: ``tokenizer/api.py``, reference and current image become a latent force map, pooled.
+3. calibrated latent: ``tokenizer/latent_map.py``, a map onto the known sensor's latents.
 4. newtons: ``tokenizer/newtons.py``, the frozen head reads force; a gain; a grip that is held.
 5. health: ``tokenizer/latent_range.py``, distance from healthy sensors of the same kind.
 """
@@ -21,6 +19,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 import torch
+from torch import nn
 
 from uniforce_vtla.contracts import Finger, check_finger
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
@@ -44,11 +43,10 @@ class ForceReading:
     """What a finger felt in one frame."""
 
     latent: np.ndarray  # (K, L) float32, calibrated and pooled
-    force_N: (
-        np.ndarray
-    )  # (3,) on the pad, in the finger's own frame: x right, y down, z into the pad
-    # distance from healthy sensors over the largest allowed one, over the last half second; NaN:
-    # not watched
+    # (3,) on the pad, in the finger's own frame: x right, y down, z into the pad
+    force_N: np.ndarray
+    # distance from healthy sensors over the largest allowed one, in the last half second; NaN where
+    # it isn't watched
     health: float
 
 
@@ -94,6 +92,7 @@ class ForceSensor:
         if isinstance(calibration, str | Path):
             calibration = Calibration.load(calibration, tokenizer.hash)
         self.calibration = calibration
+        self._map: nn.Module = nn.Identity() if calibration is None else calibration.map
         if isinstance(head, str):
             head = ForceHead.from_pretrained(head, beside)
         self.newtons = None
@@ -180,23 +179,19 @@ class ForceSensor:
         latent = self.raw_latent(reference, current)
         if self.monitor is not None:
             self.monitor.see(latent)
-        return self.calibrated(latent)
+        return self._map(latent)
 
     @torch.no_grad()
     def renew(self, free: Images) -> torch.Tensor:
         """Start to read against another reference in free air; return its latents, not judged."""
         if self.monitor is not None:
             self.monitor.reset(renewed=True)
-        return self.calibrated(self.raw_latent(free, free))
+        return self._map(self.raw_latent(free, free))
 
     def raw_latent(self, reference: Images, current: Images) -> torch.Tensor:
         """Return pooled latents (B, K, L), neither judged nor calibrated."""
         latent = self.tokenizer.latents(reference, current, self.finger)  # (B, P, L)
         return pool_latent(latent, self.grid)
-
-    def calibrated(self, latent: torch.Tensor) -> torch.Tensor:
-        """Return pooled latents (B, K, L) as the known sensor would have given them."""
-        return latent if self.calibration is None else self.calibration.map(latent)
 
     def reset(self) -> None:
         """Start an episode in free air."""
@@ -211,8 +206,7 @@ class ForceSensor:
         self.tokenizer.model.to(device)
         if self.newtons is not None:
             self.newtons.head.to(device)
-        if self.calibration is not None:
-            self.calibration.map.to(device)
+        self._map.to(device)
         if self.monitor is not None:
             self.monitor.to(torch.device(device))
         self.reset()
