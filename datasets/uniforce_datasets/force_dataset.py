@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from uniforce_datasets.features import vector_column, video_column
 from uniforce_datasets.lossless import check_dataset
-from uniforce_datasets.source import Episode, Source, episode_frames
+from uniforce_datasets.source import Episode, Source, episode_frames, marker_images
 from uniforce_datasets.view_build import resize
 from uniforce_datasets.view_plan import EpisodeFacts, episode_facts
 from uniforce_vtla import keys
@@ -53,13 +53,11 @@ def write_force_dataset(
     if out.exists():
         raise DatasetError(expected(str(out), "no folder", "one", "Choose another out."))
     sources = [check_dataset(root, verify) for root in roots]
-    chosen = []
-    for source in sources:
+    chosen: dict[int, list[Episode]] = {}
+    for number, source in enumerate(sources):
         _check_alike(source, sources[0])
-        for episode, facts in episode_facts(source):
-            if keep(facts):
-                chosen.append((source, episode))
-    if not chosen:
+        chosen[number] = [episode for episode, facts in episode_facts(source) if keep(facts)]
+    if not any(chosen.values()):
         do = "Take episodes with events too, or record more."
         raise DatasetError(expected(", ".join(map(str, roots)), "episodes to take", "none", do))
     dataset = LeRobotDataset.create(
@@ -69,10 +67,17 @@ def write_force_dataset(
         root=out,
     )
     try:
-        for source, episode in tqdm(chosen, desc="episodes", unit="episode"):
-            for row in _rows(source, episode, sensor, image_side):
-                dataset.add_frame(row)
-            dataset.save_episode()
+        bar = tqdm(total=sum(map(len, chosen.values())), desc="episodes", unit="episode")
+        for number, source in enumerate(sources):
+            # the whole dataset's, read once
+            columns = source.columns((keys.STATE, keys.ACTION))
+            columns[keys.TASK] = source.instructions()
+            for episode in chosen[number]:
+                for row in _rows(source, episode, columns, sensor, image_side):
+                    dataset.add_frame(row)
+                dataset.save_episode()
+                bar.update()
+        bar.close()
     finally:
         dataset.finalize()
     return out
@@ -95,13 +100,16 @@ def _check_alike(source: Source, first: Source) -> None:
 
 
 def _rows(
-    source: Source, episode: Episode, sensor: ForceSensor, side: int
+    source: Source,
+    episode: Episode,
+    columns: dict[str, np.ndarray],
+    sensor: ForceSensor,
+    side: int,
 ) -> Iterator[dict[str, Any]]:
     """Yield an episode's frames as LeRobot records them."""
-    columns = source.columns((keys.STATE, keys.ACTION))
     state = columns[keys.STATE][episode.rows].astype(np.float32)  # (T, 5)
     action = columns[keys.ACTION][episode.rows].astype(np.float32)
-    tasks = source.instructions()[episode.rows]
+    tasks = columns[keys.TASK][episode.rows]
     force_N = read_episode(source, episode, sensor)  # (T, 3)
     pictures = {}
     for camera in source.cameras:
@@ -111,7 +119,7 @@ def _rows(
         row: dict[str, Any] = {
             keys.STATE: np.concatenate([state[frame], force_N[frame]]),
             keys.ACTION: action[frame],
-            "task": str(tasks[frame]),
+            keys.TASK: str(tasks[frame]),
         }
         for key, frames in pictures.items():
             row[key] = resize(next(frames), side)
@@ -121,11 +129,6 @@ def _rows(
 def read_episode(source: Source, episode: Episode, sensor: ForceSensor) -> np.ndarray:
     """Return (T, 3) float32 N that a finger felt, in its own frame."""
     sensor.reset()
-    reference_span = episode.videos[keys.tactile_key(sensor.finger, reference=True)]
-    reference = next(episode_frames(reference_span, episode.length, source.fps))[..., 0]
-    span = episode.videos[keys.tactile_key(sensor.finger)]
-    forces = []
-    for frames in batched(episode_frames(span, episode.length, source.fps), BATCH):
-        images = np.stack([frame[..., 0] for frame in frames])
-        forces.append(sensor.read_forces(reference, images))
+    reference, current = marker_images(source, episode, sensor.finger)
+    forces = [sensor.read_forces(reference, np.stack(images)) for images in batched(current, BATCH)]
     return np.concatenate(forces)

@@ -287,3 +287,20 @@ def opened_video(
             yield video
     except BROKEN_VIDEO as error:
         raise DatasetError(expected(str(file), wanted, error, do)) from error
+
+
+def marker_images(
+    source: Source, episode: Episode, finger: Finger
+) -> tuple[np.ndarray, Iterator[np.ndarray]]:
+    """Return an episode's reference (H, W), and its marker images (H, W) one by one.
+
+    Raises DatasetError: (when read) frames that are missing or truncated.
+    """
+    reference_span = episode.videos[tactile_key(finger, reference=True)]
+    reference = next(episode_frames(reference_span, episode.length, source.fps))
+    current = episode_frames(episode.videos[tactile_key(finger)], episode.length, source.fps)
+    return _grey(reference), map(_grey, current)
+
+
+def _grey(image: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(image[..., 0])

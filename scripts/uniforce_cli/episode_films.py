@@ -7,8 +7,8 @@ from functools import partial
 import cv2
 import numpy as np
 
-from uniforce_cli.recorded_episode import cameras, frames, marker_images, raw_touch
-from uniforce_datasets.source import Episode, Source
+from uniforce_cli.recorded_episode import cameras, frames, raw_touch
+from uniforce_datasets.source import Episode, Source, marker_images
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.evaluation.episode_summary import EpisodeSummary
 from uniforce_vtla.markers.raster import overlay

@@ -56,7 +56,7 @@ def simulated_presses(
 ) -> Presses:
     """Press flat faces, as of a tool's handle, straight on the pad.
 
-    What the canonicalizer refuses is left out.
+    Frames that the canonicalizer refuses are left out.
 
     Raises SensorError: it refuses all of them.
     """

@@ -16,7 +16,13 @@ import torch
 from uniforce_cli.touch_view import counts_picture
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.raw_video import raw_path
-from uniforce_datasets.source import Episode, Source, VideoSpan, episode_frames
+from uniforce_datasets.source import (
+    Episode,
+    Source,
+    VideoSpan,
+    episode_frames,
+    marker_images,
+)
 from uniforce_vtla.contracts import FINGERS, TAXEL_SHAPE, Finger
 from uniforce_vtla.errors import CheckpointError, DatasetError, expected
 from uniforce_vtla.evaluation.episode_summary import EpisodeSummary, KeyFrame, find_key_frames
@@ -28,7 +34,6 @@ from uniforce_vtla.keys import (
     TACTILE_KEYS,
     counts_key,
     sensor_key,
-    tactile_key,
     truth_wrench_key,
 )
 from uniforce_vtla.markers.mirror import to_canonical
@@ -170,19 +175,6 @@ def latent_change(
     maps = (torch.cat(latents) - rest).unflatten(1, (side, side)).movedim(-1, 1)  # (n, L, g, g)
     # undoes the encoder's mirror: its own inverse
     return to_canonical(maps, finger).movedim(1, -1).numpy()
-
-
-def marker_images(
-    source: Source, episode: Episode, finger: Finger
-) -> tuple[np.ndarray, Iterator[np.ndarray]]:
-    """Return an episode's reference (H, W), and its marker images (H, W) one by one."""
-    reference = next(frames(source, episode, tactile_key(finger, reference=True)))
-    current = frames(source, episode, tactile_key(finger))
-    return _grey(reference), map(_grey, current)
-
-
-def _grey(image: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(image[..., 0])
 
 
 def frames(source: Source, episode: Episode, key: str) -> Iterator[np.ndarray]:

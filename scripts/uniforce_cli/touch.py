@@ -131,7 +131,7 @@ def opened(config: TouchConfig) -> Iterator[TactileFinger]:
 def show(config: TouchConfig) -> None:
     """Show the live view until ``config.seconds`` are over.
 
-    What reads images is loaded before a device is opened.
+    The networks are loaded before a device is opened.
     """
     from uniforce_cli.touch_view import OUTPUTS, save_panel, views
     from uniforce_vtla.force_sensor import ForceSensor
