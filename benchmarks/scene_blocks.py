@@ -24,6 +24,9 @@ BLOCKS: dict[str, range] = {
     "kinds left out, felt in newtons": range(1_080_000, 1_090_000),
     "spent on maps fitted to tools alone, which buy nothing": range(1_090_000, 1_100_000),
     "units weighed": range(1_100_000, 1_110_000),
+    "swap ladder in the hand's rig": range(1_110_000, 1_120_000),
+    "arms in the hand's rig": range(1_120_000, 1_130_000),
+    "curves": range(1_130_000, 1_140_000),
     "stress, seen while a limit of the monitor was set": range(1_040_000, 1_041_000),
     "stress": range(1_041_000, 1_060_000),
 }

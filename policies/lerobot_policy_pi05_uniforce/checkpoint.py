@@ -75,7 +75,7 @@ def check_settings(saved: dict[str, Any], where: str) -> None:
         wanted = f"version {MARKER_IMAGES}"
         do = "Train again, on demonstrations recorded with this version."
         require(version == MARKER_IMAGES, f"marker images of {where}", wanted, version, do)
-        has_head = touch["input"] != "newtons" or touch.get("head_hash")
+        has_head = touch["input"] == "latent" or touch.get("head_hash")
         do = (
             "Train again with this version: "
             "a policy that feels newtons names the head that reads them."

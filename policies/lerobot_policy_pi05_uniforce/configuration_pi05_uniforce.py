@@ -58,13 +58,15 @@ NEVER_STORED = {
 }
 MOST_CARRIED_N = 100.0  # of a grip: no finger reads more
 FORMERLY = {"true": "always", "false": "robot"}  # action.stop_outside_demos
-ENCODED = ("latent", "newtons")  # touch inputs that come from the frozen tokenizer
-FORCES = {"newtons": 3, "wrench": 4}  # numbers of touch inputs that are no latent map
+# numbers of touch inputs that are no latent map
+FORCES = {"newtons": 3, "shear": 2, "flagged_newtons": 6, "wrench": 4}
+READ_BY_HEAD = ("newtons", "shear", "flagged_newtons")
+ENCODED = ("latent", *READ_BY_HEAD)  # touch inputs that come from the frozen tokenizer
 CHOICES = {
     "verify": ("full", "quick", "off"),
     "monitor": ("stop", "off"),
     "grip": ("", "read", "held"),
-    "touch.input": ("latent", "newtons", "wrench", "none"),
+    "touch.input": (*ENCODED, "wrench", "none"),
     "touch.site": ("prefix", "suffix"),
     "touch.on_sensor_loss": ("error", "mask"),
     "action.form": ("target_delta", "absolute"),
@@ -81,7 +83,9 @@ class TouchSettings:
     # slot → finger; {} = none
     slots: dict[str, str] = field(default_factory=lambda: {"touch0": "right"})
     # "newtons" (tiny): three numbers that a frozen force head reads in the latents | "latent"
-    # (base): the whole map, as in the paper | "none": plain π0.5 | "wrench": the simulator's own
+    # (base): the whole map, as in the paper | "shear": two of the newtons, no grip |
+    # "flagged_newtons": beside each newton whether it is known (augment.axis_dropout) | "none":
+    # plain π0.5 | "wrench": the simulator's own
     input: str = _BY_SIZE
     # input=newtons: sensor type whose force head reads, that of the demonstrations' finger: the
     # shipped one, or the one beside tokenizer_path
@@ -144,6 +148,7 @@ class AugmentSettings:
     # lights and camera poses (augment.py); 0 = none, 1 = about as scenes of level touch differ
     camera_variation: float = _BY_SIZE
     touch_dropout: float = _BY_SIZE  # chance to hide a slot; .3 with two slots, 0 with one
+    axis_dropout: float = 0.25  # touch.input=flagged_newtons: chance to hide each axis
 
 
 @dataclass
@@ -267,8 +272,10 @@ class PI05UniforceConfig(PI05Config):
         _require(self.size != "tiny" or not stock, "size=tiny", "plain float32", self.dtype)
         square = self.image_resolution[0] == self.image_resolution[1]
         _require(square, "image_resolution", "a square", self.image_resolution)
-        holds = self.grip == "held" and not (self.encodes and touch.input == "newtons")
+        holds = self.grip == "held" and not (self.slots and touch.input == "newtons")
         _require(not holds, "grip", "read: this policy feels no newtons", self.grip)
+        dropout = self.augment.axis_dropout
+        _require(0 <= dropout < 1, "augment.axis_dropout", "at least 0, below 1", dropout)
         for slot, held_N in touch.carried_N.items():
             fits = isinstance(held_N, int | float) and 0 < held_N < MOST_CARRIED_N
             _require(fits, f"touch.carried_N of {slot}", f"0 to {MOST_CARRIED_N} N", held_N)
@@ -303,6 +310,11 @@ class PI05UniforceConfig(PI05Config):
     def encodes(self) -> bool:
         """Whether touch comes from the frozen tokenizer."""
         return bool(self.slots) and self.touch.input in ENCODED
+
+    @property
+    def reads_newtons(self) -> bool:
+        """Whether a frozen force head reads newtons in the latents."""
+        return bool(self.slots) and self.touch.input in READ_BY_HEAD
 
     @property
     def touch_in_view(self) -> str:

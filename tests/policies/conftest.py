@@ -14,6 +14,7 @@ from policy_samples import small_config
 
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy
 from lerobot_policy_pi05_uniforce import make_pi05_uniforce_pre_post_processors as make_processors
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import READ_BY_HEAD
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
 
 SMALL = {"tiny__width": 64, "tiny__depth": 2, "tiny__mlp_dim": 32}
@@ -46,7 +47,8 @@ def stats() -> dict[str, dict[str, np.ndarray]]:
 def make_config(tokenizer_path: Path) -> Callable[..., PI05UniforceConfig]:
     def make(**settings: Any) -> PI05UniforceConfig:
         touch: dict[str, Any] = {"touch__slots": BOTH, "touch__input": "latent"}
-        if settings.get("touch__input") != "newtons":  # only the shipped tokenizers have a head
+        # only the shipped tokenizers have a head
+        if settings.get("touch__input") not in READ_BY_HEAD:
             touch["touch__tokenizer_path"] = str(tokenizer_path)
         cameras = ("front", "wrist", "tactile_left", "tactile_right")
         return small_config(cameras, **in_groups(touch | SMALL | settings))

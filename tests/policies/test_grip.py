@@ -10,6 +10,7 @@ from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import (
     TouchSettings,
 )
 from lerobot_policy_pi05_uniforce.touch.sensors import carried_grip, held_grips
+from lerobot_policy_pi05_uniforce.touch.touch_input import flagged, with_hidden_axes
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.tokenizer.newtons import Lift, Newtons
 
@@ -113,3 +114,36 @@ def test_demonstrations_tell_what_is_carried() -> None:
     forces[:, 2] = grips
     assert carried_grip([(states, forces)]) == pytest.approx(9.0)
     assert carried_grip([(states[:3], forces[:3])]) is None
+
+
+def test_shear_is_the_newtons_without_grip(make_policy, make_batch) -> None:
+    newtons = make_policy(touch__input="newtons")
+    shear = make_policy(touch__input="shear")
+    batch = make_batch(newtons)
+    felt = shear.felt(batch).touches
+    assert felt.shape[-2:] == (1, 2)
+    assert torch.equal(felt, newtons.felt(batch).touches[..., :2])
+
+
+def test_flags_say_which_newtons_are_known(make_policy, make_batch) -> None:
+    newtons = make_policy(touch__input="newtons")
+    policy = make_policy(touch__input="flagged_newtons")
+    batch = make_batch(newtons)
+    force_N = newtons.felt(batch).touches
+    felt = policy.felt(batch).touches
+    assert torch.equal(felt, torch.cat([force_N, torch.ones_like(force_N)], dim=-1))
+    no_grip = flagged(force_N, reads_grip=False)
+    assert torch.equal(no_grip[..., :2], force_N[..., :2])
+    assert no_grip[0, 0, 0, 2:].tolist() == [0, 1, 1, 0]
+
+
+def test_training_hides_each_axis_for_itself() -> None:
+    force_N = torch.full((4_000, 1, 3), 2.0)
+    hidden = with_hidden_axes(flagged(force_N, reads_grip=True), 0.25)
+    known = hidden[..., 3:]
+    assert torch.equal(hidden[..., :3], 2 * known)
+    assert known.mean(dim=(0, 1)).tolist() == pytest.approx([0.75] * 3, abs=0.03)
+    together = (known[..., 0] * known[..., 1]).mean()
+    assert together == pytest.approx(0.75**2, abs=0.03), "axes are hidden independently"
+    unread = with_hidden_axes(flagged(force_N, reads_grip=False), 0.25)
+    assert not unread[..., 5].any(), "a grip that isn't known stays so"

@@ -59,7 +59,7 @@ def build_frozen_touch(config: PI05UniforceConfig, empty: bool) -> FrozenTouch:
     """
     tokenizer = _build_tokenizer(config, empty)
     head = None
-    if config.touch.input == "newtons":
+    if config.reads_newtons:
         head = _build_head(config, empty)
     return FrozenTouch(tokenizer, head)
 

@@ -33,17 +33,19 @@ class PolicySensors:
         by_slot: slot → sensor of the finger that fills it.
         comparison: of the first slot's finger with the other one; None without slots.
         notes: a sentence about each grip that is held.
+        reads_grip: slot → whether its sensor reads grip under a tool.
     """
 
     def __init__(self, config: PI05UniforceConfig, frozen: FrozenTouch | None) -> None:
         self.by_slot: dict[str, ForceSensor] = {}
         self.comparison: GripComparison | None = None
         self.notes: list[str] = []
+        self.reads_grip: dict[str, bool] = {}
         if frozen is None:
             return
         calibrations = load_calibrations(config)
         held_N: dict[str, float] = {}
-        if frozen.force_head is not None:
+        if config.touch.input == "newtons":
             held_N, self.notes = held_grips(config, calibrations)
 
         def sensor(finger: Finger, held_N: float | None = None) -> ForceSensor:
@@ -61,7 +63,9 @@ class PolicySensors:
         for slot in config.slots:
             finger = fingers[slot]
             self.by_slot[slot] = sensor(finger, held_N.get(slot))
-            self.by_slot[slot].monitor = make_monitor(config, slot, calibrations.get(finger))
+            calibration = calibrations.get(finger)
+            self.by_slot[slot].monitor = make_monitor(config, slot, calibration)
+            self.reads_grip[slot] = calibration is None or calibration.reads_grip
         left, right = FINGERS
         own = self.by_slot[config.slots[0]]
         other = sensor(left if own.finger == right else right)
@@ -150,7 +154,7 @@ def _check_fits(config: PI05UniforceConfig, finger: Finger, calibration: Calibra
         do = "Calibrate the sensor that the finger wears."
         came = f"one of {calibration.new}"
         raise CheckpointError(expected(name, f"one of a {kind}", came, do))
-    head = config.touch.head_hash if config.touch.input == "newtons" else ""
+    head = config.touch.head_hash if config.reads_newtons else ""
     if calibration.gain != 1 and calibration.head_hash != head:
         wanted = "a map: this policy feels no newtons"
         if head:

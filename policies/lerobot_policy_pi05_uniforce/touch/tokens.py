@@ -55,7 +55,9 @@ class ForceTokens(nn.Module):
         super().__init__()
         numbers = input_shape[1]
         scale = torch.ones(numbers)
-        if config.touch.input != "latent":
+        if config.touch.input == "flagged_newtons":
+            scale[: numbers // 2] = torch.tensor(FORCE_SCALE[: numbers // 2])
+        elif config.touch.input != "latent":
             scale = torch.tensor(FORCE_SCALE[:numbers])
         self.register_buffer("input_mean", torch.zeros(input_shape))
         self.register_buffer("input_scale", scale)

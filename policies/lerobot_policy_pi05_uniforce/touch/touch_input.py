@@ -14,6 +14,7 @@ from uniforce_vtla.errors import RolloutError, SensorError, UniForceError, expec
 from uniforce_vtla.force_sensor import ForceSensor
 from uniforce_vtla.keys import AXES, STATE, latent_key, tactile_key, wrench_key
 from uniforce_vtla.tokenizer.latent_range import FreeAirError
+from uniforce_vtla.tokenizer.newtons import FZ
 
 logger = logging.getLogger(__name__)
 
@@ -37,6 +38,7 @@ class TouchInput:
         self.config = config
         self.sensors = sensors.by_slot
         self.notes = sensors.notes
+        self._reads_grip = sensors.reads_grip
         self.masked = False  # every slot hidden: takes touch away from a trained policy
         self._comparison = sensors.comparison
         # references taken in this episode instead of those given
@@ -75,6 +77,8 @@ class TouchInput:
         if not self.config.slots:
             return None, None
         touches = torch.stack([self._read(batch, slot) for slot in self.config.slots])
+        if training and self.config.touch.input == "flagged_newtons":
+            touches = with_hidden_axes(touches, self.config.augment.axis_dropout)
         masks = touches.isfinite().flatten(2).all(dim=2)
         if self.masked:
             masks = torch.zeros_like(masks)
@@ -106,27 +110,41 @@ class TouchInput:
 
     @torch.no_grad()
     def read(self, batch: Batch, slot: str) -> Tensor:
-        """Return a slot's (B, K, L) latents, (B, 1, 3) newtons read in them, or (B, 1, 4) wrench.
+        """Return a slot's (B, K, L) latents, or (B, 1, numbers) of the newtons read in them.
 
         Raises RolloutError where its sensor is lost.
         """
-        if self.config.touch.input == "wrench":
+        touch = self.config.touch.input
+        if touch == "wrench":
             return taken(batch, wrench_key(slot)).float()[:, None]
-        newtons = self.sensors[slot].newtons
+        if not self.config.reads_newtons:
+            return self._latent(batch, slot)
+        force_N = self._newtons(batch, slot)[:, None]  # (B, 1, 3)
+        if touch == "shear":
+            return force_N[..., :FZ]
+        if touch == "flagged_newtons":
+            return flagged(force_N, self._reads_grip[slot])
+        return force_N
+
+    def _latent(self, batch: Batch, slot: str) -> Tensor:
+        """Return a slot's (B, K, L) latents; those of a demonstration aren't calibrated."""
         key = latent_key(slot)
-        if key in batch:  # a demonstration's: neither calibrated nor held
-            latent = batch[key].float()
-            latent = latent.reshape(len(latent), self.config.tokens_per_slot, -1)
-            if newtons is not None:
-                return newtons.head.step(latent, None)[0][:, None]
-            return latent  # (B, K, L)
-        latent = self._encoded(batch, slot)
-        if newtons is None:
-            return latent
+        if key not in batch:
+            return self._encoded(batch, slot)
+        latent = batch[key].float()
+        return latent.reshape(len(latent), self.config.tokens_per_slot, -1)
+
+    def _newtons(self, batch: Batch, slot: str) -> Tensor:
+        """Return a slot's (B, 3) N; those of a demonstration are neither scaled nor held."""
+        newtons = self.sensors[slot].newtons
+        assert newtons is not None, "PolicySensors gave it the policy's head"
+        latent = self._latent(batch, slot)
+        if latent_key(slot) in batch:
+            return newtons.head.step(latent, None)[0]
         height_m = None
         if newtons.held_N is not None:
             height_m = taken(batch, MEASURED_STATE)[:, HEIGHT]
-        return newtons(latent, height_m)[:, None]
+        return newtons(latent, height_m)
 
     def _encoded(self, batch: Batch, slot: str) -> Tensor:
         """Return latents of a slot's marker images; an open hand takes a new reference once."""
@@ -161,6 +179,20 @@ class TouchInput:
         if not bounds or MEASURED_STATE not in batch:
             return False
         return bool((batch[MEASURED_STATE][:, WIDTH] > bounds[1][WIDTH] - OPEN_m).all())
+
+
+def flagged(force_N: Tensor, reads_grip: bool) -> Tensor:
+    """Return (B, 1, 6): fx, fy, fz, 0 where not known, and three flags, 1 where known."""
+    known = torch.ones_like(force_N)
+    known[..., FZ] = float(reads_grip)
+    return torch.cat([force_N * known, known], dim=-1)
+
+
+def with_hidden_axes(touches: Tensor, chance: float) -> Tensor:
+    """Return flagged newtons (..., 6) with each axis hidden by ``chance``, sample by sample."""
+    force_N, known = touches.chunk(2, dim=-1)
+    known = known * (torch.rand_like(known) >= chance)
+    return torch.cat([force_N * known, known], dim=-1)
 
 
 def marker_images(batch: Batch, finger: Finger) -> tuple[Tensor, Tensor]:
