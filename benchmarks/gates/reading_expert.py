@@ -9,28 +9,24 @@ from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from joblib import delayed
 
+from benchmarks.calibrations import Fit, calibration_folder, units
 from benchmarks.ledger import played, update
 from benchmarks.scene_blocks import BLOCKS
 from benchmarks.stress.readings import ReadsWorn, shipped_reader
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.episodes import Script, run_script
 from uniforce_cli.boundary import Gripper, Level, command, one_thread, worker_process
-from uniforce_cli.calibrate import CalibrateCommand, calibrate_sensor, weigh_sensor
 from uniforce_vtla.arguments import choose
 from uniforce_vtla.errors import SensorError
 from uniforce_vtla.evaluation.statistics import wilson
 from uniforce_vtla.options import Count, OutFile, OutFolder, Seed, Text, Workers
 from uniforce_vtla.tokenizer import Tokenizer
 from uniforce_vtla.tokenizer.calibration import Calibration
-
-UNITS = (2, 3, 4, 5)  # those that are calibrated, none of them in a demonstration
-GRASPS = 300  # of a label-free calibration
-Fit = Literal["", "grasps", "tool"]
 
 
 @dataclass(frozen=True)
@@ -41,21 +37,17 @@ class Reader:
     fit: Fit = ""
 
 
-def _units(kind: str) -> tuple[str, ...]:
-    return tuple(f"{kind}:{unit}" for unit in UNITS)
-
-
 READERS: dict[str, Reader] = {
     "true wrench of one finger": Reader(()),
     "TacTip 1": Reader(("tactip",)),
     "TacTip, another in every scene": Reader(("tactip:any",)),
     "uSkin, another in every scene": Reader(("uskin:any",)),
     "GelSight, another in every scene": Reader(("gelsight:any",)),
-    "TacTips weighed through the tool": Reader(_units("tactip"), "tool"),
-    "uSkins calibrated by grasps": Reader(_units("uskin"), "grasps"),
-    "uSkins weighed through the tool": Reader(_units("uskin"), "tool"),
-    "GelSights calibrated by grasps": Reader(_units("gelsight"), "grasps"),
-    "GelSights weighed through the tool": Reader(_units("gelsight"), "tool"),
+    "TacTips weighed through the tool": Reader(units("tactip"), "tool"),
+    "uSkins calibrated by grasps": Reader(units("uskin"), "grasps"),
+    "uSkins weighed through the tool": Reader(units("uskin"), "tool"),
+    "GelSights calibrated by grasps": Reader(units("gelsight"), "grasps"),
+    "GelSights weighed through the tool": Reader(units("gelsight"), "tool"),
 }
 
 
@@ -93,14 +85,7 @@ class Row:
 def calibration(worn: str, fit: Fit, work: Path) -> Calibration:
     """Return a unit's calibration; it is made where the folder has none."""
     tokenizer = Tokenizer.from_pretrained()
-    folder = work / f"calibrations_{fit}" / worn.replace(":", "-")
-    if not folder.is_dir():
-        if fit == "tool":
-            found = weigh_sensor(CalibrateCommand(worn, loads_N="3,6,9", through="tool"), tokenizer)
-        else:
-            found = calibrate_sensor(CalibrateCommand(worn, grasps=GRASPS), tokenizer)
-        found.save(folder)
-    return Calibration.load(folder, tokenizer.hash)
+    return Calibration.load(calibration_folder(worn, fit, work), tokenizer.hash)
 
 
 def play(name: str, level: str, gripper: str, seed: int, turn: int, work: Path) -> Row:

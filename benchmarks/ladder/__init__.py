@@ -1,1 +1,1 @@
-"""The swap ladder and the arms of level ``touch``: ``plan.py`` says what is scored."""
+"""The swap ladder in the hand's rig: ``plan.py`` says what is scored."""

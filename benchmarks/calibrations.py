@@ -1,0 +1,33 @@
+"""Calibrations of units that no demonstration wears, made once and kept in a folder."""
+
+from pathlib import Path
+from typing import Literal
+
+from uniforce_cli.calibrate import CalibrateCommand, calibrate_sensor, weigh_sensor
+from uniforce_vtla.tokenizer import Tokenizer
+
+UNITS = (2, 3, 4, 5)
+GRASPS = 300  # of a label-free calibration
+LOADS_N = "3,6,9"  # of a scale, which the sensor presses through the tool
+
+type Fit = Literal["", "grasps", "tool"]
+
+
+def units(kind: str) -> tuple[str, ...]:
+    """Return the units of a kind that are calibrated, in words."""
+    return tuple(f"{kind}:{unit}" for unit in UNITS)
+
+
+def calibration_folder(worn: str, fit: Fit, work: Path) -> Path:
+    """Return the folder of a unit's calibration; it is made where there is none."""
+    folder = work / f"calibrations_{fit}" / worn.replace(":", "-")
+    if folder.is_dir():
+        return folder
+    tokenizer = Tokenizer.from_pretrained()
+    if fit == "tool":
+        command = CalibrateCommand(worn, loads_N=LOADS_N, through="tool")
+        found = weigh_sensor(command, tokenizer)
+    else:
+        found = calibrate_sensor(CalibrateCommand(worn, grasps=GRASPS), tokenizer)
+    found.save(folder)
+    return folder
