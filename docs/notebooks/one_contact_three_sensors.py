@@ -181,7 +181,7 @@ rollouts = {}
 for right in ("tactip", "uskin"):
     scene, policy = policy_on_rig("shipped", Rig("touch", right_sensor=right))
     torch.manual_seed(SCENE)  # the policy draws its noise from here
-    rollouts[right] = roll_out(scene, policy, SCENE, keep_frames=True)
+    rollouts[right] = roll_out(scene, policy, SCENE, keep_shots=True)
     result = rollouts[right].result
     reasons = "; ".join(result.reasons) or "none"
     ink, share = result.metrics["residual"], result.metrics.get("in_band_share", 0.0)
@@ -195,10 +195,10 @@ figure, panels = plt.subplots(2, SHOWN, figsize=(12, 4.4), layout="constrained")
 for line, (right, rollout) in zip(panels, rollouts.items(), strict=True):
     line[0].set_ylabel(right)
     for panel, number in zip(
-        line, np.linspace(0, len(rollout.frames) - 1, SHOWN).astype(int), strict=True
+        line, np.linspace(0, len(rollout.shots) - 1, SHOWN).astype(int), strict=True
     ):
-        panel.imshow(rollout.frames[number])
-        at_s = number / len(rollout.frames) * rollout.trace.time_s[-1]
+        panel.imshow(rollout.shots[number].front)
+        at_s = number / len(rollout.shots) * rollout.trace.time_s[-1]
         panel.set(xticks=[], yticks=[], title=f"{at_s:.1f} s")
 plt.show()
 

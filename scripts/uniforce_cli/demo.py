@@ -38,6 +38,11 @@ class DemoConfig:
 
 # arm → sensor on the right finger; the shipped policy was trained with a TacTip there
 ARMS = {"V+T": "tactip", "V+G": "gelsight", "V+U": "uskin"}
+SHOWN_AS = {
+    "tactip": "TacTip, with which it learnt",
+    "gelsight": "GelSight instead",
+    "uskin": "uSkin instead",
+}
 
 
 class ProgressBars:
@@ -104,11 +109,11 @@ def run(config: DemoConfig) -> None:
     out = Path(config.out)
     _start_over(out)
     with logged(out / LOG) as say:
-        episode = _steps(config, out, say)
+        page = _steps(config, out, say)
         minutes = (time.perf_counter() - start) / 60
         say(f"\nDone in {minutes:.1f} minutes (n = {config.rollouts}: smoke, no claim).")
-        say(f"  look at it     {episode}   (a demo with a slider: open it in a browser)")
-        say(f"  video          {next(out.glob('score/VT_*/seed_*.mp4'))}")
+        say(f"  look at it     {page}   (the same scene with each sensor: open it in a browser)")
+        say(f"  a demo         {out / 'show' / 'episode_0.html'}")
         say(f"  demos          {out / 'demos'}   (LeRobot v3 dataset)")
         say(f"  trained        {out / 'train' / 'checkpoints' / 'last'}")
         say(f"  scores         {out / 'wiping.json'}")
@@ -116,10 +121,11 @@ def run(config: DemoConfig) -> None:
 
 
 def _steps(config: DemoConfig, out: Path, say: Callable[[str], None]) -> Path:
-    """Run every stage; return the path of the first demo's page."""
+    """Run every stage; return the page that plays each sensor's rollout side by side."""
     expert = "the scripted expert (GelSight left, TacTip right)"
     say(f"\n[1/5] recording {config.episodes} demos with {expert}")
     from uniforce_cli import lerobot_training, record, score, show, view
+    from uniforce_cli.sensors_page import SensorFilm, write_sensors_page
     from uniforce_vtla.evaluation.arms import table
 
     recording = record.RecordConfig(
@@ -137,6 +143,7 @@ def _steps(config: DemoConfig, out: Path, say: Callable[[str], None]) -> Path:
     sensors = "trained sensor, then two swapped ones, nothing retrained"
     say(f"\n[4/5] rolling out the shipped policy: {sensors}")
     reports = []
+    films = []
     for arm, sensor in ARMS.items():
         scoring = score.ScoreConfig(
             arm=arm,
@@ -144,18 +151,21 @@ def _steps(config: DemoConfig, out: Path, say: Callable[[str], None]) -> Path:
             right_sensor=sensor,
             level=config.level,
             rollouts=config.rollouts,
-            videos=int(arm == "V+T"),
+            videos=1,
             out=str(out / "score"),
         )
-        reports.append(score.score(scoring))
+        report = score.score(scoring)
+        reports.append(report)
+        row = report.rows[0]
+        films.append(SensorFilm(SHOWN_AS[sensor], scoring.video(row.seed), row))
     say("\n[5/5] report")
     arms = {report.arm: report.as_dict() for report in reports}
     content = {"level": config.level, "label": "smoke, no claim", "arms": arms}
     write_json(out / "wiping.json", content | provenance())
     shown = show.ShowDatasetConfig(root=str(out / "demos"), out=str(out / "show"))
-    (episode,) = show.show_dataset(shown)
+    show.show_dataset(shown)
     say(table(reports))
-    return episode
+    return write_sensors_page(films, out / "sensors.html")
 
 
 def _train_arguments(config: DemoConfig, out: Path) -> list[str]:

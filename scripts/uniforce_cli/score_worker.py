@@ -10,7 +10,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import torch
 from lerobot.utils.io_utils import write_video
@@ -24,7 +23,8 @@ from uniforce_cli.score_settings import Rig, ScoreConfig, checkpoint_of
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.evaluation.arms import EpisodeRow, row_of
-from uniforce_vtla.evaluation.episode import WIPING_PHASE
+from uniforce_vtla.evaluation.episode import WIPING_PHASE, ScoreLimits
+from uniforce_vtla.evaluation.film import FILM_HZ, film
 from uniforce_vtla.evaluation.pictures import write_trace_sheet
 from uniforce_vtla.evaluation.rollout import Controller, Rollout, roll_out
 from uniforce_vtla.keys import TACTILE_NAMES
@@ -67,8 +67,8 @@ def score_job(index: int, config: ScoreConfig, seed: int) -> tuple[int, EpisodeR
     env, controller = _build(config.policy_of(seed), config.rig, config.control, config.folder)
     film = seed < config.first_seed + config.videos or seed in config.film
     torch.manual_seed(seed)  # the policy's own noise is part of the paired seed
-    rollout = roll_out(env, controller, seed, keep_frames=film)
-    if film and rollout.frames:  # none of an episode that never began
+    rollout = roll_out(env, controller, seed, keep_shots=film)
+    if film and rollout.shots:  # none of an episode that never began
         _keep(rollout, config)
     row = row_of(rollout)
     if row.outcome == "aborted":
@@ -212,7 +212,7 @@ def policy_on_rig(policy: str, rig: Rig) -> tuple[WipeEnv, PolicyController]:
 
 
 def _keep(rollout: Rollout, config: ScoreConfig) -> None:
-    frames = [cv2.resize(f, None, fx=2, fy=2) for f in rollout.frames]
     sheet = config.folder / f"seed_{rollout.seed}.png"
     write_trace_sheet(sheet, rollout, title=f"{config.arm}, seed {rollout.seed}")
-    write_video(config.video(rollout.seed), frames, fps=5)
+    frames = list(film(rollout, ScoreLimits().band_N))
+    write_video(config.video(rollout.seed), frames, fps=FILM_HZ)

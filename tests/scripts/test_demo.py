@@ -66,8 +66,9 @@ def test_the_smallest_demo_prints_less_than_forty_lines(
     assert len((said + warned).splitlines()) <= 40
     assert "| V+U |" in said and "Done in" in said and str(out / demo.LOG) in said
     assert "Creating policy" in (out / demo.LOG).read_text()  # LeRobot's own words
-    page = out / "show" / "episode_0.html"
-    assert page.is_file() and str(page) in said
+    for page in (out / "show" / "episode_0.html", out / "sensors.html"):
+        assert page.is_file()
+        assert str(page) in said
     assert (out / "wiping.json").is_file()
 
 

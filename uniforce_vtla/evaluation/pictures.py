@@ -63,8 +63,8 @@ def write_trace_sheet(path: Path, rollout: Rollout, title: str) -> Path:
     for row in rows[1:3]:
         row.sharex(rows[3])
         row.tick_params(labelbottom=False)
-    chosen = np.linspace(0, len(rollout.frames) - 1, THUMBNAILS).astype(int)
-    rows[0].imshow(np.concatenate([rollout.frames[i] for i in chosen], axis=1))
+    chosen = np.linspace(0, len(rollout.shots) - 1, THUMBNAILS).astype(int)
+    rows[0].imshow(np.concatenate([rollout.shots[i].front for i in chosen], axis=1))
     rows[0].axis("off")
     facts = [rollout.result.outcome]
     if rollout.result.slippage:

@@ -11,6 +11,8 @@ import numpy as np
 
 from uniforce_vtla.errors import RobotError, RolloutError, SensorError, expected
 from uniforce_vtla.evaluation.episode import EpisodeResult, EpisodeTrace, empty_trace, score_episode
+from uniforce_vtla.keys import tactile_name
+from uniforce_vtla.markers.raster import overlay
 
 
 class Environment(Protocol):
@@ -46,6 +48,16 @@ class Controller(Protocol):
 
 
 @dataclass(frozen=True)
+class Shot:
+    """Pictures of one moment, (H, W, 3) uint8."""
+
+    step: int  # control steps before it
+    front: np.ndarray  # the scene's camera
+    # markers of the finger that the controller feels with: cyan in free air, red now; None: none
+    markers: np.ndarray | None
+
+
+@dataclass(frozen=True)
 class Rollout:
     """One scored episode."""
 
@@ -53,8 +65,7 @@ class Rollout:
     result: EpisodeResult  # outcome, events and continuous scores, from simulator truth
     trace: EpisodeTrace  # measurements of each control step
     think_ms: np.ndarray  # controller time per chunk
-    # front-camera pictures, one per chunk, when asked for
-    frames: list[np.ndarray] = field(default_factory=list)
+    shots: list[Shot] = field(default_factory=list)  # one per chunk, when asked for
     # the controller's own figures, e.g. ``missed_deadlines``.
     facts: dict[str, float] = field(default_factory=dict)
 
@@ -64,7 +75,7 @@ class ChunkError(RolloutError):
 
 
 def roll_out(
-    env: Environment, controller: Controller, seed: int, keep_frames: bool = False
+    env: Environment, controller: Controller, seed: int, keep_shots: bool = False
 ) -> Rollout:
     """Run one episode to its end.
 
@@ -74,8 +85,7 @@ def roll_out(
     Raises ChunkError: the controller returned a non-finite or misshapen chunk; it isn't executed.
     """
     think_ms: list[float] = []
-    frames: list[np.ndarray] = []
-    shown = frames if keep_frames else None
+    shots: list[Shot] = []
     try:
         observation, _ = env.reset(seed=seed)
     # the environment still holds another episode's trace
@@ -84,13 +94,13 @@ def roll_out(
         return Rollout(seed, _aborted(score_episode(trace), error), trace, np.zeros(0))
     controller.reset(env)
     try:
-        _act(env, controller, observation, think_ms, shown)
+        _act(env, controller, observation, think_ms, shots if keep_shots else None)
         result = env.result()
     except ChunkError:
         raise
     except (SensorError, RolloutError, RobotError) as error:
         result = _aborted(env.result(), error)
-    return Rollout(seed, result, env.trace, np.asarray(think_ms), frames, controller.facts())
+    return Rollout(seed, result, env.trace, np.asarray(think_ms), shots, controller.facts())
 
 
 def _act(
@@ -98,13 +108,13 @@ def _act(
     controller: Controller,
     observation: dict[str, Any],
     think_ms: list[float],
-    frames: list[np.ndarray] | None,
+    shots: list[Shot] | None,
 ) -> None:
     """Look, think and act until the episode is over; add times and pictures to the lists."""
     done = False
     while not done:
-        if frames is not None:
-            frames.append(observation["pixels"]["front"])
+        if shots is not None:
+            shots.append(_shot(observation["pixels"], len(env.trace.time_s)))
         start = time.perf_counter()
         chunk = controller.chunk(observation, env.task)
         if (
@@ -120,6 +130,17 @@ def _act(
         done = any(env.advance(action) for action in chunk)
         if not done:
             observation = env.observe()
+
+
+def _shot(pixels: dict[str, np.ndarray], step: int) -> Shot:
+    for finger in ("right", "left"):
+        current = pixels.get(tactile_name(finger))
+        if current is not None:
+            reference = pixels[tactile_name(finger, reference=True)]
+            return Shot(
+                step, pixels["front"], overlay(reference[::2, ::2, 0], current[::2, ::2, 0])
+            )
+    return Shot(step, pixels["front"], None)
 
 
 def _aborted(result: EpisodeResult, error: Exception) -> EpisodeResult:

@@ -1,0 +1,63 @@
+"""A page that plays films of one scene side by side, one per sensor."""
+
+from base64 import b64encode
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import av
+import cv2
+
+from uniforce_cli.dataset_sheet import TEMPLATES
+from uniforce_cli.episode_films import encoded
+from uniforce_vtla.evaluation.arms import EpisodeRow
+from uniforce_vtla.evaluation.episode import ScoreLimits
+from uniforce_vtla.evaluation.film import FILM_HZ
+
+WEBP = (cv2.IMWRITE_WEBP_QUALITY, 70)
+
+
+@dataclass(frozen=True)
+class SensorFilm:
+    """Film of one rollout."""
+
+    sensor: str  # in words
+    video: Path  # of ``uniforce score``
+    row: EpisodeRow
+
+    @property
+    def ending(self) -> str:
+        """How the rollout ended."""
+        words = [self.row.outcome.replace("_", " ")]
+        if self.row.clean:
+            words = ["clean wipe"]
+        if self.row.slippage:
+            words.append("slip")
+        if self.row.excess_force:
+            words.append("too much force")
+        words.append(f"{self.row.in_band_share:.0%} of the way within the band")
+        return ", ".join(words)
+
+
+def write_sensors_page(films: Sequence[SensorFilm], path: Path) -> Path:
+    """Write the page with all pictures in it, the trained sensor's film first."""
+    pictures = [_frames(film.video) for film in films]
+    text = TEMPLATES.get_template("sensors_page.html").render(
+        films=films,
+        pictures=pictures,
+        last=max(map(len, pictures)) - 1,
+        hz=FILM_HZ,
+        band_N=ScoreLimits().band_N,
+    )
+    path.write_text(text)
+    return path
+
+
+def _frames(video: Path) -> list[str]:
+    """Return base64 WebP of each frame."""
+    found = []
+    with av.open(str(video)) as container:
+        for frame in container.decode(video=0):
+            picture = encoded(frame.to_ndarray(format="rgb24"), ".webp", *WEBP)
+            found.append(b64encode(picture).decode())
+    return found
