@@ -1,4 +1,4 @@
-"""Roll faults out, and draw the page."""
+"""Roll faults out, and join them into one table."""
 
 import sys
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from benchmarks.scene_blocks import BLOCKS
 from benchmarks.stress.actors import Arm
 from benchmarks.stress.disturbed import EXCHANGED
 from benchmarks.stress.operators import OPERATORS
-from benchmarks.stress.page import draw, monitor_row, one_table
+from benchmarks.stress.page import monitor_row, one_table
 from benchmarks.stress.rollouts import (
     Doses,
     cells_of,
@@ -43,7 +43,7 @@ from uniforce_vtla.results_file import provenance, write_json
 
 @dataclass
 class StressCommand:
-    """Roll out the faults that the stored screen puts near a cliff; draw one table.
+    """Roll out the faults that the stored screen puts near a cliff; make one table.
 
     Example: python -m benchmarks.stress policy=arms/vt/seed0,arms/vt/seed1 blind=arms/v/seed0
     Then: python -m benchmarks.stress part=page out=docs/results/stress.json
@@ -200,7 +200,7 @@ def roll_out(config: StressCommand) -> dict[str, Any]:
 
 
 def page(config: StressCommand) -> dict[str, Any]:
-    """Return the form of stress.json, and draw it."""
+    """Return the form of stress.json."""
     rolled = read_object(Path(config.work) / "rollouts.json", ContractError)
     screened = _facts(config, "stress_screen")["screened"]
     without_touch = _facts(config, "wiping")["arms"]["V"]
@@ -209,7 +209,6 @@ def page(config: StressCommand) -> dict[str, Any]:
     kind = wear(split(config.sensors)[0])(0).kind
     noticed = _facts(config, "monitor")["kinds"][kind]
     content["monitor"] = monitor_row(rolled["arms"], noticed, rolled["warned"])
-    draw(content, config.result.with_suffix(".png"))
     return content
 
 

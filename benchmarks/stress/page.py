@@ -1,15 +1,12 @@
-"""One table and one picture: how much of its clean success an arm keeps under each fault."""
+"""One table: how much of its clean success an arm keeps under each fault."""
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from benchmarks.stress.disturbed import SCENE_OPERATORS
 from benchmarks.stress.rollouts import mean_corruption_error
-from uniforce_vtla.figure_file import save_figure
 
 Arms = Mapping[str, Mapping[str, Any]]  # arm → operator → row of ``summarise``
 COSTLY = 0.2  # of clean wipes: a fault that costs as much has to be noticed
@@ -91,34 +88,3 @@ def monitor_row(
 def _share(row: Mapping[str, Any]) -> np.ndarray:
     """Return the share of clean wipes under each dose."""
     return np.array(row["clean"]) / np.maximum(row["n"], 1)
-
-
-def retention(row: Mapping[str, Any], usual: Mapping[str, Any]) -> np.ndarray:
-    """Return clean under each dose over clean without a fault, at most 1."""
-    return np.minimum(_share(row) / max(usual["clean"] / usual["n"], 1e-9), 1.0)
-
-
-def draw(table: Mapping[str, Any], path: Path) -> Path:
-    """Draw a row per operator that was rolled out, doses mild to severe, each with clean of n."""
-    operators = table["operators"]
-    own, usual = next(iter(table["clean_without_fault"].items()))
-    columns = max(len(row["doses"]) for row in operators.values())
-    size = max(7.5, 2.2 + 1.6 * columns), 1.2 + 0.42 * len(operators)
-    figure = Figure(figsize=size, layout="constrained")
-    axes = figure.subplots()
-    kept = np.full((len(operators), columns), np.nan)
-    for index, row in enumerate(operators.values()):
-        kept[index, : len(row["doses"])] = retention(row, usual)
-        for column, dose in enumerate(row["doses"]):
-            said = f"{dose:g} {row['unit']}\n{row['clean'][column]}/{row['n'][column]}, "
-            said += f"expert {row['expert'][column]}/{row['expert_n'][column]}"
-            axes.text(column, index, said, ha="center", va="center", fontsize=7)
-    image = axes.imshow(kept, vmin=0, vmax=1, cmap="RdYlGn", aspect="auto")
-    axes.set_yticks(range(len(operators)), list(operators), fontsize=8)
-    axes.set_xticks([])
-    axes.set_xlabel("doses that were rolled out, mild to severe")
-    clean = f"({usual['clean']}/{usual['n']})"
-    title = f"{own}: clean under a fault over clean without {clean}, simulated"
-    axes.set_title(title, fontsize=9)
-    figure.colorbar(image, label="kept")
-    return save_figure(figure, path)

@@ -17,7 +17,7 @@ from benchmarks.stress.actors import Arm, play
 from benchmarks.stress.disturbed import EXCHANGED, SCENE_OPERATORS, Disturbance, DisturbedEnv
 from benchmarks.stress.monitor import summary, watched
 from benchmarks.stress.operators import OPERATORS, worn_with
-from benchmarks.stress.page import draw, monitor_row, one_table, retention
+from benchmarks.stress.page import monitor_row, one_table
 from benchmarks.stress.readings import ReadsWorn
 from benchmarks.stress.rollouts import (
     cells_of,
@@ -297,8 +297,6 @@ def test_the_table_puts_the_right_expert_beside_each_operator(tmp_path) -> None:
     assert one_table(rolled, {}, {"n": 40, "clean": 20})["mce"] == pytest.approx(
         (0.125 + 0.625) / 0.5 / 2, abs=1e-3
     )
-    assert retention(operators["T1 lag"], {"clean": 20, "n": 40}).tolist() == [1.0, 1.0]
-    assert draw(table, tmp_path / "page.png").stat().st_size > 5000
 
 
 def test_the_monitor_is_judged_by_what_costs_twenty_points() -> None:
