@@ -16,8 +16,7 @@ from benchmarks.gates.readings import EverySixth, Frozen, PlaneKnown, ReadingExp
 from benchmarks.gates.scripts import HarderEachLook, KeepingExpert, LagIdentifying
 from benchmarks.ledger import played
 from benchmarks.scene_blocks import BLOCKS
-from benchmarks.stress.actors import row_of
-from benchmarks.stress.row import Row
+from benchmarks.stress.row import Row, row_of
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.episodes import Script, run_script
 from lerobot_env_uniforce_wiping.levels import Layout, get_level, level_hash

@@ -1,127 +1,82 @@
-"""Who acts in a cell: a policy, or the expert by the true wrench or by a mounted sensor."""
+"""Who acts in a cell of the curves, and one of its episodes."""
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
+from pathlib import Path
+from typing import Any
 
 import torch
 
-from benchmarks.stress.disturbed import SCENE_OPERATORS, Disturbance, DisturbedEnv
+from benchmarks.calibrations import calibration_folder
+from benchmarks.stress.disturbed import DisturbedEnv
+from benchmarks.stress.faults import FAULTS, NOTHING, SCALES
 from benchmarks.stress.readings import ReadsWorn, shipped_reader
-from benchmarks.stress.row import Row
-from benchmarks.stress.stock import StockController
-from benchmarks.stress.warning import first_event_s
-from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
+from benchmarks.stress.row import Row, row_of
 from lerobot_env_uniforce_wiping.episodes import run_script
 from lerobot_policy_pi05_uniforce.controller import PolicyController
-from uniforce_cli.boundary import worker_process
+from uniforce_cli.boundary import Gripper, Level, worker_process
 from uniforce_cli.score_settings import Rig
 from uniforce_cli.score_worker import policy_on_rig
 from uniforce_vtla.errors import SensorError
-from uniforce_vtla.evaluation.arms import whose_turn
-from uniforce_vtla.evaluation.episode import EpisodeResult
 from uniforce_vtla.evaluation.rollout import roll_out
+
+LEVEL: Level = "touch"
+GRIPPER: Gripper = "hand"
+SENSOR = "tactip:1"  # of the demonstrations
 
 
 @dataclass(frozen=True)
-class Arm:
-    """An actor, and the sensor of its right finger."""
+class Actor:
+    """A policy, or the expert that reads the same sensor."""
 
-    name: str
-    sensor: str = "tactip:1"  # in words
-    # stock: any LeRobot policy of cameras and state; expert: by the true wrench; reads: by the
-    # mounted sensor
-    acts: Literal["policy", "stock", "expert", "reads"] = "policy"
-    policies: tuple[str, ...] = ()  # checkpoint folders that take turns
-    calibration: str = ""  # folder; of a policy's sensor
-    # the sensor was calibrated with its fault: folder CALIBRATION+FAULT=DOSE
-    refitted: bool = False
-    monitor: Literal["stop", "off"] = "stop"  # of a policy's sensor
-    few: bool = False  # acts in the first scenes alone
+    is_policy: bool
+    is_weighed: bool = False  # its sensor was weighed through the tool, with a fault of its scale
 
 
-def play(
-    arm: Arm, level: str, words: str, operator: str, dose: float, cell: str, seed: int, first: int
-) -> Row:
-    """Let an arm act in one scene with a sensor in words, under an operator of the scene if any.
+ACTORS = {
+    "policy": Actor(True),
+    "policy, sensor weighed": Actor(True, is_weighed=True),
+    "expert that reads it": Actor(False),
+}
 
-    An episode that a refused sensor stops counts as aborted.
+
+def play(cell: str, actor: str, policy: str, fault: str, dose: float, seed: int, work: Path) -> Row:
+    """Let an actor wipe one scene; a reference that is refused ends it as aborted.
+
+    Args:
+        cell: name of the row.
+        actor: key of ``ACTORS``.
+        policy: checkpoint folder.
+        fault: key of ``FAULTS``; "" = none.
+        dose: of the fault.
+        seed: of the scene.
+        work: folder of the calibrations.
     """
     worker_process()
     torch.manual_seed(seed)
-    disturbance = Disturbance()
-    if operator in SCENE_OPERATORS:
-        disturbance = SCENE_OPERATORS[operator].disturb(dose)
-    act = {"policy": _policy, "stock": _stock, "expert": _expert, "reads": _reads}[arm.acts]
+    words = SENSOR
+    disturbance = NOTHING
+    if fault:
+        words += FAULTS[fault].words(dose)
+        disturbance = FAULTS[fault].scene(dose)
+    who = ACTORS[actor]
+    options: dict[str, Any] = {"gripper": GRIPPER}
     try:
-        env, result = act(arm, level, words, disturbance, seed, first)
-    except SensorError:  # the reference is refused: nothing is done, as on a robot
+        if not who.is_policy:
+            env = DisturbedEnv(disturbance, LEVEL, right_sensor=words, drawn=("right",), **options)
+            return row_of(cell, env, run_script(env, ReadsWorn("right", *shipped_reader()), seed))
+        calibration = ""
+        if who.is_weighed:
+            weighed = words if fault in SCALES else SENSOR
+            calibration = str(calibration_folder(weighed, "tool", work))
+        rig = Rig(LEVEL, "gelsight", words, right_calibration=calibration, **options)
+        controller = _controller(policy, rig)
+        env = DisturbedEnv(disturbance, LEVEL, "gelsight", words, drawn=controller.reads, **options)
+        return row_of(cell, env, roll_out(env, controller, seed).result)
+    except SensorError:  # nothing is done, as on a robot
         return Row(cell, seed, False, "aborted", 0.0, False, False)
-    return row_of(cell, env, result)
-
-
-def row_of(cell: str, env: WipeEnv, result: EpisodeResult) -> Row:
-    """Return what is kept of an episode."""
-    return Row(
-        cell,
-        env.scene.seed,
-        bool(result.clean),
-        result.outcome,
-        float(result.metrics.get("in_band_share", 0.0)),
-        bool(result.slippage),
-        bool(result.excess_force),
-        round(float(result.metrics.get("duration_s", 0.0)), 3),
-        first_event_s(env.trace, env.limits),
-    )
-
-
-Played = tuple[WipeEnv, EpisodeResult]
-
-
-def _policy(
-    arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int
-) -> Played:
-    calibration = arm.calibration
-    if arm.refitted:
-        calibration += words.removeprefix(arm.sensor)
-    rig = Rig(level, right_sensor=words, right_calibration=calibration, monitor=arm.monitor)
-    controller = _controller(whose_turn(seed - first, arm.policies), rig)
-    env = DisturbedEnv(
-        disturbance,
-        level,
-        rig.mounted["left"],
-        rig.mounted["right"],
-        drawn=controller.reads,
-        expose_wrench=controller.needs_true_wrench,
-    )
-    return env, roll_out(env, controller, seed).result
 
 
 @lru_cache(maxsize=64)
 def _controller(policy: str, rig: Rig) -> PolicyController:
     return policy_on_rig(policy, rig)[1]
-
-
-def _stock(
-    arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int
-) -> Played:
-    env = DisturbedEnv(disturbance, level, right_sensor=words, drawn=())
-    controller = _stock_controller(whose_turn(seed - first, arm.policies))
-    return env, roll_out(env, controller, seed).result
-
-
-_stock_controller = lru_cache(maxsize=8)(StockController)
-
-
-def _expert(
-    arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int
-) -> Played:
-    env = DisturbedEnv(disturbance, level, right_sensor=words, drawn=())
-    return env, run_script(env, WipeExpert(), seed)
-
-
-def _reads(
-    arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int
-) -> Played:
-    env = DisturbedEnv(disturbance, level, right_sensor=words, drawn=("right",))
-    return env, run_script(env, ReadsWorn("right", *shipped_reader()), seed)

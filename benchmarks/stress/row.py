@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass
 
+from lerobot_env_uniforce_wiping import WipeEnv
+from uniforce_vtla.evaluation.episode import EpisodeResult
+
 
 @dataclass(frozen=True)
 class Row:
@@ -14,5 +17,16 @@ class Row:
     in_band_share: float
     slippage: bool
     excess_force: bool
-    ended_s: float = 0.0
-    event_s: float | None = None  # when it first slipped, pressed too hard or lost what it held
+
+
+def row_of(cell: str, env: WipeEnv, result: EpisodeResult) -> Row:
+    """Return what is kept of an episode."""
+    return Row(
+        cell,
+        env.scene.seed,
+        bool(result.clean),
+        result.outcome,
+        float(result.metrics.get("in_band_share", 0.0)),
+        bool(result.slippage),
+        bool(result.excess_force),
+    )
