@@ -129,6 +129,6 @@ def _rows(
 def read_episode(source: Source, episode: Episode, sensor: ForceSensor) -> np.ndarray:
     """Return (T, 3) float32 N that a finger felt, in its own frame."""
     sensor.reset()
-    reference, current = marker_images(source, episode, sensor.finger)
+    reference, current = marker_images(episode, source.fps, sensor.finger)
     forces = [sensor.read_forces(reference, np.stack(images)) for images in batched(current, BATCH)]
     return np.concatenate(forces)

@@ -290,15 +290,15 @@ def opened_video(
 
 
 def marker_images(
-    source: Source, episode: Episode, finger: Finger
+    episode: Episode, fps: int, finger: Finger
 ) -> tuple[np.ndarray, Iterator[np.ndarray]]:
     """Return an episode's reference (H, W), and its marker images (H, W) one by one.
 
     Raises DatasetError: (when read) frames that are missing or truncated.
     """
     reference_span = episode.videos[tactile_key(finger, reference=True)]
-    reference = next(episode_frames(reference_span, episode.length, source.fps))
-    current = episode_frames(episode.videos[tactile_key(finger)], episode.length, source.fps)
+    reference = next(episode_frames(reference_span, episode.length, fps))
+    current = episode_frames(episode.videos[tactile_key(finger)], episode.length, fps)
     return _grey(reference), map(_grey, current)
 
 

@@ -21,7 +21,7 @@ import torch
 from tqdm import tqdm
 
 from uniforce_datasets.hashes import check_hashes, write_hashes
-from uniforce_datasets.source import Episode, episode_frames
+from uniforce_datasets.source import Episode, episode_frames, marker_images
 from uniforce_datasets.view_plan import (
     EpisodeFacts,
     ViewPlan,
@@ -241,12 +241,9 @@ def resize(image: np.ndarray, side: int) -> np.ndarray:
 
 def _latents(job: _Job, finger: Finger) -> np.ndarray:
     """Return a finger's latents (length, K·latent)."""
-    key = tactile_key(finger)
-    episode = job.episode
-    reference_video = episode.videos[tactile_key(finger, reference=True)]
-    reference = next(episode_frames(reference_video, episode.length, job.fps))[..., 0]
+    reference, current = marker_images(job.episode, job.fps, finger)
     latents = []
-    for frames in batched(episode_frames(episode.videos[key], episode.length, job.fps), BATCH):
-        images = np.stack([check_marker_image(frame[..., 0], key) for frame in frames])
+    for some in batched(current, BATCH):
+        images = np.stack([check_marker_image(image, tactile_key(finger)) for image in some])
         latents.append(job.encoder(reference, images, finger).astype(np.float32))
     return np.concatenate(latents)

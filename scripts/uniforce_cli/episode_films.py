@@ -41,7 +41,7 @@ def streams(
         raw = raw_touch(source, episode, finger)
         if raw is not None:
             yield f"raw/{finger}", raw
-        reference, current = marker_images(source, episode, finger)
+        reference, current = marker_images(episode, source.fps, finger)
         yield f"markers/{finger}", map(partial(overlay, reference), current)
         strength = summary.strength(finger)
         yield f"latent/{finger}", map(_heat, strength * (255 / max(float(strength.max()), 1e-6)))

@@ -189,14 +189,10 @@ def _encoded(episode: Episode, fps: int, finger: Finger, tokenizer: Tokenizer) -
 
     import numpy as np
 
-    from uniforce_datasets.source import episode_frames
-    from uniforce_vtla.keys import tactile_key
+    from uniforce_datasets.source import marker_images
 
-    span = episode.videos[tactile_key(finger, reference=True)]
-    reference = next(episode_frames(span, episode.length, fps))[..., 0]
-    frames = episode_frames(episode.videos[tactile_key(finger)], episode.length, fps)
+    reference, current = marker_images(episode, fps, finger)
     latents = []
-    for some in batched(islice(frames, 0, None, EVERY), BATCH):
-        images = np.stack([frame[..., 0] for frame in some])
-        latents.append(tokenizer.pooled(reference, images, finger))
+    for images in batched(islice(current, 0, None, EVERY), BATCH):
+        latents.append(tokenizer.pooled(reference, np.stack(images), finger))
     return latents

@@ -131,7 +131,7 @@ def descriptor_heads(folder: str = "") -> ForceReader:
     load = cache(lambda sensor: DescriptorHead.from_pretrained(sensor, folder or None))
 
     def read(source: Source, episode: Episode, finger: Finger) -> np.ndarray:
-        reference, current = marker_images(source, episode, finger)
+        reference, current = marker_images(episode, source.fps, finger)
         described = np.stack([descriptors(reference, image[None], finger)[0] for image in current])
         tared = described - described[:FREE_FRAMES].mean(axis=0) + UNTOUCHED
         return load(worn(source, episode, finger)).read(tared)
@@ -149,7 +149,7 @@ def felt_forces(tokenizer: Tokenizer, head: ForceHead) -> ForceReader:
     def read(source: Source, episode: Episode, finger: Finger) -> np.ndarray:
         sensor = sensors[finger]
         assert sensor.newtons is not None
-        reference, current = marker_images(source, episode, finger)
+        reference, current = marker_images(episode, source.fps, finger)
         forces_N = []
         for images in batched(current, BATCH):
             latent = sensor.encode(reference, np.stack(images))  # (B, K, L)
@@ -166,7 +166,7 @@ def latent_change(
 
     Each patch's latent minus its free-air latent, as the sensor sees it.
     """
-    reference, current = marker_images(source, episode, finger)
+    reference, current = marker_images(episode, source.fps, finger)
     rest = tokenizer.encode(reference, reference, finger)
     latents = []
     for images in batched(current, BATCH):
