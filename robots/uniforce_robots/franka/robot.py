@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from typing import Any
+from weakref import WeakSet
 
 import numpy as np
 from lerobot.cameras import Camera, make_cameras_from_configs
@@ -28,6 +29,11 @@ from uniforce_vtla.keys import AXES, force_axes
 
 log = logging.getLogger(__name__)
 STRATEGIES = "lerobot.rollout.strategies.core"
+CONNECTED: WeakSet["UniforceFranka"] = WeakSet()  # while there is one, nothing leads an arm back
+
+
+# LeRobot's rollout strategy → its own return motion, while that is replaced
+_return_motions: dict[type, Callable[..., None]] = {}
 
 
 def forbid_return_motion() -> bool:
@@ -37,9 +43,20 @@ def forbid_return_motion() -> bool:
     can't tell those actions from a policy's. Return whether a rollout is loaded.
     """
     module = sys.modules.get(STRATEGIES)
-    if module is not None:
-        module.RolloutStrategy._return_to_initial_position = staticmethod(_stay)
-    return module is not None
+    if module is None:
+        return False
+    strategy = module.RolloutStrategy
+    if strategy not in _return_motions:
+        _return_motions[strategy] = strategy._return_to_initial_position
+        strategy._return_to_initial_position = staticmethod(_stay)
+    return True
+
+
+def allow_return_motion() -> None:
+    """Give LeRobot its own return motion back, for other robots."""
+    while _return_motions:
+        strategy, motion = _return_motions.popitem()
+        strategy._return_to_initial_position = staticmethod(motion)  # type: ignore[attr-defined]
 
 
 def _stay(*_: object, **__: object) -> None:
@@ -132,6 +149,7 @@ class UniforceFranka(Robot):
             raise RobotError(
                 "robot: expected one not connected, got one that is. Disconnect first.", "other"
             )
+        CONNECTED.add(self)
         forbid_return_motion()
         try:
             self._connect_all()
@@ -194,6 +212,9 @@ class UniforceFranka(Robot):
         # last in, first out, and each of them even if another one fails
         with ExitStack() as closing:
             closing.callback(log.info, "guards acted: %s", counts)
+            CONNECTED.discard(self)
+            if not CONNECTED:
+                closing.callback(allow_return_motion)
             for camera in self.cameras.values():
                 if camera.is_connected:
                     closing.callback(camera.disconnect)

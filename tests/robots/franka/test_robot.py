@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import draccus
 import numpy as np
@@ -20,7 +21,7 @@ from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka import robot as module
 from uniforce_robots.franka.arm import Gains
 from uniforce_robots.franka.limits import StreamSettings
-from uniforce_robots.franka.robot import STRATEGIES, forbid_return_motion
+from uniforce_robots.franka.robot import STRATEGIES, allow_return_motion, forbid_return_motion
 from uniforce_robots.sensors import UniforceTactileCameraConfig
 from uniforce_robots.sensors.faults import FrozenSensorError, LostSensorError, StaleSensorError
 from uniforce_robots.sensors.plain_camera import FROZEN_AFTER, PlainCamera
@@ -200,9 +201,30 @@ def test_lerobots_rollout_does_not_lead_the_arm_back(monkeypatch: pytest.MonkeyP
     strategies.RolloutStrategy._return_to_initial_position(Hardware, duration_s=0.04)
     assert sent, "LeRobot's own would have moved: if it no longer does, forbid_return_motion can go"
     sent.clear()
-    assert forbid_return_motion()
+    assert forbid_return_motion() and forbid_return_motion()
     strategies.RolloutStrategy._return_to_initial_position(Hardware, duration_s=0.04)
     assert not sent
+    allow_return_motion()
+    strategies.RolloutStrategy._return_to_initial_position(Hardware, duration_s=0.04)
+    assert sent, "other robots may return"
+
+
+def test_no_arm_is_led_back_while_a_robot_is_connected(
+    robot: UniforceFranka, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    class RolloutStrategy:
+        @staticmethod
+        def _return_to_initial_position() -> str:
+            return "moves"
+
+    loaded = SimpleNamespace(RolloutStrategy=RolloutStrategy)
+    monkeypatch.setitem(sys.modules, STRATEGIES, loaded)
+    with UniforceFranka(UniforceFrankaConfig(id="other", calibration_dir=tmp_path)) as other:
+        robot.connect()
+        other.disconnect()
+        assert RolloutStrategy._return_to_initial_position() is None
+    robot.disconnect()
+    assert RolloutStrategy._return_to_initial_position() == "moves"
 
 
 @dataclass
