@@ -49,9 +49,9 @@ class PI05UniforcePolicy(stock.PI05Policy):
 
     Args:
         config: settings.
-        dataset_stats: training statistics; quantile spans are floored in place, for the trainer's
-            own normaliser too.
-        dataset_meta: training data; a view's tokenizer must be the policy's.
+        dataset_stats: training statistics; left as they are.
+        dataset_meta: training data; a view's tokenizer must be the policy's. Its ``stats`` become a
+            copy with floored quantile spans: LeRobot's trainer hands those to a stored normaliser.
         empty: leave the backbone without weights, for ``weights.fill``: base is never held twice.
     """
 
@@ -119,7 +119,9 @@ class PI05UniforcePolicy(stock.PI05Policy):
             training.read_provenance(meta, config)
             training.read_carried(meta, config, self.model.tactile_encoder)
         if stats:
-            stats.update(floor_quantiles(stats))
+            if meta is not None:
+                # fine-tuning skips our processor factory, and asks the policy for no statistics
+                meta.stats = floor_quantiles(stats)
             config.action.target_range = training.read_target_range(stats)
             scale = training.read_touch_scale(stats, config)
             if scale is not None:

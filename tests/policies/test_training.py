@@ -17,6 +17,7 @@ from lerobot.scripts import lerobot_train
 from safetensors.torch import load_file, save_file
 
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy
+from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import SPAN_FLOOR
 from uniforce_cli import lerobot_training, share
 from uniforce_cli.compat import patched_trainer
 from uniforce_vtla.errors import ContractError, DatasetError
@@ -27,7 +28,10 @@ AXES = ["x.pos", "y.pos", "z.pos", "yaw.pos", "width.pos"]
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two episodes of ten frames with cameras, state, cached latents and absolute targets."""
+    """Two episodes of ten frames with cameras, state, cached latents and absolute targets.
+
+    The hand never turns.
+    """
     root = tmp_path_factory.mktemp("data") / "wipe"
     image = {"dtype": "image", "shape": (28, 28, 3), "names": ["height", "width", "channels"]}
     five = {"dtype": "float32", "shape": (5,), "names": AXES}
@@ -46,6 +50,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
             frame |= {
                 k: random.random(5, dtype=np.float32) for k in ("observation.state", "action")
             }
+            frame["observation.state"][3] = 0.5
             frame["observation.latent.touch0"] = (7 + 4 * random.standard_normal(96)).astype(
                 np.float32
             )
@@ -155,6 +160,9 @@ def test_our_trainer_makes_lerobots_weights_and_leaves_lerobot_as_it_was(
             stock = load_file(run["stock"] / LAST / f"{file}.safetensors")
             assert ours.keys() == stock.keys()
             assert not [key for key in ours if not torch.equal(ours[key], stock[key])]
+        normalizer = load_file(run["stock"] / LAST / f"{NORMALIZERS[0]}.safetensors")
+        span = normalizer["observation.state.q99"] - normalizer["observation.state.q01"]
+        assert span[3] == pytest.approx(SPAN_FLOOR[3]), "a still axis can't explode at rollout"
 
 
 def lerobots_state() -> list[object]:
