@@ -542,6 +542,9 @@ def test_real_time_chunking_is_refused_where_actions_are_deltas(make_policy, mak
             call()
     free = make_policy(touch__input="none", action__form="absolute", rtc_config=rtc)
     assert free.supports_rtc()
+    rtc.mode = "trained"  # of LeRobot's main
+    with pytest.raises(ContractError, match=r"rtc_config\.mode: expected guided, got trained"):
+        free.init_rtc_processor()
 
 
 def test_a_loaded_policy_has_answered_before_a_robot_is_connected(

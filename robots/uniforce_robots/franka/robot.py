@@ -32,8 +32,10 @@ STRATEGIES = "lerobot.rollout.strategies.core"
 CONNECTED: WeakSet["UniforceFranka"] = WeakSet()  # while there is one, nothing leads an arm back
 
 
-# LeRobot's rollout strategy → its own return motion, while that is replaced
-_return_motions: dict[type, Callable[..., None]] = {}
+# LeRobot 0.6's name, and its main's
+RETURN_MOTIONS = ("_return_to_initial_position", "return_to_initial_position")
+# LeRobot's rollout strategy and its own return motion, while that is replaced
+_replaced: list[tuple[type, str, Callable[..., Any]]] = []
 
 
 def forbid_return_motion() -> bool:
@@ -41,26 +43,36 @@ def forbid_return_motion() -> bool:
 
     It would lead the arm back to its start, through whatever is there, even after a stop. The robot
     can't tell those actions from a policy's. Return whether a rollout is loaded.
+
+    Raises ContractError: this LeRobot calls that motion by another name.
     """
     module = sys.modules.get(STRATEGIES)
     if module is None:
         return False
     strategy = module.RolloutStrategy
-    if strategy not in _return_motions:
-        _return_motions[strategy] = strategy._return_to_initial_position
-        strategy._return_to_initial_position = staticmethod(_stay)
+    names = [name for name in RETURN_MOTIONS if hasattr(strategy, name)]
+    if not names:
+        do = "Install lerobot>=0.6.1,<0.7."
+        raise ContractError(expected("LeRobot's rollout", RETURN_MOTIONS, "neither", do))
+    for name in names:
+        motion = getattr(strategy, name)
+        if motion is not _stay:
+            _replaced.append((strategy, name, motion))
+            setattr(strategy, name, staticmethod(_stay))
     return True
 
 
 def allow_return_motion() -> None:
     """Give LeRobot its own return motion back, for other robots."""
-    while _return_motions:
-        strategy, motion = _return_motions.popitem()
-        strategy._return_to_initial_position = staticmethod(motion)  # type: ignore[attr-defined]
+    while _replaced:
+        strategy, name, motion = _replaced.pop()
+        setattr(strategy, name, staticmethod(motion))
 
 
-def _stay(*_: object, **__: object) -> None:
+def _stay(*_: object, **__: object) -> bool:
+    """Move nothing; False: LeRobot's main asks whether the start was reached."""
     log.info("uniforce_franka stays where it is: no motion after the end")
+    return False
 
 
 class UniforceFranka(Robot):
@@ -143,15 +155,15 @@ class UniforceFranka(Robot):
 
         Raises RobotError: already connected, no answer in time, wrong version, no client installed;
         SensorError: a camera or finger without signal, another sensor than configured, or no free
-        air for its reference.
+        air for its reference; ContractError: a LeRobot with an unknown return motion.
         """
         if self.is_connected:
             raise RobotError(
                 "robot: expected one not connected, got one that is. Disconnect first.", "other"
             )
         CONNECTED.add(self)
-        forbid_return_motion()
         try:
+            forbid_return_motion()
             self._connect_all()
         finally:
             if self._stream is None:  # something on the way failed, cameras included
