@@ -37,7 +37,7 @@ TOUCH_KEYS = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass
 class ViewMetadata:
     """The part of LeRobot's dataset metadata that its trainer and policies read.
 

@@ -75,6 +75,13 @@ CHOICES = {
     "sampler.kind": ("fast", "eager", "stock"),
 }
 
+# Settings of π0.5 in LeRobot's main that our samplers don't serve → the value that is off
+NOT_SERVED = {
+    "use_visual_memory": False,
+    "use_proprioceptive_memory": False,
+    "rtc_training_max_delay": 0,
+}
+
 
 @dataclass
 class TouchSettings:
@@ -266,6 +273,9 @@ class PI05UniforceConfig(PI05Config):
                 setattr(owner, name, copy.deepcopy(value))
 
     def _check_together(self) -> None:
+        for name, off in NOT_SERVED.items():
+            came = getattr(self, name, off)  # LeRobot 0.6 doesn't have them
+            _require(came == off, name, f"{off}: this policy's samplers don't serve it", came)
         touch = self.touch
         action = self.action
         stock = self.compile_model or self.gradient_checkpointing or self.dtype != "float32"

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Self
 
 import torch
-from huggingface_hub import ModelCard
+from huggingface_hub import ModelCard, save_torch_state_dict
 from lerobot.policies.pi05 import modeling_pi05 as stock
 from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.utils.constants import OBS_LANGUAGE_ATTENTION_MASK, OBS_LANGUAGE_TOKENS
@@ -38,6 +38,7 @@ from uniforce_vtla.markers import MARKER_IMAGES
 
 logger = logging.getLogger(__name__)
 
+ONE_FILE = "1TB"  # weights are never split over several files
 # LeRobot's real-time chunking gives them
 RTC_ARGUMENTS = frozenset(("prev_chunk_left_over", "inference_delay", "execution_horizon"))
 # the second one finds the reference in memory; a health monitor judges from the third on
@@ -49,9 +50,9 @@ class PI05UniforcePolicy(stock.PI05Policy):
 
     Args:
         config: settings.
-        dataset_stats: training statistics; quantile spans are floored in place, for the trainer's
-            own normaliser too.
-        dataset_meta: training data; a view's tokenizer must be the policy's.
+        dataset_stats: training statistics; left as they are.
+        dataset_meta: training data; a view's tokenizer must be the policy's. Its ``stats`` become a
+            copy with floored quantile spans: LeRobot's trainer hands those to a stored normaliser.
         empty: leave the backbone without weights, for ``weights.fill``: base is never held twice.
     """
 
@@ -96,9 +97,13 @@ class PI05UniforcePolicy(stock.PI05Policy):
         return self.config.action.form == "absolute"
 
     def init_rtc_processor(self) -> None:
-        """Take ``config.rtc_config`` in; ContractError where actions are deltas."""
+        """Take ``config.rtc_config`` in; ContractError: actions are deltas, or its mode is new."""
         if self._rtc_enabled():
             self._refuse_rtc("rtc_config")
+            mode = getattr(self.config.rtc_config, "mode", "guided")  # LeRobot 0.6 has no other
+            if mode != "guided":
+                do = "Set inference.rtc.mode=guided."
+                raise ContractError(expected("rtc_config.mode", "guided", mode, do))
         super().init_rtc_processor()
 
     def _refuse_rtc(self, came: str) -> None:
@@ -119,7 +124,9 @@ class PI05UniforcePolicy(stock.PI05Policy):
             training.read_provenance(meta, config)
             training.read_carried(meta, config, self.model.tactile_encoder)
         if stats:
-            stats.update(floor_quantiles(stats))
+            if meta is not None:
+                # fine-tuning skips our processor factory, and asks the policy for no statistics
+                meta.stats = floor_quantiles(stats)
             config.action.target_range = training.read_target_range(stats)
             scale = training.read_touch_scale(stats, config)
             if scale is not None:
@@ -211,7 +218,8 @@ class PI05UniforcePolicy(stock.PI05Policy):
         state = self.state_dict() if state_dict is None else state_dict
         if is_packaged(self.config):
             state = {name: tensor for name, tensor in state.items() if not name.startswith(ENCODER)}
-        super()._save_pretrained(save_directory, state)
+        self.config._save_pretrained(save_directory)
+        save_torch_state_dict(state, save_directory, max_shard_size=ONE_FILE)
         model_card(self.config).save(save_directory / CARD)
 
     def generate_model_card(self, *args: Any, cfg: Any = None, **kwargs: Any) -> ModelCard:

@@ -136,7 +136,7 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         if self.fast is None or self.adapted or self.rtc_processor is not None:
             with self.feeling(felt):
                 return super().sample_actions(
-                    images, img_masks, tokens, masks, noise, num_steps, **kwargs
+                    images, img_masks, tokens, masks, noise=noise, num_steps=num_steps, **kwargs
                 )
         inputs = Inputs(images, img_masks, tokens, masks, felt)
         return self.fast.sample(inputs, noise, num_steps or self.config.num_inference_steps)
@@ -178,11 +178,17 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
             self._touch = None
 
     def embed_prefix(
-        self, images: list[Tensor], img_masks: list[Tensor], tokens: Tensor, masks: Tensor
+        self,
+        images: list[Tensor],
+        img_masks: list[Tensor],
+        tokens: Tensor,
+        masks: Tensor,
+        *_: None,
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Embed cameras and text as π0.5 does, then append state and force tokens to their block.
 
-        Appended last, they leave image and text positions as they were.
+        Appended last, they leave image and text positions as they were. LeRobot's main also hands
+        over past states and their masks: None, since our settings refuse its memory.
         """
         embs, pads, atts = super().embed_prefix(images, img_masks, tokens, masks)
         before = embs.shape[1]

@@ -5,10 +5,9 @@ import io
 import logging
 import sys
 from argparse import ArgumentError
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stderr
+from collections.abc import Mapping, Sequence
+from contextlib import redirect_stderr
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +17,13 @@ from accelerate.utils import DistributedDataParallelKwargs
 from draccus.utils import DraccusException
 from lerobot.configs import parser
 from lerobot.configs.train import TRAIN_CONFIG_NAME, TrainPipelineConfig
-from lerobot.datasets import factory
 from lerobot.scripts import lerobot_train
 from lerobot.utils.constants import PRETRAINED_MODEL_DIR
 from lerobot.utils.import_utils import register_third_party_plugins
 
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig
 from uniforce_cli.boundary import one_thread
+from uniforce_cli.compat import patched_trainer
 from uniforce_vtla.arguments import Option, check, options_of, read_value, reason_of, split_words
 from uniforce_vtla.errors import (
     CheckpointError,
@@ -33,11 +32,9 @@ from uniforce_vtla.errors import (
     UniForceError,
     expected,
 )
-from uniforce_vtla.file_hashes import write_hashes
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import VIEW_MARKER
 from uniforce_vtla.options import Range, Writable, at_home, check_text, shortened
-from uniforce_vtla.results_file import PROVENANCE, provenance, write_json
 
 VERIFY = "verify="
 EPISODES = "dataset.episodes"
@@ -122,61 +119,6 @@ class TrainingAccelerator(Accelerator):
         super().end_training()
 
 
-@contextmanager
-def replaced(owner: Any, name: str, stand_in: Callable[..., Any]) -> Iterator[None]:
-    """Let ``stand_in(stock, …)`` answer for a function of LeRobot's that can't be exchanged."""
-    stock = getattr(owner, name)
-    setattr(owner, name, partial(stand_in, stock))
-    try:
-        yield
-    finally:
-        setattr(owner, name, stock)
-
-
-@contextmanager
-def training_views(verify: str = "") -> Iterator[None]:
-    """Let LeRobot's trainer read a training view at the dataset root, and no dataset unchecked."""
-
-    def make_dataset(stock: Any, cfg: Any) -> Any:
-        # pulls in the recorder's libraries
-        from uniforce_datasets.training_view import make_training_dataset
-
-        root = cfg.dataset.root
-        if root is None or not (Path(root) / VIEW_MARKER).is_file():
-            return make_training_dataset(cfg, partial(_stock_dataset, stock), verify)
-        if cfg.dataset.eval_split:
-            do = "Make a view of the held-out episodes instead."
-            came = cfg.dataset.eval_split
-            wanted = "0 with a training view"
-            raise ContractError(expected("dataset.eval_split", wanted, came, do))
-        return make_training_dataset(cfg, stock, verify)
-
-    with replaced(factory, "make_dataset", make_dataset):
-        yield
-
-
-def _stock_dataset(stock: Any, cfg: Any) -> Any:
-    """Return LeRobot's dataset; ContractError: it can't be read from the folder or the hub."""
-    where = cfg.dataset.root or cfg.dataset.repo_id
-    try:
-        return stock(cfg)
-    except (OSError, ValueError, KeyError, IndexError, TypeError) as error:
-        do = "Look at it, or record it again."
-        raise ContractError(
-            expected("dataset", f"a whole dataset in {where}", _said(error), do)
-        ) from error
-
-
-def _save_hashed(stock: Any, checkpoint_dir: Path, **given: Any) -> None:
-    """Save a checkpoint, its provenance and its ``hashes.json``.
-
-    Here, since LeRobot saves the processors after the policy.
-    """
-    stock(checkpoint_dir=checkpoint_dir, **given)
-    write_json(checkpoint_dir / PRETRAINED_MODEL_DIR / PROVENANCE, provenance())
-    write_hashes(checkpoint_dir / PRETRAINED_MODEL_DIR)
-
-
 def trains_ours(flags: Sequence[str]) -> bool:
     """Return whether these flags name a pi05_uniforce, by type or by a checkpoint's folder."""
     given = dict(flag[2:].split("=", 1) for flag in flags if flag.startswith("--") and "=" in flag)
@@ -195,6 +137,7 @@ def read_settings(flags: Sequence[str]) -> TrainPipelineConfig:
     that can't be used.
     """
     said = io.StringIO()
+    disabled = logging.root.manager.disable
     # what LeRobot warns of here, it does again when the work begins
     logging.disable(logging.WARNING)
     try:
@@ -214,7 +157,7 @@ def read_settings(flags: Sequence[str]) -> TrainPipelineConfig:
             expected("settings", "what LeRobot takes", _said(reason), "See --help.")
         ) from error
     finally:
-        logging.disable(logging.NOTSET)
+        logging.disable(disabled)
     return settings
 
 
@@ -321,7 +264,7 @@ def train(argv: Sequence[str]) -> None:
             # a second one buys nothing, and beside other programs they wait for each other
             one_thread()
         accelerator = TrainingAccelerator(config.policy) if ours else None
-        with training_views(verify), replaced(lerobot_train, "save_checkpoint", _save_hashed):
+        with patched_trainer(verify):
             lerobot_train.train(accelerator=accelerator)
         if ours:
             policy = f"{config.output_dir}/checkpoints/last/pretrained_model"

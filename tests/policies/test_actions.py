@@ -1,3 +1,4 @@
+import copy
 import json
 import math
 import sys
@@ -205,9 +206,25 @@ def test_quantile_spans_are_floored(low, span):
     assert floored["other"] is stat
 
 
-def test_a_still_axis_cannot_explode(make_config, stats):
+@pytest.fixture
+def still(stats):
+    """Statistics of demos that never turned the hand."""
     still = {k: {**v, "q01": v["q01"].copy(), "q99": v["q99"].copy()} for k, v in stats.items()}
     still["observation.state"]["q99"][3] = still["observation.state"]["q01"][3]
+    return still
+
+
+def test_a_policy_leaves_the_callers_statistics_alone(make_config, still):
+    before = copy.deepcopy(still)
+    meta = SimpleNamespace(stats=still, root="")
+    PI05UniforcePolicy(make_config(touch__input="none"), dataset_stats=still, dataset_meta=meta)
+    np.testing.assert_equal(still, before)
+    # where LeRobot's trainer takes a stored normaliser's from
+    state = meta.stats["observation.state"]
+    assert np.allclose((state["q99"] - state["q01"])[3], SPAN_FLOOR[3])
+
+
+def test_a_still_axis_cannot_explode(make_config, still):
     before, _ = make_processors(make_config(touch__input="none"), still)
     state = torch.tensor(still["observation.state"]["q01"], dtype=torch.float32)
     state[3] += 0.01  # rad
@@ -525,6 +542,9 @@ def test_real_time_chunking_is_refused_where_actions_are_deltas(make_policy, mak
             call()
     free = make_policy(touch__input="none", action__form="absolute", rtc_config=rtc)
     assert free.supports_rtc()
+    rtc.mode = "trained"  # of LeRobot's main
+    with pytest.raises(ContractError, match=r"rtc_config\.mode: expected guided, got trained"):
+        free.init_rtc_processor()
 
 
 def test_a_loaded_policy_has_answered_before_a_robot_is_connected(

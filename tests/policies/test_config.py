@@ -9,7 +9,7 @@ from lerobot.configs import PreTrainedConfig
 from lerobot.scripts import lerobot_train
 
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig
-from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import OFF
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import NOT_SERVED, OFF
 from uniforce_vtla.errors import ContractError
 
 GROUPS = ("touch", "action", "augment", "tiny", "sampler")
@@ -70,6 +70,18 @@ def test_there_are_at_most_25_settings_of_our_own_at_the_top_and_35_in_groups() 
         len(own) <= 25
         and sum(len(dataclasses.fields(getattr(parsed(), group))) for group in GROUPS) <= 35
     )
+
+
+@pytest.mark.parametrize("name", NOT_SERVED)
+def test_what_lerobots_main_adds_and_no_sampler_serves_is_refused(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(PI05UniforceConfig, name, NOT_SERVED[name] + 1, raising=False)
+    settings = {}
+    if name in PI05UniforceConfig.__dataclass_fields__:
+        settings[name] = NOT_SERVED[name] + 1
+    with pytest.raises(ContractError, match=f"{name}: expected {NOT_SERVED[name]}"):
+        PI05UniforceConfig(size="tiny", device="cpu", **settings)
 
 
 def test_auto_size_is_tiny_on_a_cpu() -> None:

@@ -1,5 +1,6 @@
 import importlib.util
 import json
+import logging
 import os
 import shutil
 import sys
@@ -12,18 +13,25 @@ import pytest
 import torch
 from lerobot.datasets import factory
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from lerobot.scripts import lerobot_train
 from safetensors.torch import load_file, save_file
 
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy
+from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import SPAN_FLOOR
 from uniforce_cli import lerobot_training, share
+from uniforce_cli.compat import patched_trainer
 from uniforce_vtla.errors import ContractError, DatasetError
+from uniforce_vtla.keys import VIEW_MARKER
 
 AXES = ["x.pos", "y.pos", "z.pos", "yaw.pos", "width.pos"]
 
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two episodes of ten frames with cameras, state, cached latents and absolute targets."""
+    """Two episodes of ten frames with cameras, state, cached latents and absolute targets.
+
+    The hand never turns.
+    """
     root = tmp_path_factory.mktemp("data") / "wipe"
     image = {"dtype": "image", "shape": (28, 28, 3), "names": ["height", "width", "channels"]}
     five = {"dtype": "float32", "shape": (5,), "names": AXES}
@@ -42,6 +50,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
             frame |= {
                 k: random.random(5, dtype=np.float32) for k in ("observation.state", "action")
             }
+            frame["observation.state"][3] = 0.5
             frame["observation.latent.touch0"] = (7 + 4 * random.standard_normal(96)).astype(
                 np.float32
             )
@@ -57,6 +66,11 @@ def latents_in(dataset: Path) -> np.ndarray:
     return np.array(rows["observation.latent.touch0"], dtype=np.float32)
 
 
+LAST = Path("checkpoints/last/pretrained_model")
+NORMALIZERS = (
+    "policy_preprocessor_step_3_normalizer_processor",
+    "policy_postprocessor_step_0_unnormalizer_processor",
+)
 SMALL = "tiny.width=64 tiny.depth=2 tiny.mlp_dim=32 image_resolution=[28,28]"
 
 
@@ -122,14 +136,53 @@ def test_lerobot_trains_saves_and_resumes(dataset, tokenizer_path, tmp_path, mon
     assert "observation.state.q99" in saved
 
 
+def stock_train(settings: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, "argv", ["lerobot-train", *lerobot_training.to_lerobot(settings)])
+        lerobot_train.main()
+
+
+def test_our_trainer_makes_lerobots_weights_and_leaves_lerobot_as_it_was(
+    dataset, tokenizer_path, tmp_path, monkeypatch
+):
+    """From nothing, then from that checkpoint: LeRobot gives the normaliser the data's statistics."""
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+    start = policy_settings(tokenizer_path)
+    tuned = [f"policy.path={tmp_path / 'begun/stock' / LAST}", "policy.device=cpu"]
+    for name, policy in (("begun", start), ("tuned", tuned)):
+        run = {kind: tmp_path / name / kind for kind in ("ours", "stock")}
+        stock_train([*policy, *run_settings(dataset, run["stock"])], monkeypatch)
+        before = lerobots_state()
+        lerobot_training.train([*policy, *run_settings(dataset, run["ours"])])
+        assert lerobots_state() == before
+        for file in ("model", *NORMALIZERS):
+            ours = load_file(run["ours"] / LAST / f"{file}.safetensors")
+            stock = load_file(run["stock"] / LAST / f"{file}.safetensors")
+            assert ours.keys() == stock.keys()
+            assert not [key for key in ours if not torch.equal(ours[key], stock[key])]
+        normalizer = load_file(run["stock"] / LAST / f"{NORMALIZERS[0]}.safetensors")
+        span = normalizer["observation.state.q99"] - normalizer["observation.state.q01"]
+        assert span[3] == pytest.approx(SPAN_FLOOR[3]), "a still axis can't explode at rollout"
+
+
+def lerobots_state() -> list[object]:
+    """Return what a training could leave changed."""
+    return [
+        factory.make_dataset,
+        lerobot_train.save_checkpoint,
+        list(sys.argv),
+        logging.root.manager.disable,
+    ]
+
+
 def test_a_training_view_is_read_through_its_own_reader(tmp_path, monkeypatch):
     module = ModuleType("uniforce_datasets.training_view")
     module.make_training_dataset = lambda cfg, stock, verify: ("view", stock)
     monkeypatch.setitem(sys.modules, "uniforce_datasets.training_view", module)
     stock = factory.make_dataset
     cfg = SimpleNamespace(dataset=SimpleNamespace(root=tmp_path, eval_split=0.0))
-    (tmp_path / lerobot_training.VIEW_MARKER).write_text("{}")
-    with lerobot_training.training_views():
+    (tmp_path / VIEW_MARKER).write_text("{}")
+    with patched_trainer():
         assert factory.make_dataset(cfg) == ("view", stock)
         cfg.dataset.eval_split = 0.1
         with pytest.raises(ContractError, match="eval_split"):
@@ -147,13 +200,13 @@ def test_other_datasets_are_checked_and_stay_with_lerobot(dataset, tmp_path, mon
     }
     local = SimpleNamespace(root=root, repo_id="local/wipe", **plain)
     shared = SimpleNamespace(root=None, repo_id="somebody/wipe", **plain)
-    with lerobot_training.training_views():
+    with patched_trainer():
         assert factory.make_dataset(SimpleNamespace(dataset=local)).root == root
         next((root / "data").rglob("*.parquet")).unlink()
         for given in (local, shared):
             with pytest.raises(DatasetError, match="parquet"):
                 factory.make_dataset(SimpleNamespace(dataset=given))
-    with lerobot_training.training_views("off"):
+    with patched_trainer("off"):
         assert factory.make_dataset(SimpleNamespace(dataset=local)).root == root
 
 

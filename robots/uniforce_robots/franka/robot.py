@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from typing import Any
+from weakref import WeakSet
 
 import numpy as np
 from lerobot.cameras import Camera, make_cameras_from_configs
@@ -28,6 +29,13 @@ from uniforce_vtla.keys import AXES, force_axes
 
 log = logging.getLogger(__name__)
 STRATEGIES = "lerobot.rollout.strategies.core"
+CONNECTED: WeakSet["UniforceFranka"] = WeakSet()  # while there is one, nothing leads an arm back
+
+
+# LeRobot 0.6's name, and its main's
+RETURN_MOTIONS = ("_return_to_initial_position", "return_to_initial_position")
+# LeRobot's rollout strategy and its own return motion, while that is replaced
+_replaced: list[tuple[type, str, Callable[..., Any]]] = []
 
 
 def forbid_return_motion() -> bool:
@@ -35,15 +43,36 @@ def forbid_return_motion() -> bool:
 
     It would lead the arm back to its start, through whatever is there, even after a stop. The robot
     can't tell those actions from a policy's. Return whether a rollout is loaded.
+
+    Raises ContractError: this LeRobot calls that motion by another name.
     """
     module = sys.modules.get(STRATEGIES)
-    if module is not None:
-        module.RolloutStrategy._return_to_initial_position = staticmethod(_stay)
-    return module is not None
+    if module is None:
+        return False
+    strategy = module.RolloutStrategy
+    names = [name for name in RETURN_MOTIONS if hasattr(strategy, name)]
+    if not names:
+        do = "Install lerobot>=0.6.1,<0.7."
+        raise ContractError(expected("LeRobot's rollout", RETURN_MOTIONS, "neither", do))
+    for name in names:
+        motion = getattr(strategy, name)
+        if motion is not _stay:
+            _replaced.append((strategy, name, motion))
+            setattr(strategy, name, staticmethod(_stay))
+    return True
 
 
-def _stay(*_: object, **__: object) -> None:
+def allow_return_motion() -> None:
+    """Give LeRobot its own return motion back, for other robots."""
+    while _replaced:
+        strategy, name, motion = _replaced.pop()
+        setattr(strategy, name, staticmethod(motion))
+
+
+def _stay(*_: object, **__: object) -> bool:
+    """Move nothing; False: LeRobot's main asks whether the start was reached."""
     log.info("uniforce_franka stays where it is: no motion after the end")
+    return False
 
 
 class UniforceFranka(Robot):
@@ -126,14 +155,15 @@ class UniforceFranka(Robot):
 
         Raises RobotError: already connected, no answer in time, wrong version, no client installed;
         SensorError: a camera or finger without signal, another sensor than configured, or no free
-        air for its reference.
+        air for its reference; ContractError: a LeRobot with an unknown return motion.
         """
         if self.is_connected:
             raise RobotError(
                 "robot: expected one not connected, got one that is. Disconnect first.", "other"
             )
-        forbid_return_motion()
+        CONNECTED.add(self)
         try:
+            forbid_return_motion()
             self._connect_all()
         finally:
             if self._stream is None:  # something on the way failed, cameras included
@@ -194,6 +224,9 @@ class UniforceFranka(Robot):
         # last in, first out, and each of them even if another one fails
         with ExitStack() as closing:
             closing.callback(log.info, "guards acted: %s", counts)
+            CONNECTED.discard(self)
+            if not CONNECTED:
+                closing.callback(allow_return_motion)
             for camera in self.cameras.values():
                 if camera.is_connected:
                     closing.callback(camera.disconnect)

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import draccus
 import numpy as np
@@ -20,7 +21,12 @@ from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka import robot as module
 from uniforce_robots.franka.arm import Gains
 from uniforce_robots.franka.limits import StreamSettings
-from uniforce_robots.franka.robot import STRATEGIES, forbid_return_motion
+from uniforce_robots.franka.robot import (
+    RETURN_MOTIONS,
+    STRATEGIES,
+    allow_return_motion,
+    forbid_return_motion,
+)
 from uniforce_robots.sensors import UniforceTactileCameraConfig
 from uniforce_robots.sensors.faults import FrozenSensorError, LostSensorError, StaleSensorError
 from uniforce_robots.sensors.plain_camera import FROZEN_AFTER, PlainCamera
@@ -197,12 +203,42 @@ def test_lerobots_rollout_does_not_lead_the_arm_back(monkeypatch: pytest.MonkeyP
 
         initial_position = action(0.1)
 
-    strategies.RolloutStrategy._return_to_initial_position(Hardware, duration_s=0.04)
+    strategy = strategies.RolloutStrategy
+    (name,) = (name for name in RETURN_MOTIONS if hasattr(strategy, name))
+    getattr(strategy, name)(Hardware, duration_s=0.04)
     assert sent, "LeRobot's own would have moved: if it no longer does, forbid_return_motion can go"
     sent.clear()
-    assert forbid_return_motion()
-    strategies.RolloutStrategy._return_to_initial_position(Hardware, duration_s=0.04)
+    assert forbid_return_motion() and forbid_return_motion()
+    getattr(strategy, name)(Hardware, duration_s=0.04)
     assert not sent
+    allow_return_motion()
+    getattr(strategy, name)(Hardware, duration_s=0.04)
+    assert sent, "other robots may return"
+
+
+def test_a_rollout_that_calls_its_return_motion_otherwise_is_refused(
+    robot: UniforceFranka, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loaded = SimpleNamespace(RolloutStrategy=type("RolloutStrategy", (), {}))
+    monkeypatch.setitem(sys.modules, STRATEGIES, loaded)
+    with pytest.raises(ContractError, match=r"return_to_initial_position.*neither"):
+        robot.connect()
+    assert not robot.is_connected
+
+
+@pytest.mark.parametrize("name", RETURN_MOTIONS)
+def test_no_arm_is_led_back_while_a_robot_is_connected(
+    name: str, robot: UniforceFranka, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    motion = {name: staticmethod(lambda: "moves")}
+    strategy = type("RolloutStrategy", (), motion)
+    monkeypatch.setitem(sys.modules, STRATEGIES, SimpleNamespace(RolloutStrategy=strategy))
+    with UniforceFranka(UniforceFrankaConfig(id="other", calibration_dir=tmp_path)) as other:
+        robot.connect()
+        other.disconnect()
+        assert getattr(strategy, name)() is False
+    robot.disconnect()
+    assert getattr(strategy, name)() == "moves"
 
 
 @dataclass

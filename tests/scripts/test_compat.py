@@ -1,0 +1,121 @@
+"""compat.py names every private part of LeRobot that we use, and this LeRobot has each of them."""
+
+import ast
+import importlib
+import inspect
+import pkgutil
+import re
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from uniforce_cli.compat import PRIVATE
+
+ROOMS = (
+    "uniforce_vtla",
+    "lerobot_env_uniforce_wiping",
+    "uniforce_datasets",
+    "lerobot_policy_pi05_uniforce",
+    "uniforce_robots",
+    "uniforce_cli",
+)
+# programs of their own, and files of a checkpoint
+LEFT_OUT = re.compile(r"__main__|\.children|\.assets|\.hub\b")
+PYTHONS = ("_abc_impl", "_is_protocol", "_registry_name")
+
+
+def source(module: str) -> str:
+    spec = find_spec(module)
+    assert spec is not None and spec.origin is not None
+    return Path(spec.origin).read_text()
+
+
+@pytest.mark.parametrize(
+    ("module", "name"), [(module, name) for module, names in PRIVATE.items() for name in names]
+)
+def test_lerobot_has_what_we_rely_on(module: str, name: str) -> None:
+    assert re.search(rf"\b{name}\b", source(module)), f"{module} has no {name} any more"
+
+
+def is_private(name: str) -> bool:
+    return name.startswith("_") and not name.startswith("__") and name not in PYTHONS
+
+
+def modules() -> Iterator[ModuleType]:
+    for room in ROOMS:
+        package = importlib.import_module(room)
+        for found in pkgutil.walk_packages(package.__path__, f"{room}."):
+            if not LEFT_OUT.search(found.name):
+                yield importlib.import_module(found.name)
+
+
+def made(tree: ast.AST) -> set[str]:
+    """Return the names of a tree's functions, classes and fields, and of attributes of ``self``."""
+    names = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names.add(node.name)
+        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            if ast.unparse(node.value) in ("self", "cls"):
+                names.add(node.attr)
+        elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            names.add(node.target.id)
+    return names
+
+
+def read(tree: ast.AST) -> set[str]:
+    return {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
+
+
+def class_tree(kind: type) -> ast.AST:
+    """Return a class's tree, an empty one of a class that some function made."""
+    for node in ast.walk(ast.parse(source(kind.__module__))):
+        if isinstance(node, ast.ClassDef) and node.name == kind.__name__:
+            return node
+    return ast.Module([], [])
+
+
+def shared_with_lerobot(kind: type) -> set[tuple[str, str]]:
+    """Return (module, name) of what a class of ours takes from, or gives to, LeRobot's above it."""
+    found = set()
+    bases = [base for base in kind.__mro__[1:] if base.__module__.startswith("lerobot.")]
+    for base in bases:
+        own = class_tree(kind)
+        common = (made(own) | read(own)) & made(class_tree(base))
+        found |= {(base.__module__, name) for name in common if is_private(name)}
+    return found
+
+
+def test_no_private_name_of_lerobot_is_used_unlisted() -> None:
+    known = {(module, name) for module, names in PRIVATE.items() for name in names}
+    used = set()
+    ours = set()
+    reached = set()  # by attribute, of any object
+    texts = []
+    for module in modules():
+        tree = ast.parse(inspect.getsource(module))
+        if module.__name__ != "uniforce_cli.compat":
+            texts.append(inspect.getsource(module))
+        ours |= made(tree)
+        reached |= read(tree)
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom) and str(node.module).startswith("lerobot."):
+                used |= {(node.module, one.name) for one in node.names if is_private(one.name)}
+        for kind in vars(module).values():
+            if inspect.isclass(kind) and kind.__module__ == module.__name__:
+                used |= shared_with_lerobot(kind)
+    listed = {name for _, name in known}
+    # nobody here made it, so another library did
+    theirs = {name for name in reached - ours if is_private(name)} - listed
+    folder = Path(find_spec("lerobot").submodule_search_locations[0])  # type: ignore[union-attr, index]
+    of_lerobot = set()
+    for file in folder.rglob("*.py"):
+        text = file.read_text()
+        of_lerobot |= {name for name in theirs if re.search(rf"(def |self\.){name}\b", text)}
+    assert not used - known
+    assert not of_lerobot - {"_version", "_device"}  # torch's, psutil's
+    text = "\n".join(texts)
+    assert not [name for name in listed if not re.search(rf"\b{name}\b", text)], "no longer used"
