@@ -3,7 +3,6 @@
 from contextlib import contextmanager
 from typing import Any
 
-import pytest
 import torch
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.policies.pi05 import modeling_pi05 as stock
@@ -13,7 +12,6 @@ from lerobot_policy_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings
 from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs
 
-SITES = pytest.mark.parametrize("site", ["prefix", "suffix"])
 OPEN = [0.6, 1.5]  # gates of two slots
 
 

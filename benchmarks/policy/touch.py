@@ -33,7 +33,7 @@ def bench_training(
     case: BenchCase, device: str, steps: int, learning_rate: float = LEARNING_RATE
 ) -> dict[str, Any]:
     """Return losses, gradient norms of touch, the tokenizer's hash kept or not, and times [ms]."""
-    touch = TouchSettings(slots=SLOTS, input="latent", site="prefix", start_at_base=True)
+    touch = TouchSettings(slots=SLOTS, input="latent", start_at_base=True)
     network = build(case, device, touch).train()
     given, noise = observe(case, network, device)
     given = with_touch(network, given, noise)

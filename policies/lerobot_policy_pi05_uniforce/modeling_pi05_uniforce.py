@@ -79,7 +79,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
         settings = config.action
         self._action_size = config.output_features[ACTION].shape[0]
         action.check_axes(config.state_size, self._action_size, settings)
-        self.issued = action.IssuedTarget(settings.previous_steps)
+        self.issued = action.IssuedTarget()
         self.network_units = action.NetworkUnits(
             settings.delta_scale, settings.delta_knee, config.chunk_size
         )
@@ -240,26 +240,11 @@ class PI05UniforcePolicy(stock.PI05Policy):
         return images, masks
 
     def felt(self, batch: Batch) -> Felt:
-        """Return touch and the state, with the previous action where the policy takes it.
-
-        Raises as ``TouchInput.gather``.
-        """
+        """Return touch and, for a state token, the state; raises as ``TouchInput.gather``."""
         state = None
         if self.model.state_token is not None:
-            state = batch[STATE].to(self.leash)
-            axes = self.config.previous_axes
-            if axes:
-                move = self._previous_move(batch) / self.delta_scale
-                state = torch.cat([state, move[:, axes]], dim=1)
-            state = state[:, None]  # (B, 1, S), or S + A with the previous action
+            state = batch[STATE].to(self.leash)[:, None]  # (B, 1, S)
         return Felt(state, *self.touch.gather(batch, self.training))
-
-    def _previous_move(self, batch: Batch) -> Tensor:
-        """Return (B, A) in SI units: of a sample its demo's commands, of a rollout those issued."""
-        commands = batch.get(ACTION)
-        if commands is not None and commands.ndim == 3:
-            return action.previous_move(commands.to(self.delta_scale))
-        return self.issued.moved(self._measured(batch))
 
     def _measured(self, batch: Batch) -> Tensor:
         if MEASURED_STATE not in batch:
@@ -272,12 +257,9 @@ class PI05UniforcePolicy(stock.PI05Policy):
         """Return (B, chunk, max_action_dim) in network units."""
         actions = batch[ACTION]
         if self.config.action.form == "target_delta":
-            behind = -1 - self.config.chunk_size  # the last command and the chunk
             is_pad = batch.get("action_is_pad")
-            if is_pad is not None:
-                is_pad = is_pad[:, behind:]
             measured = self._measured(batch)
-            actions = action.to_deltas(actions[:, behind:], is_pad, measured, self.network_units)
+            actions = action.to_deltas(actions, is_pad, measured, self.network_units)
         return stock.pad_vector(actions, self.config.max_action_dim)
 
     def forward(self, batch: Batch, reduction: str = "mean") -> tuple[Tensor, dict[str, Any]]:

@@ -16,7 +16,7 @@ from transformers import AutoTokenizer
 
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy, weights
 from lerobot_policy_pi05_uniforce.checkpoint import check_sensors
-from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import REMOVED, TinySettings
 from lerobot_policy_pi05_uniforce.model_card import model_card
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import (
     FOLDER,
@@ -134,16 +134,35 @@ def test_swap_runs_the_same_checkpoint(make_policy, make_batch, tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("slots", {"touch0": "left"}), ("tokenizer", {"hash": "beef"}), ("site", "suffix")],
+    [("slots", {"touch0": "left"}), ("tokenizer", {"hash": "beef"}), ("input", "wrench")],
 )
 def test_touch_settings_must_be_the_checkpoints_own(checkpoint, name, value):
     config = PreTrainedConfig.from_pretrained(checkpoint)
     setattr(config.touch, name, value)
     with pytest.raises(CheckpointError, match=f"touch settings.*'{name}'") as error:
         PI05UniforcePolicy.from_pretrained(checkpoint, config=config)
-    others = {"slots", "tokenizer", "site"} - {name}
+    others = {"slots", "tokenizer", "input"} - {name}
     # only what differs is named
     assert not any(f"'{other}'" in str(error.value) for other in others)
+
+
+@pytest.mark.parametrize(
+    ("path", "value"), [("touch.site", "suffix"), ("action.previous_steps", 4)]
+)
+def test_what_was_removed_is_refused_and_its_names_are_tolerated(checkpoint, path, value):
+    file = checkpoint / "config.json"
+    stored = json.loads(file.read_text())
+    group, _, name = path.partition(".")
+    assert stored[group][name] == REMOVED[path]  # as in older checkpoints, and it loads
+    del stored[group][name]
+    file.write_text(json.dumps(stored))
+    write_hashes(checkpoint)
+    PI05UniforcePolicy.from_pretrained(checkpoint)
+    stored[group][name] = value
+    file.write_text(json.dumps(stored))
+    write_hashes(checkpoint)
+    with pytest.raises(CheckpointError, match=f"{path} in .* expected .*{value}.*304b337e"):
+        PI05UniforcePolicy.from_pretrained(checkpoint)
 
 
 def test_other_sensors_must_be_asked_for(make_config):

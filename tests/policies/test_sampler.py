@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 from lerobot.policies.rtc.configuration_rtc import RTCConfig
-from policy_samples import OPEN, SITES, alive, inputs, lerobots_own, ours, start_noise
+from policy_samples import OPEN, alive, inputs, lerobots_own, ours, start_noise
 from torch import nn
 from torch.nn import functional as F  # noqa: N812
 from torch.utils._python_dispatch import TorchDispatchMode
@@ -27,16 +27,15 @@ BFLOAT16 = 5e-3
 GATED = pytest.mark.parametrize("gate", [None, OPEN])
 
 
-def gated_policy(make_policy, site, gate, **settings):
-    settings = {"touch__input": "wrench", "touch__site": site, **settings}
+def gated_policy(make_policy, gate, **settings):
+    settings = {"touch__input": "wrench", **settings}
     return alive(make_policy(touch__start_at_base=gate is not None, **settings), gate)
 
 
-@SITES
 @pytest.mark.parametrize("touch", ["none", "latent", "wrench"])
 @pytest.mark.parametrize("steps", [1, 10])
-def test_equals_the_stock_loop(touch, steps, site, make_policy, make_batch):
-    policy = alive(make_policy(touch__input=touch, touch__site=site))
+def test_equals_the_stock_loop(touch, steps, make_policy, make_batch):
+    policy = alive(make_policy(touch__input=touch))
     given, noise = inputs(policy, make_batch(policy, size=3)), start_noise(policy, 3)
     slow = lerobots_own(policy, given, noise, steps)
     assert (slow - noise).abs().max() > 0.05  # the network moves the noise at all
@@ -50,13 +49,10 @@ def lost(felt, rows):
     return replace(felt, masks=masks)
 
 
-@SITES
 @GATED
 @pytest.mark.parametrize("size", [1, 3])
-def test_rows_with_other_prompts_and_a_lost_finger_stay_apart(
-    size, site, gate, make_policy, make_batch
-):
-    policy = gated_policy(make_policy, site, gate)
+def test_rows_with_other_prompts_and_a_lost_finger_stay_apart(size, gate, make_policy, make_batch):
+    policy = gated_policy(make_policy, gate)
     given, noise = inputs(policy, make_batch(policy, size=size)), start_noise(policy, size)
     if size > 1:
         shorter = given.masks.clone()
@@ -84,7 +80,7 @@ def test_changed_weights_are_noticed(graphs, make_policy, make_batch):
 def test_real_time_chunking_guides_both_alike(gate, make_policy, make_batch):
     """RTC differentiates through the velocity towards what is left of the chunk before."""
     rtc = RTCConfig(enabled=True, execution_horizon=4)
-    policy = gated_policy(make_policy, "prefix", gate, rtc_config=rtc, action__form="absolute")
+    policy = gated_policy(make_policy, gate, rtc_config=rtc, action__form="absolute")
     given, noise = inputs(policy, make_batch(policy)), start_noise(policy)
     free = ours(policy, given, noise)
     left = {
@@ -97,10 +93,9 @@ def test_real_time_chunking_guides_both_alike(gate, make_policy, make_batch):
     assert (lerobots_own(policy, given, noise, **left) - fast).abs().max() < TOLERANCE
 
 
-@SITES
 @GATED
-def test_in_bfloat16_it_is_as_near_to_float32_as_lerobots_loop(site, gate, make_policy, make_batch):
-    policy = gated_policy(make_policy, site, gate)
+def test_in_bfloat16_it_is_as_near_to_float32_as_lerobots_loop(gate, make_policy, make_batch):
+    policy = gated_policy(make_policy, gate)
     given, noise = inputs(policy, make_batch(policy)), start_noise(policy)
     exact = lerobots_own(policy, given, noise, 10)
     policy.model.paligemma_with_expert.to_bfloat16_for_selected_params("bfloat16")  # as size base
@@ -113,7 +108,7 @@ def test_in_bfloat16_it_is_as_near_to_float32_as_lerobots_loop(site, gate, make_
 @pytest.mark.slow  # dynamo traces for some seconds
 @torch.no_grad()
 def test_torch_compile_traces_step_and_prefix_whole(make_policy, make_batch):
-    policy = gated_policy(make_policy, "suffix", OPEN)
+    policy = gated_policy(make_policy, OPEN)
     fast, given = policy.model.fast, drop_dead(inputs(policy, make_batch(policy)))
     tables, noise = fast.prepared.tables(2), start_noise(policy)
     prefix = fast.encoder.encode(given, noise.shape[1])
@@ -175,16 +170,10 @@ def test_cameras_are_seen_as_transformers_sees_them(make_policy) -> None:
     torch.testing.assert_close(layers.embed_cameras(model.paligemma.model, images), wanted, **CLOSE)
 
 
-@pytest.fixture(params=["prefix", "suffix"])
-def policy(request, make_policy):
-    return graphed(make_policy, request.param)
-
-
-def graphed(make_policy, site):
+@pytest.fixture
+def policy(make_policy):
     """A policy with touch behind a half-open gate, whose norms do something, and uncaptured graphs."""
-    policy = alive(
-        make_policy(touch__input="wrench", touch__site=site, touch__start_at_base=True), OPEN
-    )
+    policy = alive(make_policy(touch__input="wrench", touch__start_at_base=True), OPEN)
     policy.model.fast.graphed = GraphedSampler(policy.model.fast, capture=False)
     return policy
 
@@ -290,9 +279,7 @@ def test_graphs_are_for_cuda_alone_and_can_be_turned_off(
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device: capture was never run")
 def test_a_gpu_captures_them(make_policy, make_batch):
-    policy = make_policy(touch__input="wrench", touch__site="suffix", touch__start_at_base=True).to(
-        "cuda"
-    )
+    policy = make_policy(touch__input="wrench", touch__start_at_base=True).to("cuda")
     batch = {
         k: v.cuda() if isinstance(v, torch.Tensor) else v for k, v in make_batch(policy).items()
     }

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from lerobot.policies.pi05 import modeling_pi05 as stock
-from policy_samples import OPEN, SITES, alive, inputs, ours, start_noise
+from policy_samples import OPEN, alive, inputs, ours, start_noise
 
 from lerobot_env_uniforce_wiping import WipeEnv
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy, training
@@ -64,9 +64,8 @@ def test_no_touch_is_bit_equal_to_plain_pi05(make_policy, make_batch):
     assert not any("force" in key or "tactile" in key for key in policy.state_dict())
 
 
-@SITES
-def test_masked_touch_equals_no_touch(site, make_policy, make_batch):
-    policy = make_policy(touch__site=site)
+def test_masked_touch_equals_no_touch(make_policy, make_batch):
+    policy = make_policy()
     *seen, felt = inputs(policy, make_batch(policy))
     start = start_noise(policy)
     off = replace(felt, masks=torch.zeros_like(felt.masks))
@@ -77,10 +76,9 @@ def test_masked_touch_equals_no_touch(site, make_policy, make_batch):
     assert (touched - without).abs().max() > 1e-3
 
 
-@SITES
 @pytest.mark.parametrize("gate", [None, OPEN])
-def test_joint_training_velocity_equals_sampling_velocity(site, gate, make_policy, make_batch):
-    policy = alive(make_policy(touch__site=site, touch__start_at_base=gate is not None), gate)
+def test_joint_training_velocity_equals_sampling_velocity(gate, make_policy, make_batch):
+    policy = alive(make_policy(touch__start_at_base=gate is not None), gate)
     *seen, felt = inputs(policy, make_batch(policy))
     x, time = start_noise(policy), torch.tensor([0.7, 0.3])
     actions = torch.zeros_like(x)
@@ -349,10 +347,9 @@ def test_a_masked_policy_acts_without_touch(make_policy, make_batch):
 AT_START = 1e-5
 
 
-@SITES
 @pytest.mark.parametrize("kind", ["fast", "stock"])
-def test_the_first_action_is_the_bases(site, kind, make_policy, make_batch):
-    settings = {"touch__input": "wrench", "touch__site": site, "sampler__kind": kind}
+def test_the_first_action_is_the_bases(kind, make_policy, make_batch):
+    settings = {"touch__input": "wrench", "sampler__kind": kind}
     policy = alive(make_policy(touch__start_at_base=True, **settings))
     given, noise = inputs(policy, make_batch(policy, size=3)), start_noise(policy, 3)
     # touch isn't appended
@@ -364,9 +361,8 @@ def test_the_first_action_is_the_bases(site, kind, make_policy, make_batch):
     assert (ours(policy, given, noise) - without).abs().max() > 100 * AT_START
 
 
-@SITES
-def test_the_gate_has_a_gradient_from_the_first_step(site, make_policy, make_batch):
-    policy = alive(make_policy(touch__site=site, touch__start_at_base=True)).train()
+def test_the_gate_has_a_gradient_from_the_first_step(make_policy, make_batch):
+    policy = alive(make_policy(touch__start_at_base=True)).train()
     loss, _ = policy(make_batch(policy, actions=True))
     loss.backward()
     shut = policy.model.touch_gate.gate.grad
@@ -375,16 +371,13 @@ def test_the_gate_has_a_gradient_from_the_first_step(site, make_policy, make_bat
     assert shut.abs().min() > 1e-4 * others
 
 
-@SITES
 def test_a_short_training_opens_the_gate_where_touch_decides_the_action(
-    site, make_policy, make_batch, monkeypatch
+    make_policy, make_batch, monkeypatch
 ):
     """The action is the wrench's first number: without touch the loss can't fall below its variance."""
     monkeypatch.setattr(training, "GATE_LR", 1e-2)
     one = {"touch__slots": {"touch0": "right"}, "action__form": "absolute"}
-    policy = make_policy(
-        touch__input="wrench", touch__site=site, touch__start_at_base=True, **one
-    ).train()
+    policy = make_policy(touch__input="wrench", touch__start_at_base=True, **one).train()
     optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=3e-3)
     batch = make_batch(policy, size=16, actions=True)
     wrench = torch.randn(16, 4)

@@ -20,7 +20,7 @@ from torch.nn import functional as F  # noqa: N812
 
 from lerobot_policy_pi05_uniforce.sampler.layers import StepTable
 from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, Prefill
-from lerobot_policy_pi05_uniforce.touch.tokens import Felt, TouchTokens
+from lerobot_policy_pi05_uniforce.touch.tokens import Felt
 from uniforce_vtla.errors import ContractError, expected
 
 if TYPE_CHECKING:
@@ -107,43 +107,37 @@ class GraphedSampler:
         """Return (B, chunk, max_action_dim) actions of inputs that are all there."""
         tokens, masks = bucketed(inputs.tokens, inputs.masks)
         inputs = inputs._replace(tokens=tokens, masks=masks)
-        touch = self._sampler.network.suffix_touch(inputs.felt)
-        suffix = [noise]
-        if touch is not None:
-            suffix += [touch.tokens, touch.real]
-        pair = self._pair(inputs, suffix, tables)
+        pair = self._pair(inputs, noise, tables)
         pair.prefill(*flattened(inputs))
-        return pair.flow(*suffix).clone()
+        return pair.flow(noise).clone()
 
-    def _pair(self, inputs: Inputs, suffix: list[Tensor], tables: list[StepTable]) -> Pair:
+    def _pair(self, inputs: Inputs, noise: Tensor, tables: list[StepTable]) -> Pair:
         if self._version != self._sampler.prepared.version:  # other weights: tables were made anew
             self._pairs = {}
             self._version = self._sampler.prepared.version
-        shapes = [tuple(value.shape) for value in (*flattened(inputs), *suffix)]
+        shapes = [tuple(value.shape) for value in (*flattened(inputs), noise)]
         key = (len(tables), len(inputs.images), *shapes)
         if key not in self._pairs:
             while len(self._pairs) >= KEPT:
                 self._pairs.pop(next(iter(self._pairs)))
-            self._pairs[key] = self._record_pair(inputs, suffix, tables)
+            self._pairs[key] = self._record_pair(inputs, noise, tables)
         return self._pairs[key]
 
-    def _record_pair(self, inputs: Inputs, suffix: list[Tensor], tables: list[StepTable]) -> Pair:
+    def _record_pair(self, inputs: Inputs, noise: Tensor, tables: list[StepTable]) -> Pair:
         encoder = self._sampler.encoder
-        chunk = suffix[0].shape[1]
-        room = sum(part.shape[1] for part in suffix[:2])  # noise and tokens
+        chunk = noise.shape[1]
         observed = copied(inputs)
-        noise, *touch = map(torch.clone, suffix)
+        start = noise.clone()
 
         def prefill() -> Prefill:
-            return encoder.prefill(observed, room, always_mask=True)
+            return encoder.prefill(observed, chunk, always_mask=True)
 
         def flow() -> Tensor:
-            tokens = TouchTokens(*touch) if touch else None
-            prefix = encoder.with_suffix(recorded.result, tokens, chunk, always_mask=True)
-            return self._sampler.flow(prefix, noise, tables)
+            prefix = encoder.with_suffix(recorded.result, chunk, always_mask=True)
+            return self._sampler.flow(prefix, start, tables)
 
         recorded = Replayed(prefill, flattened(observed), Prefill.tensors, self._capture)
-        flowing = Replayed(flow, [noise, *touch], lambda actions: [actions], self._capture)
+        flowing = Replayed(flow, [start], lambda actions: [actions], self._capture)
         return Pair(recorded, flowing)
 
 

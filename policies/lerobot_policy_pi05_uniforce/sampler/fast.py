@@ -70,8 +70,6 @@ class FastSampler:
         expert = self.network.expert
         eps = self.prepared.eps
         x = self.network.action_in_proj(actions)
-        if prefix.touch is not None:
-            x = torch.cat([prefix.touch.tokens.to(x.dtype), x], dim=1)  # (B, N + chunk, D)
         x = x.to(expert.layers[0].self_attn.q_proj.weight.dtype)
         for depth, layer in enumerate(expert.layers):
             attention = table[2 * depth]
@@ -81,7 +79,6 @@ class FastSampler:
             x = torch.addcmul(x, linear(mixed, layer.self_attn.o_proj.weight), attention.gate)
             hidden = gated_hidden(layer.mlp, modulated(x, mlp, eps))
             x = torch.addcmul(x, linear(hidden, layer.mlp.down_proj.weight), mlp.gate)
-        x = x[:, -actions.shape[1] :]  # (B, chunk, D)
         return self.network.action_out_proj(modulated(x, table[-1], eps).float())
 
     def _mix(self, prefix: Prefix, depth: int, layer: nn.Module, qkv: Tensor) -> Tensor:

@@ -11,7 +11,7 @@ from torch.nn import functional as F  # noqa: N812
 
 from lerobot_policy_pi05_uniforce.sampler import layers as ops
 from lerobot_policy_pi05_uniforce.sampler.layers import Prepared
-from lerobot_policy_pi05_uniforce.touch.tokens import NOTHING, Felt, GatedColumns, TouchTokens
+from lerobot_policy_pi05_uniforce.touch.tokens import NOTHING, Felt, GatedColumns
 
 if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
@@ -44,11 +44,10 @@ class Prefill:
 
 @dataclass(frozen=True)
 class Prefix:
-    """A prefill ready for the flow: with touch in the suffix, and how the suffix attends."""
+    """A prefill ready for the flow, and how the suffix attends."""
 
     prefill: Prefill  # the suffix's own keys and values take their places in every step
-    touch: TouchTokens | None  # force tokens in front of the actions, or None
-    # (B, 1, 1 or L_suffix, L_prefix + L_suffix), bool or additive; None: all see all
+    # (B, 1, 1, L_prefix + L_suffix), bool or additive; None: all see all
     mask: Tensor | None
     # of the suffix's positions, for queries, key and value; the value's turns nothing
     rotary: ops.Rotary
@@ -63,11 +62,7 @@ class PrefixEncoder:
 
     def encode(self, inputs: Inputs, chunk: int) -> Prefix:
         """Encode an observation and make its prefix ready for a chunk of that many steps."""
-        touch = self._network.suffix_touch(inputs.felt)
-        room = chunk
-        if touch is not None:
-            room += touch.real.shape[1]
-        return self.with_suffix(self.prefill(inputs, room), touch, chunk)
+        return self.with_suffix(self.prefill(inputs, chunk), chunk)
 
     def prefill(self, inputs: Inputs, room: int, always_mask: bool = False) -> Prefill:
         """Run cameras, text and felt tokens through the VLM; keep every layer's keys and values.
@@ -85,8 +80,7 @@ class PrefixEncoder:
         mask = None
         if always_mask or not real.all():
             mask = real[:, None, None, :]  # the output of a padded token is not read
-        if gated is not None and gated.first < real.shape[1]:  # touch is in the prefix
-            mask = _additive(mask, real, gated, x.dtype)
+        mask = _additive(mask, real, gated, x.dtype)
         rotary = ops.rotary_of(vlm, x, _positions(real, gated))
         cache = []
         for depth, layer in enumerate(vlm.layers):
@@ -102,27 +96,19 @@ class PrefixEncoder:
             x = ops.linear_plus(hidden, layer.mlp.down_proj.weight, None, x)
         return Prefill(cache, real, gated)
 
-    def with_suffix(
-        self, prefill: Prefill, touch: TouchTokens | None, chunk: int, always_mask: bool = False
-    ) -> Prefix:
+    def with_suffix(self, prefill: Prefill, chunk: int, always_mask: bool = False) -> Prefix:
         """Return whom the suffix attends to and where it stands; arguments as ``prefill``'s."""
         gated = prefill.gated
         length = prefill.real.shape[1]
         behind = prefill.real.new_ones(len(prefill.real), chunk)
-        if touch is not None:
-            behind = torch.cat([touch.real, behind], dim=1)  # (B, L_suffix)
         real = torch.cat([prefill.real, behind], dim=1)  # (B, L_prefix + L_suffix)
         mask = None
-        if touch is not None or always_mask or not real.all():
+        if always_mask or not real.all():
             mask = real[:, None, None, :]
-        if touch is not None:  # touch sees the prefix and itself, actions see everything
-            rows = real.new_ones(behind.shape[1], real.shape[1])
-            rows[: touch.real.shape[1], -chunk:].fill_(False)
-            mask = mask & rows
         dtype = prefill.cache[0].dtype
         positions = _positions(real, gated)[:, length:]
         rotary = ops.rotary_of(self._network.expert, prefill.cache[0], positions)
-        return Prefix(prefill, touch, _additive(mask, real, gated, dtype), rotary)
+        return Prefix(prefill, _additive(mask, real, gated, dtype), rotary)
 
     def _seen(self, inputs: Inputs) -> tuple[Tensor, Tensor]:
         """Return (B, L, D) tokens of cameras and text, and (B, L) whether each is real."""
