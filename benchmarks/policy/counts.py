@@ -1,14 +1,10 @@
 """Operations of a call: floating point, and of the dispatcher."""
 
-import math
 from collections.abc import Callable
 from typing import Any
 
-import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils.flop_counter import FlopCounterMode
-
-from lerobot_policy_pi05_uniforce.sampler.layers import AVAILABLE
 
 # operations that move no data
 VIEWS = {
@@ -31,15 +27,8 @@ VIEWS = {
 }
 
 
-def _linear_flops(*given: Any, **_: Any) -> int:
-    """Return the work of oneDNN's linear: (x, weight, bias, …), or (x, other, weight, …)."""
-    weight = given[1] if isinstance(given[3], str) else given[2]
-    return int(2 * math.prod(given[0]) * weight[0])
-
-
 def count_flops(call: Callable) -> int:
-    ours = {torch.ops.mkldnn._linear_pointwise: _linear_flops} if AVAILABLE else {}
-    with FlopCounterMode(display=False, custom_mapping=ours) as counter:
+    with FlopCounterMode(display=False) as counter:
         call()
     return int(counter.get_total_flops())
 

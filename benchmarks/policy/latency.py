@@ -26,7 +26,6 @@ from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import (
     TouchSettings,
 )
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
-from lerobot_policy_pi05_uniforce.sampler.layers import linear
 from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs
 from uniforce_vtla.keys import ACTION, AXES, STATE
 
@@ -181,7 +180,7 @@ def _wait(device: str) -> None:
 def _gemm_flops_per_s(device: str) -> float:
     dtype = torch.bfloat16 if device.startswith("cuda") else torch.float32
     square = torch.randn(GEMM_SIDE, GEMM_SIDE, device=device, dtype=dtype)
-    best = min(milliseconds(lambda: linear(square, square), device) for _ in range(5))
+    best = min(milliseconds(lambda: square @ square, device) for _ in range(5))
     return 2 * GEMM_SIDE**3 / best * 1000
 
 
