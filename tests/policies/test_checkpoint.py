@@ -376,3 +376,18 @@ def test_a_tokenizer_without_a_head_of_its_own_is_refused(
     )
     with pytest.raises(CheckpointError, match="Fit a head"):
         make_policy(touch__input="newtons", touch__tokenizer_path=path)
+
+
+def test_text_that_stays_is_tokenized_once(monkeypatch):
+    step = UniforceTokenizerProcessorStep(max_length=16)
+    calls = []
+    real = step.input_tokenizer
+    monkeypatch.setattr(
+        step, "input_tokenizer", lambda text, **how: calls.append(text) or real(text, **how)
+    )
+    first = step._tokenize_text(["wipe"])
+    again = step._tokenize_text(["wipe"])
+    assert torch.equal(first["input_ids"], again["input_ids"]) and len(calls) == 1
+    assert not torch.equal(step._tokenize_text(["lift"])["input_ids"], first["input_ids"])
+    assert torch.equal(step._tokenize_text(["wipe"])["input_ids"], first["input_ids"])
+    assert calls == [["wipe"], ["lift"], ["wipe"]]

@@ -13,9 +13,9 @@ from lerobot.policies.rtc.configuration_rtc import RTCConfig
 from policy_samples import OPEN, alive, inputs, lerobots_own, ours, start_noise
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from lerobot_policy_pi05_uniforce.sampler import cuda_graphs, layers
+from lerobot_policy_pi05_uniforce.sampler import cuda_graphs, fast, layers
 from lerobot_policy_pi05_uniforce.sampler.cuda_graphs import BUCKETS, KEPT, GraphedSampler, bucketed
-from lerobot_policy_pi05_uniforce.sampler.fast import velocity
+from lerobot_policy_pi05_uniforce.sampler.fast import FastSampler, velocity
 from lerobot_policy_pi05_uniforce.sampler.prefix import drop_dead, encode
 
 TOLERANCE = 1e-4  # on actions in network units, of order 1
@@ -131,11 +131,11 @@ def test_compiled_code_gives_lerobots_actions(policy, make_batch, monkeypatch):
     graphed._compiled = functools.cache(
         functools.partial(torch.compile, dynamic=False, backend="aot_eager")
     )
-    graphed.compiles = True
+    policy.model.fast.compiles = True
     for _ in range(2):
         slow, fast = both(policy, inputs(policy, make_batch(policy)))
         assert (slow - fast).abs().max() < TOLERANCE
-    assert graphed.compiles and said == [] and len(graphed._recordings) == 1
+    assert policy.model.fast.compiles and said == [] and len(graphed.recordings.kept) == 1
 
 
 def test_without_a_compiler_one_line_says_so_and_the_actions_are_the_same(
@@ -145,7 +145,7 @@ def test_without_a_compiler_one_line_says_so_and_the_actions_are_the_same(
     monkeypatch.setattr(torch._inductor.config.cpp, "cxx", ("/no/such/compiler",))
     torch._dynamo.reset()
     said = watched(monkeypatch)
-    policy.model.fast.graphed.compiles = True
+    policy.model.fast.compiles = True
     given = inputs(policy, make_batch(policy))
     for steps in (2, 3):
         slow, fast = both(policy, given, steps)
@@ -204,7 +204,7 @@ def test_replays_give_lerobots_actions_for_every_new_observation(policy, make_ba
         slow, fast = both(policy, inputs(policy, make_batch(policy)))
         assert (slow - fast).abs().max() < TOLERANCE
         returned.append((fast, fast.clone()))
-    assert len(graphed._recordings) == 1  # recorded once
+    assert len(graphed.recordings.kept) == 1  # recorded once
     assert all(torch.equal(now, then) for now, then in returned)  # a later call overwrites no chunk
 
 
@@ -225,14 +225,14 @@ def test_prompts_cameras_and_lost_fingers_change_and_the_actions_are_still_lerob
         slow, fast = both(policy, given)
         assert (slow - fast).abs().max() < TOLERANCE
     # with and without the camera; the rest are values
-    assert len(policy.model.fast.graphed._recordings) == 2
+    assert len(policy.model.fast.graphed.recordings.kept) == 2
 
 
 def test_recordings_are_not_kept_for_ever(policy, make_batch):
     given = inputs(policy, make_batch(policy))
     for steps in range(1, KEPT + 3):
         both(policy, given, steps)
-    assert len(policy.model.fast.graphed._recordings) == KEPT
+    assert len(policy.model.fast.graphed.recordings.kept) == KEPT
 
 
 class Recorded(TorchDispatchMode):
@@ -249,7 +249,7 @@ def test_nothing_recorded_waits_for_the_device(policy, make_batch):
     """A value read by the host, or a shape that depends on values, can't be captured."""
     given = inputs(policy, make_batch(policy))
     both(policy, given)
-    (recording,) = policy.model.fast.graphed._recordings.values()
+    (recording,) = policy.model.fast.graphed.recordings.kept.values()
     with torch.no_grad(), Recorded() as recorded:
         recording(recording.buffers)
     assert {
@@ -286,3 +286,31 @@ def test_a_gpu_captures_them(make_policy, make_batch):
         fast = ours(policy, given, noise)
     assert policy.model.fast.graphed is not None
     assert (lerobots_own(policy, given, noise) - fast).abs().max() < 1e-3
+
+
+def test_warm_up_records_each_length_of_text_and_compiles_the_usual_one(
+    make_policy, monkeypatch, capsys
+):
+    compiled: list[str] = []
+    monkeypatch.setattr(torch, "compile", lambda f, **_: compiled.append(f.__name__) or f)
+    monkeypatch.setattr(FastSampler, "is_graphed_on", lambda self, device: True)
+    monkeypatch.setattr(fast, "GraphedSampler", functools.partial(GraphedSampler, capture=False))
+    policy = make_policy(touch__input="none", tokenizer_max_length=BUCKETS[-1])
+    policy.warm_up()
+    assert compiled == ["encode", "velocity"] and not policy.model.fast.compiles
+    assert len(policy.model.fast.graphed.recordings.kept) == len(BUCKETS)
+    assert "compiling" in capsys.readouterr().err  # the bar
+
+
+def test_cameras_may_come_as_bytes(make_policy, make_batch):
+    policy = make_policy(touch__input="none")
+    batch = make_batch(policy)
+    keys = list(policy.config.image_features)
+    sent = {key: (255 * batch[key]).round().to(torch.uint8) for key in keys}
+    as_floats = {key: image.float() / 255 for key, image in sent.items()}
+    for image, wanted in zip(
+        policy._preprocess_images(batch | sent)[0],
+        policy._preprocess_images(batch | as_floats)[0],
+        strict=True,
+    ):
+        assert torch.equal(image, wanted)

@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 import torch
 from lerobot.policies.pi05 import modeling_pi05 as stock
-from policy_samples import OPEN, alive, inputs, ours, start_noise
+from policy_samples import (
+    OPEN,
+    alive,
+    calibrate,
+    inputs,
+    ours,
+    start_noise,
+    watched,
+    with_dots,
+)
 
 from lerobot_env_uniforce_wiping import WipeEnv
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy, training
@@ -28,15 +37,11 @@ from lerobot_policy_pi05_uniforce.touch.tokens import SHUT, Felt, ForceTokens
 from lerobot_policy_pi05_uniforce.touch.touch_input import TouchInput, marker_images
 from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError, SensorError
 from uniforce_vtla.keys import latent_key, tactile_key
-from uniforce_vtla.tokenizer.calibration import Agreement, Calibration
 from uniforce_vtla.tokenizer.finger_balance import FingerBalance
 from uniforce_vtla.tokenizer.force_head import ForceHead
-from uniforce_vtla.tokenizer.latent_map import LatentMap
 from uniforce_vtla.tokenizer.latent_range import (
     FREE_LOOKS,
     FreeAirError,
-    HealthMonitor,
-    LatentRange,
 )
 
 PROJECTIONS = ("action_in_proj", "action_out_proj", "time_mlp_in", "time_mlp_out")
@@ -169,13 +174,6 @@ def test_lost_touch_can_be_masked_and_is_logged_once(make_policy, make_batch, ca
     assert sum("tactile_left" in r.message for r in caplog.records) == 1
 
 
-def watched(policy, limit=1e-3):
-    """A policy whose right sensor is watched so closely that nothing is healthy."""
-    usual = LatentRange("tactip", policy.config.tokenizer_hash, 96, limit, limit)
-    policy.touch.sensors["touch0"].monitor = HealthMonitor(usual, "right", FREE_LOOKS)
-    return policy
-
-
 def test_a_sensor_that_is_not_healthy_stops_the_rollout_at_the_third_look(make_policy, make_batch):
     policy = watched(make_policy())
     batch = make_batch(policy)
@@ -275,19 +273,6 @@ def test_touch_dropout_in_training_with_two_slots_or_on_request(make_policy, mak
         policy.eval()
         masks = policy.felt(batch).masks
         assert masks.all()
-
-
-def with_dots(batch):
-    """Marker images that show markers: a grid per finger, moved by a pixel or two in the current frame."""
-    shown = dict(batch)
-    for index, finger in enumerate(("left", "right")):
-        grid = torch.zeros(len(batch[tactile_key(finger)]), 3, 48, 64)
-        for row in range(4, 40, 8):
-            for column in range(4, 56, 8 + index):
-                grid[..., row : row + 3, column : column + 3] = 1
-        shown[tactile_key(finger, True)] = grid
-        shown[tactile_key(finger)] = grid.roll((1 + index, 2), dims=(-2, -1))
-    return shown
 
 
 def test_newtons_are_what_the_shipped_head_reads_in_the_latents(
@@ -418,19 +403,6 @@ def test_the_gate_and_what_starts_random_learn_at_their_own_rates(make_policy):
     assert len(groups[2]["params"]) == 1 and len(groups[1]["params"]) > 5
     trained = {id(p) for group in groups for p in group["params"]}
     assert trained == {id(p) for p in policy.parameters() if p.requires_grad}
-
-
-JUDGED = {"tool": Agreement(9, (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))}
-
-
-def calibrate(folder, config, shift=0.0, new="tactip:7", anchor="tactip:7", gain=1.0, **hashes):
-    """Save a calibration for a policy whose map adds ``shift``; return its folder."""
-    found = LatentMap(config.tokens_per_slot, config.latent_size)
-    found.shift.fill_(shift)
-    tokenizer_hash = hashes.get("tokenizer_hash", config.tokenizer_hash)
-    head_hash = hashes.get("head_hash", config.touch.head_hash)
-    names = (tokenizer_hash, head_hash, new, anchor)
-    return str(Calibration(found, *names, 1.0, 0.0, JUDGED, gain).save(folder))
 
 
 @pytest.fixture

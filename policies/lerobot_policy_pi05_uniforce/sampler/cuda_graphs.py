@@ -1,5 +1,8 @@
 """Replay a whole call of the fast sampler, prefix and flow, from one CUDA graph.
 
+Touch is encoded before it, from a graph of its own (``touch/encoder.py``): the health monitor, on
+the host, decides between latents and actions.
+
 An eager call launches thousands of small kernels, and launching takes longer than running them.
 A graph fixes shapes and addresses. So inputs are copied into buffers of its own, text is padded to
 one of a few lengths (a graph each), masks are always there, and the returned actions are a copy.
@@ -30,7 +33,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 BUCKETS = (96, 200)  # text tokens: a usual prompt, and π0.5's most
-KEPT = 6  # graphs: buckets times a camera that comes and goes; each holds its own buffers
+KEPT = 6  # graphs: buckets times a camera that comes and goes; each holds buffers of its own
 
 
 class Recording:
@@ -72,19 +75,30 @@ class Recording:
         return self._result.clone()
 
 
-class GraphedSampler:
-    """Samples like the ``FastSampler`` it is given, by replay.
+class Recordings:
+    """The last few recordings of a function, one for each set of shapes."""
 
-    Attributes:
-        compiles: compile what is recorded from now on, prompts of the first bucket. Compiling takes
-            a minute, so only a policy's warm-up asks for it; other shapes are recorded as they are.
-    """
+    def __init__(self, capture: bool = True) -> None:
+        self.capture = capture
+        self.kept: dict[tuple, Recording] = {}
+
+    def call(self, key: tuple, values: list[Tensor], record: Callable[[], Recording]) -> Tensor:
+        """Return the result for ``values``; ``record`` makes a recording of their shapes."""
+        shapes = [(tuple(value.shape), value.dtype, value.device) for value in values]
+        key = (*key, *shapes)
+        if key not in self.kept:
+            while len(self.kept) >= KEPT:
+                self.kept.pop(next(iter(self.kept)))
+            self.kept[key] = record()
+        return self.kept[key](values)
+
+
+class GraphedSampler:
+    """Samples like the ``FastSampler`` it is given, by replay."""
 
     def __init__(self, sampler: FastSampler, capture: bool = True) -> None:
-        self.compiles = False
+        self.recordings = Recordings(capture)
         self._sampler = sampler
-        self._capture = capture
-        self._recordings: dict[tuple, Recording] = {}
         self._version = -1
         # one compiled form of each function, for all recordings
         self._compiled = functools.cache(functools.partial(torch.compile, dynamic=False))
@@ -92,32 +106,27 @@ class GraphedSampler:
     def sample(self, inputs: Inputs, noise: Tensor, tables: list[StepTable]) -> Tensor:
         """Return (B, chunk, max_action_dim) actions of inputs that are all there."""
         if self._version != self._sampler.prepared.version:  # other weights: tables were made anew
-            self._recordings = {}
+            self.recordings.kept.clear()
             self._version = self._sampler.prepared.version
         tokens, masks = bucketed(inputs.tokens, inputs.masks)
         inputs = inputs._replace(tokens=tokens, masks=masks)
-        values = flattened(inputs, noise)
-        shapes = [(tuple(value.shape), value.dtype) for value in values]
-        key = (len(tables), len(inputs.images), *shapes)
-        if key not in self._recordings:
-            while len(self._recordings) >= KEPT:
-                self._recordings.pop(next(iter(self._recordings)))
-            self._recordings[key] = self._record(inputs, noise, tables)
-        return self._recordings[key](values)
+        key = (len(tables), len(inputs.images))
+        record = functools.partial(self._record, inputs, noise, tables)
+        return self.recordings.call(key, flattened(inputs, noise), record)
 
     def _record(self, inputs: Inputs, noise: Tensor, tables: list[StepTable]) -> Recording:
         observed, start = copy.deepcopy((inputs, noise))
         buffers = flattened(observed, start)
         run = functools.partial(self._sampler.run, observed, start, tables, always_mask=True)
-        if self.compiles and inputs.tokens.shape[1] <= BUCKETS[0]:
+        if self._sampler.compiles and inputs.tokens.shape[1] <= BUCKETS[0]:
             compiled = functools.partial(run, through=self._compiled)
             try:
-                return Recording(compiled, buffers, self._capture)
+                return Recording(compiled, buffers, self.recordings.capture)
             except TorchDynamoException as error:
-                self.compiles = False
+                self._sampler.compiles = False
                 reason = str(error).partition("\n")[0][:200]
                 logger.warning("torch.compile fails, kernels run as they are: %s", reason)
-        return Recording(run, buffers, self._capture)
+        return Recording(run, buffers, self.recordings.capture)
 
 
 def flattened(inputs: Inputs, noise: Tensor) -> list[Tensor]:

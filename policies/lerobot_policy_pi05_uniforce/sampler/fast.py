@@ -36,11 +36,17 @@ if TYPE_CHECKING:
 
 
 class FastSampler:
-    """Samples for one network; weights that changed since the last call are prepared again."""
+    """Samples for one network; weights that changed since the last call are prepared again.
+
+    Attributes:
+        compiles: compile what is recorded from now on, for prompts of the first bucket. That takes
+            a minute, so only a policy's warm-up asks for it; later shapes are recorded as they are.
+    """
 
     def __init__(self, network: PI05UniforcePytorch) -> None:
         self.network = network
         self.prepared = Prepared(network)
+        self.compiles = False
         self.graphed: GraphedSampler | None = None  # made where there is a cuda device
 
     @torch.no_grad()

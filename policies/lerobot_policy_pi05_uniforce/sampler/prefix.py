@@ -112,7 +112,7 @@ def drop_dead(inputs: Inputs) -> Inputs:
 
     Positions count real tokens only, and masked ones are not attended to, so nothing else changes.
     """
-    there = torch.stack(inputs.img_masks).any(dim=1).tolist()
+    there = torch.stack(inputs.img_masks).any(dim=1).cpu().tolist()
     images = list(compress(inputs.images, there))
     img_masks = list(compress(inputs.img_masks, there))
     return Inputs(images, img_masks, *drop_padding(inputs.tokens, inputs.masks), inputs.felt)
@@ -120,7 +120,7 @@ def drop_dead(inputs: Inputs) -> Inputs:
 
 def drop_padding(tokens: Tensor, masks: Tensor) -> tuple[Tensor, Tensor]:
     """Return text (B, L) and its mask without the columns that no prompt of the batch uses."""
-    used = masks.any(dim=0).tolist()
+    used = masks.any(dim=0).cpu().tolist()
     while used and not used[-1]:
         used.pop()
     return tokens[:, : len(used)], masks[:, : len(used)]
