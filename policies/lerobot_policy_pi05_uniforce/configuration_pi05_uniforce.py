@@ -159,7 +159,8 @@ class TinySettings:
 class SamplerSettings:
     """How a chunk is sampled."""
 
-    # "fast": sampler/fast.py, with CUDA graphs on cuda | "eager": without them | "stock": LeRobot's
+    # "fast": sampler/fast.py, on cuda compiled and from CUDA graphs | "eager": the same without |
+    # "stock": LeRobot's
     kind: str = "fast"
     # of the flow's starting noise; tiny 0 (the central action), base 1
     noise_scale: float = _BY_SIZE

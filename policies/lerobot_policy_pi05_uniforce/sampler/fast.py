@@ -40,7 +40,7 @@ class FastSampler:
 
     Attributes:
         compiles: compile what is recorded from now on, for prompts of the first bucket. That takes
-            a minute, so only a policy's warm-up asks for it; later shapes are recorded as they are.
+            long, so only a policy's warm-up asks for it; later shapes are recorded as they are.
     """
 
     def __init__(self, network: PI05UniforcePytorch) -> None:

@@ -82,8 +82,8 @@ def attend(q: Tensor, key_value: Tensor, mask: Tensor | None) -> Tensor:
 def attend_folded(q: Tensor, key_value: Tensor, mask: Tensor | None) -> Tensor:
     """Return what :func:`attend` does, by two products with the heads as further rows.
 
-    For the few rows of a flow step: fused attention takes a multiple of the time there, and half of
-    a step on a GPU. The softmax is in float32.
+    For the few rows of a flow step, where fused attention has little to gain. The softmax is in
+    float32.
     """
     keys, values = key_value.unbind(dim=1)  # (B, L_k, head)
     scores = (q.flatten(1, 2) @ keys.transpose(1, 2)).float()  # (B, heads·L, L_k)
@@ -141,7 +141,7 @@ class Prepared:
             a = layer.self_attn
             self.qkv.append(torch.cat([a.q_proj.weight, a.k_proj.weight, a.v_proj.weight]))
             self.gate_up.append(torch.cat([layer.mlp.gate_proj.weight, layer.mlp.up_proj.weight]))
-        # LeRobot keeps the cameras in float32, for its optimizer's sake: a third of a call on a GPU
+        # LeRobot keeps the cameras in float32, for its optimizer's sake; nothing is trained here
         model = self._network.paligemma_with_expert.paligemma.model
         eyes = nn.ModuleList([model.vision_tower, model.multi_modal_projector])
         if self.dtype != torch.float32:
