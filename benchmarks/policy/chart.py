@@ -36,7 +36,7 @@ class ChartConfig:
     """Time chunks of several flow steps, and how far they are from 50 in float32; write chart.json.
 
     Example: python -m benchmarks.policy.chart device=cuda size=base
-    then, where matplotlib is: python -m benchmarks.policy.chart drawn=outputs/bench_policy/chart.json
+    then, anywhere: python -m benchmarks.policy.chart drawn=outputs/bench_policy/chart.json
     """
 
     device: Device = "cpu"  # cpu (one thread) | cuda

@@ -1,4 +1,4 @@
-"""Time from an observation to a chunk, part by part, beside LeRobot's loop and the machine's floor."""
+"""Time from an observation to a chunk, by parts, beside LeRobot's loop and the machine's floor."""
 
 import statistics
 import sys
@@ -112,7 +112,7 @@ def measure(config: LatencyConfig) -> dict[str, Any]:
 
 
 def floor(policy: PI05UniforcePolicy, config: LatencyConfig, flops: int) -> dict[str, float]:
-    """Return the least time of a call: its operations, or its weights read, at measured ceilings."""
+    """Return the least time of a call: its operations or its weights, at measured ceilings."""
     side, size = ANCHORS[config.device.partition(":")[0]]
     prepared = sampler_of(policy.model).prepared
     square = torch.randn(side, side, device=config.device, dtype=prepared.dtype)

@@ -89,28 +89,17 @@ def steps_of(
     losses: dict[str, list[float]] = {name: [] for name in inputs}
     norms: dict[str, list[float]] = {name: [] for name in TOUCH_MODULES}
     peak_GiB = dict.fromkeys(inputs, float("nan"))
+    time = noise.new_full((batch,), 0.5)
+    flow = {"actions": torch.zeros_like(noise), "noise": noise, "time": time}
     before = tokenizer_hash(policy)
 
     def step(name: str) -> None:
-        flow = {
-            "actions": torch.zeros_like(noise),
-            "noise": noise,
-            "time": noise.new_full((batch,), 0.5),
-        }
+        optimizer.zero_grad()
         with lerobots_layers(network):
             loss = network.forward(*inputs[name], **flow).mean()
             loss.backward()
-        losses[name].append(float(loss.detach()))
-        if name == "touch":
-            for module, found in norms.items():
-                grads = [
-                    p.grad.float()
-                    for p in getattr(network, module).parameters()
-                    if p.grad is not None
-                ]
-                found.append(float(torch.nn.utils.get_total_norm(grads)))
         optimizer.step()
-        optimizer.zero_grad()
+        losses[name].append(float(loss.detach()))
 
     for number in range(config.rounds + 1):  # the first to warm up
         for name in inputs:
@@ -121,6 +110,11 @@ def steps_of(
                 peak_GiB[name] = torch.cuda.max_memory_allocated() / 2**30
             if number:
                 times[name].append(took_ms)
+            if name == "touch":
+                for module, found in norms.items():
+                    weights = getattr(network, module).parameters()
+                    grads = [p.grad for p in weights if p.grad is not None]
+                    found.append(float(torch.nn.utils.get_total_norm(grads)))
     return {
         "samples_per_s": {n: 1000 * batch / statistics.median(v) for n, v in times.items()},
         "touch_over_stock": ratio(times["stock"], times["touch"]),
@@ -144,12 +138,7 @@ def main(config: TrainingSpeedConfig) -> None:
     content = {"size": config.size, "rows": found}
     path = write_json(Path(config.out) / "training.json", content | provenance())
     for row in found:
-        words = f"{row['mode']} {row.get('not run', '')}"
-        if "batch" in row:
-            words += f"batch {row['batch']}, checkpointing {row['checkpointing']}: "
-            words += f"{row['samples_per_s']['touch']:.2f} samples/s, {row['touch_over_stock']:.2f} of stock's"
-            words += f", peak {row['peak_GiB']['touch']:.1f} GiB"
-        print(words)
+        print({name: row[name] for name in row if name not in ("losses", "gradient_norms")})
     print(f"written to {path}")
 
 
