@@ -3,7 +3,6 @@
 from contextlib import contextmanager
 from typing import Any
 
-import pytest
 import torch
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.policies.pi05 import modeling_pi05 as stock
@@ -12,8 +11,11 @@ from lerobot.utils.constants import OBS_LANGUAGE_ATTENTION_MASK, OBS_LANGUAGE_TO
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings
 from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs
+from uniforce_vtla.keys import tactile_key
+from uniforce_vtla.tokenizer.calibration import Agreement, Calibration
+from uniforce_vtla.tokenizer.latent_map import LatentMap
+from uniforce_vtla.tokenizer.latent_range import FREE_LOOKS, HealthMonitor, LatentRange
 
-SITES = pytest.mark.parametrize("site", ["prefix", "suffix"])
 OPEN = [0.6, 1.5]  # gates of two slots
 
 
@@ -78,3 +80,36 @@ def lerobots_own(policy, given, noise, steps=4, **rtc):
 
 def ours(policy, given, noise, steps=4, **rtc):
     return policy.model.sample_actions(*given, noise=noise, num_steps=steps, **rtc)
+
+
+def watched(policy, limit=1e-3):
+    """A policy whose right sensor is watched so closely that nothing is healthy."""
+    usual = LatentRange("tactip", policy.config.tokenizer_hash, 96, limit, limit)
+    policy.touch.sensors["touch0"].monitor = HealthMonitor(usual, "right", FREE_LOOKS)
+    return policy
+
+
+def with_dots(batch):
+    """Marker images that show markers: a grid per finger, moved by a pixel or two in the current frame."""
+    shown = dict(batch)
+    for index, finger in enumerate(("left", "right")):
+        grid = torch.zeros(len(batch[tactile_key(finger)]), 3, 48, 64)
+        for row in range(4, 40, 8):
+            for column in range(4, 56, 8 + index):
+                grid[..., row : row + 3, column : column + 3] = 1
+        shown[tactile_key(finger, True)] = grid
+        shown[tactile_key(finger)] = grid.roll((1 + index, 2), dims=(-2, -1))
+    return shown
+
+
+JUDGED = {"tool": Agreement(9, (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))}
+
+
+def calibrate(folder, config, shift=0.0, new="tactip:7", anchor="tactip:7", gain=1.0, **hashes):
+    """Save a calibration for a policy whose map adds ``shift``; return its folder."""
+    found = LatentMap(config.tokens_per_slot, config.latent_size)
+    found.shift.fill_(shift)
+    tokenizer_hash = hashes.get("tokenizer_hash", config.tokenizer_hash)
+    head_hash = hashes.get("head_hash", config.touch.head_hash)
+    names = (tokenizer_hash, head_hash, new, anchor)
+    return str(Calibration(found, *names, 1.0, 0.0, JUDGED, gain).save(folder))

@@ -1,189 +1,188 @@
-"""Latency of one action chunk: LeRobot's own loop and the fast sampler in turns, random weights.
+"""Time from an observation to a chunk, by parts, beside LeRobot's loop and the machine's floor."""
 
-Time depends on shapes alone, so no checkpoint is needed. ``tiny`` is the CPU policy; ``mid`` has
-π0.5's depth, cameras, prompt and flow steps at small widths, so that neither launches nor products
-of matrices are all of it; ``base`` is the real size, for a GPU.
-"""
-
-import copy
 import statistics
-import time
+import sys
 from collections.abc import Callable
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 from unittest import mock
 
 import torch
-from lerobot.configs import FeatureType, PolicyFeature
-from lerobot.policies.pi05.modeling_pi05 import PI05Pytorch
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils.flop_counter import FlopCounterMode
 
-from benchmarks.policy.counts import count_flops, count_operations
-from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import (
-    PI05UniforceConfig,
-    SamplerSettings,
-    TinySettings,
-    TouchSettings,
+from benchmarks.policy.network import (
+    CAMERAS,
+    PROMPT,
+    Device,
+    Size,
+    build,
+    check_device,
+    in_turns,
+    milliseconds,
+    observe,
+    ratio,
+    sampler_of,
+    samplers,
 )
-from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
-from lerobot_policy_pi05_uniforce.sampler.layers import linear
-from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs
+from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
+from lerobot_policy_pi05_uniforce import make_pi05_uniforce_pre_post_processors as make_processors
+from lerobot_policy_pi05_uniforce.touch.touch_input import PAIR_KEYS
+from uniforce_cli.boundary import command
+from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
 from uniforce_vtla.keys import ACTION, AXES, STATE
+from uniforce_vtla.options import Count, OutFolder
+from uniforce_vtla.results_file import provenance, write_json
 
-GEMM_SIDE = 1024  # of the square product that anchors the floor
-
-
-@dataclass(frozen=True)
-class BenchCase:
-    """One network and one kind of observation."""
-
-    name: str
-    size: str = "tiny"
-    cameras: int = 3  # slots the policy was built for
-    missing: int = 0  # of them not there; LeRobot encodes a constant picture instead
-    prompt: int = 50  # real text tokens, of tokenizer_max_length
-    settings: dict[str, Any] = field(default_factory=dict)
+# operations that move no data
+VIEWS = {"alias", "as_strided", "detach", "expand", "permute", "select", "slice", "split", "t"}
+VIEWS |= {"split_with_sizes", "squeeze", "transpose", "unbind", "unsqueeze", "view", "_unsafe_view"}
+# side of a square product and bytes of a copy, large enough to reach the machine's ceilings
+ANCHORS = {"cuda": (8192, 2**31), "cpu": (1024, 2**26)}
 
 
-MID = {
-    "tiny": TinySettings(width=256, depth=18, mlp_dim=1024),
-    "image_resolution": (224, 224),
-    "chunk_size": 50,
-    "n_action_steps": 50,
-    "max_action_dim": 32,
-    "tokenizer_max_length": 200,
-}
-CASES = {
-    case.name: case
-    for case in (
-        BenchCase("tiny", cameras=2, prompt=30),
-        BenchCase("mid_3_cameras", settings=MID),
-        BenchCase("mid_2_of_3_cameras", missing=1, settings=MID),
-        BenchCase("base_3_cameras", size="base"),
-    )
-}
+@dataclass
+class LatencyConfig:
+    """Time a chunk of random weights, LeRobot's loops and ours in turns; write latency.json.
+
+    Example: python -m benchmarks.policy.latency
+    On a GPU: python -m benchmarks.policy.latency device=cuda size=base rounds=30
+    """
+
+    device: Device = "cpu"  # cpu (one thread) | cuda
+    size: Size = "tiny"  # base is in bfloat16
+    rounds: Count = 9  # each call once per round
+    steps: Count = 10  # flow steps
+    out: OutFolder = "outputs/bench_policy"  # latency.json
 
 
-def build(case: BenchCase, device: str, touch: TouchSettings | None = None) -> PI05UniforcePytorch:
-    """Return a network of random weights, adaptive norms included; without touch by default."""
-    torch.manual_seed(0)
-    touch = touch or TouchSettings(slots={}, input="none")
-    settings = copy.deepcopy(case.settings)
-    config = PI05UniforceConfig(size=case.size, device=device, touch=touch, **settings)
-    config.input_features = {STATE: PolicyFeature(FeatureType.STATE, (len(AXES),))}
-    config.output_features = {ACTION: PolicyFeature(FeatureType.ACTION, (len(AXES),))}
-    if case.size == "base":
-        config.dtype = "bfloat16"
-    with torch.device(device):  # 3 B random numbers take a CPU a minute
-        network = PI05UniforcePytorch(config)
-    network.state_token = None  # LeRobot's loop knows none
-    network.to(device).eval()
-    for name, weight in network.named_parameters():
-        if "norm.dense.weight" in name:  # starts as zero: every norm would be the same
-            torch.nn.init.normal_(weight, std=0.02)
-    return network
+class _Operations(TorchDispatchMode):
+    """Counts what the dispatcher is asked for, views aside: a launch each on a GPU."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.count = 0
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        self.count += func._schema.name.split("::")[1] not in VIEWS
+        return func(*args, **(kwargs or {}))
 
 
-def observe(
-    case: BenchCase, network: PI05UniforcePytorch, device: str
-) -> tuple[Inputs, torch.Tensor]:
-    """Return cameras, masks, text tokens and their mask for batch 1, and starting noise."""
-    config = network.config
-    height, width = config.image_resolution
-    images = [torch.rand(1, 3, height, width, device=device) * 2 - 1 for _ in range(case.cameras)]
-    there = [
-        torch.tensor([n < case.cameras - case.missing], device=device) for n in range(case.cameras)
-    ]
-    tokens = torch.randint(0, 50, (1, config.tokenizer_max_length), device=device)
-    mask = torch.arange(config.tokenizer_max_length, device=device)[None] < case.prompt
-    noise = torch.randn(1, config.chunk_size, config.max_action_dim, device=device)
-    return Inputs(images, there, tokens, mask), noise
-
-
-def lerobots_layers(network: PI05UniforcePytorch) -> Any:
-    """Run LeRobot's own layers in the tiny network; base has no others."""
-    return mock.patch.object(network.paligemma_with_expert, "fused", False, create=True)
-
-
-@contextmanager
-def without_graphs(network: PI05UniforcePytorch) -> Any:
-    """Let the fast sampler run eagerly, also on a GPU."""
-    eager = mock.patch.object(network.config, "sampler", SamplerSettings("eager"))
-    with mock.patch.object(network.fast, "graphed", None), eager:
-        yield
-
-
-def samplers(
-    network: PI05UniforcePytorch, given: Inputs, noise: torch.Tensor, steps: int
-) -> dict[str, Callable]:
-    def slow() -> torch.Tensor:
-        with lerobots_layers(network):
-            *seen, _ = given
-            return PI05Pytorch.sample_actions(network, *seen, noise=noise, num_steps=steps)
-
-    return {
-        "stock": slow,
-        "fast": lambda: network.sample_actions(*given, noise=noise, num_steps=steps),
-    }
+def count_operations(call: Callable) -> int:
+    with _Operations() as counter:
+        call()
+    return counter.count
 
 
 @torch.no_grad()
-def bench_case(case: BenchCase, device: str, rounds: int, steps: int) -> dict[str, Any]:
-    """Return latencies [ms], operations, FLOPs, their floor, and how far the results are apart."""
-    network = build(case, device)
-    given, noise = observe(case, network, device)
-    both = samplers(network, given, noise, steps)
-    apart = float((both["stock"]() - both["fast"]()).abs().max())  # also warms both up
-    times: dict[str, list[float]] = {name: [] for name in both}
-    gemm = []
-    for _ in range(rounds):
-        gemm.append(_gemm_flops_per_s(device))
-        for name, sample in both.items():
-            times[name].append(milliseconds(sample, device))
-    with without_graphs(network):  # a replay asks the dispatcher for nothing
-        flops = count_flops(both["fast"])
-        operations = {name: count_operations(sample) for name, sample in both.items()}
-    report: dict[str, Any] = {
-        "config": case.name,
-        "device": device_name(device),
-        "cameras": case.cameras - case.missing,
-        "prompt_tokens": case.prompt,
-        "steps": steps,
-        "rounds": rounds,
+def measure(config: LatencyConfig) -> dict[str, Any]:
+    """Return all figures; ContractError: no CUDA device here."""
+    check_device(config.device)
+    policy = build(config.size, config.device, "bfloat16")
+    policy.config.num_inference_steps = config.steps
+    warm_up_s = milliseconds(policy.warm_up, config.device) / 1000
+    network = policy.model
+    given, noise = observe(policy)
+    sampler = sampler_of(network)
+    sampler.compiles = True  # on a GPU, these shapes too: they hold no touch
+    calls = samplers(network, given, noise, config.steps)
+    times = in_turns(calls, config.device, config.rounds)
+    stock = calls["stock"]()
+    apart = float((stock - calls["fast"]()).abs().max())
+    eager = mock.patch.object(policy.config.sampler, "kind", "eager")
+    # a replay asks the dispatcher for nothing
+    with eager, mock.patch.object(sampler, "graphed", None):
+        operations = {name: count_operations(call) for name, call in calls.items()}
+        with FlopCounterMode(display=False) as counter:
+            calls["fast"]()
+    found: dict[str, Any] = {
+        "config": vars(config) | {"cameras": len(CAMERAS), "prompt_tokens": PROMPT},
+        "warm_up_s": warm_up_s,
+        "ms": {name: statistics.median(values) for name, values in times.items()},
+        "ratio": {name: ratio(times[name], times["fast"]) for name in times if name != "fast"},
         "max_abs_difference": apart,
-        "flops": flops,
-        "gemm_flops_per_s": statistics.median(gemm),
-        "floor_ms": 1000 * flops / statistics.median(gemm),
+        "largest_action": float(stock.abs().max()),
         "operations": operations,
-        "operations_share": operations["fast"] / operations["stock"],
+        "floor": floor(policy, config, counter.get_total_flops()),
     }
-    for name, values in times.items():
-        report[f"{name}_ms"] = statistics.median(values)
-        report[f"{name}_p95_ms"] = sorted(values)[min(len(values) - 1, round(0.95 * len(values)))]
-    pairs = zip(times["stock"], times["fast"], strict=True)
-    report["ratio"] = statistics.median(stock / fast for stock, fast in pairs)
-    return report
+    found["floor"]["times_floor"] = found["ms"]["fast"] / found["floor"]["ms"]
+    found["end_to_end_ms"] = end_to_end(policy, config)
+    return found
 
 
-def milliseconds(call: Callable, device: str) -> float:
-    _wait(device)
-    start = time.perf_counter()
-    call()
-    _wait(device)
-    return 1000 * (time.perf_counter() - start)
+def floor(policy: PI05UniforcePolicy, config: LatencyConfig, flops: int) -> dict[str, float]:
+    """Return the least time of a call: its operations or its weights, at measured ceilings."""
+    side, size = ANCHORS[config.device.partition(":")[0]]
+    prepared = sampler_of(policy.model).prepared
+    square = torch.randn(side, side, device=config.device, dtype=prepared.dtype)
+    source = torch.empty(size, dtype=torch.uint8, device=config.device)
+    target = torch.empty_like(source)
+    calls = {"product": lambda: square @ square, "copy": lambda: target.copy_(source)}
+    best_ms = {name: min(ms) for name, ms in in_turns(calls, config.device, 10).items()}
+    flops_per_s = 2000 * side**3 / best_ms["product"]
+    bytes_per_s = 2000 * size / best_ms["copy"]  # read and written
+    read = 0
+    modules = [prepared.tower, prepared.projector, policy.model.vlm.layers]
+    for module in [*modules, *[policy.model.expert.layers] * config.steps]:
+        read += sum(p.numel() * p.element_size() for p in module.parameters())
+    least_ms = 1000 * max(flops / flops_per_s, read / bytes_per_s)
+    return {
+        "flops": flops,
+        "weight_bytes": read,
+        "product_flops_per_s": flops_per_s,
+        "copy_bytes_per_s": bytes_per_s,
+        "ms": least_ms,
+    }
 
 
-def _wait(device: str) -> None:
-    if device.startswith("cuda"):
-        torch.cuda.synchronize()
+def end_to_end(policy: PI05UniforcePolicy, config: LatencyConfig) -> dict[str, float]:
+    """Return medians [ms] of ``select_action`` from bytes on the host to an action there."""
+    one = torch.ones(len(AXES))
+    stats = {key: {"q01": -one, "q99": one, "min": -one, "max": one} for key in (STATE, ACTION)}
+    before, after = make_processors(policy.config, stats)
+    raw: dict[str, Any] = {"task": ["wipe the ink off the board"], STATE: torch.zeros(len(AXES))}
+    for key, feature in policy.config.image_features.items():
+        raw[key] = torch.randint(0, 255, feature.shape, dtype=torch.uint8)
+    markers = torch.zeros(1, *MARKER_IMAGE_SHAPE, dtype=torch.uint8)
+    markers[..., ::16, :] = 255
+    for keys in PAIR_KEYS.values():
+        raw |= dict.fromkeys(keys, markers)
+    batch = before(dict(raw))
+    chunk = policy.predict_action_chunk(batch)
+
+    def whole(touched: bool) -> torch.Tensor:
+        policy._action_queue.clear()
+        slots = policy.config.touch.slots if touched else {}
+        with mock.patch.object(policy.config.touch, "slots", slots):
+            return after(policy.select_action(before(dict(raw))))
+
+    calls = {
+        "whole": lambda: whole(True),
+        "whole_without_touch": lambda: whole(False),
+        "preprocessor": lambda: before(dict(raw)),
+        "cameras": lambda: policy._preprocess_images(batch),
+        "touch_to_latents": lambda: policy.felt(batch),
+        "prefix_and_flow_with_the_three_above": lambda: policy.predict_action_chunk(batch),
+        "postprocessor": lambda: after(chunk[:, 0]),
+    }
+    times = in_turns(calls, config.device, config.rounds)
+    found = {name: statistics.median(values) for name, values in times.items()}
+    pairs = zip(times["whole"], times["whole_without_touch"], strict=True)
+    return found | {"touch": statistics.median(a - b for a, b in pairs)}
 
 
-def _gemm_flops_per_s(device: str) -> float:
-    dtype = torch.bfloat16 if device.startswith("cuda") else torch.float32
-    square = torch.randn(GEMM_SIDE, GEMM_SIDE, device=device, dtype=dtype)
-    best = min(milliseconds(lambda: linear(square, square), device) for _ in range(5))
-    return 2 * GEMM_SIDE**3 / best * 1000
+@command(LatencyConfig)
+def main(config: LatencyConfig) -> None:
+    found = measure(config)
+    path = write_json(Path(config.out) / "latency.json", found | provenance())
+    for name, ms in (found["ms"] | found["end_to_end_ms"]).items():
+        print(f"{name:40} {ms:9.2f} ms")
+    ratios = {name: round(times, 2) for name, times in found["ratio"].items()}
+    print(f"warm-up {found['warm_up_s']:.1f} s; over ours: {ratios}")
+    print(f"floor {found['floor']['ms']:.2f} ms, ours {found['floor']['times_floor']:.1f} of it")
+    print(f"differs by {found['max_abs_difference']:.1e} of {found['largest_action']:.1f}; {path}")
 
 
-def device_name(device: str) -> str:
-    return torch.cuda.get_device_name() if device.startswith("cuda") else "CPU, one thread"
+if __name__ == "__main__":
+    sys.exit(main())

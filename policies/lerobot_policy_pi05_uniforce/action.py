@@ -15,7 +15,6 @@ force of a blocked policy, stiffness × min(leash, clip) per axis. By default th
 
 import math
 import sys
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -91,32 +90,21 @@ def to_targets(deltas: Tensor, base: Tensor, units: NetworkUnits) -> Tensor:
     return base[:, None] + units.to_si(deltas)
 
 
-def previous_move(commands: Tensor) -> Tensor:
-    """Return (B, A) move, SI, from the first of a sample's (B, T, A) commands to the second."""
-    return commands[:, 1] - commands[:, 0]
-
-
 class IssuedTarget:
-    """The last targets sent to each environment row; ``moved`` looks so many steps back."""
+    """The last target sent to each environment row."""
 
-    def __init__(self, steps: int = 0) -> None:
-        self._targets: deque[Tensor] = deque(maxlen=steps + 1)
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget it."""
+        self.last: Tensor | None = None  # (B, A)
         # (B, A) of the network, before the leash; a chunk's steps follow each other
         self.asked: Tensor | None = None
 
-    def reset(self) -> None:
-        """Forget all targets."""
-        self._targets.clear()
-        self.asked = None
-
     def record(self, target: Tensor) -> None:
         """Remember (B, A) targets just handed out."""
-        self._targets.append(target.detach().clone())
-
-    @property
-    def last(self) -> Tensor | None:
-        """The (B, A) targets sent last, None after a reset."""
-        return self._targets[-1] if self._targets else None
+        self.last = target.detach().clone()
 
     def base(self, measured: Tensor) -> Tensor:
         """Return the (B, A) base of the next chunk: what was issued last, else the measured state.
@@ -130,12 +118,6 @@ class IssuedTarget:
             came = tuple(measured.shape)
             raise RolloutError(expected("batch", wanted, came, "Call policy.reset() first."))
         return self.last
-
-    def moved(self, measured: Tensor) -> Tensor:
-        """Return (B, A) move of the target over the steps kept, 0 at first; raises as ``base``."""
-        if self.last is None:
-            return torch.zeros_like(measured)
-        return self.base(measured) - self._targets[0]
 
 
 def check_axes(state_size: int, action_size: int, settings: ActionSettings) -> None:

@@ -15,6 +15,7 @@ from lerobot_policy_pi05_uniforce import weights
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import (
     ENCODED,
     NEVER_STORED,
+    REMOVED,
     PI05UniforceConfig,
 )
 from uniforce_vtla.contracts import Finger, check_count
@@ -47,8 +48,8 @@ MISFITS = (
 def check_settings(saved: dict[str, Any], where: str) -> None:
     """Check a saved ``config.json``.
 
-    Raises CheckpointError: another policy, settings of 0.1.0, a tokenizer elsewhere, other marker
-    images, or a size no machine holds.
+    Raises CheckpointError: another policy, settings of 0.1.0 or of what was removed since, a
+    tokenizer elsewhere, other marker images, or a size no machine holds.
     """
 
     def require(fits: object, what: str, wanted: str, came: object, do: str) -> None:
@@ -65,6 +66,11 @@ def check_settings(saved: dict[str, Any], where: str) -> None:
         value = saved.get(name, only)
         do = "Only who loads a checkpoint chooses this. Copy it again."
         require(value == only, f"{name} in {where}", repr(only), repr(value)[:80], do)
+    for path, runs in REMOVED.items():
+        group, _, name = path.partition(".")
+        value = _table(saved, group).get(name, runs)
+        do = "It didn't pay and was removed: run it with commit 304b337e, or train again."
+        require(value == runs, f"{path} in {where}", repr(runs), repr(value)[:80], do)
     touch = _table(saved, "touch")
     encodes = touch.get("slots") and touch.get("input") in ENCODED
     is_whole = touch and (not encodes or isinstance(touch.get("tokenizer"), dict))
@@ -180,7 +186,6 @@ def _facts(touch: Mapping[str, Any]) -> dict[str, Any]:
         "slots": sorted(touch["slots"] or ()),
         "tokenizer": (touch["tokenizer"] or {}).get("hash", ""),
         "input": touch["input"],
-        "site": touch["site"],
     }
 
 

@@ -45,9 +45,8 @@ BY_SIZE: dict[str, tuple[Any, Any]] = {
     "augment.camera_variation": (1.0, 0.0),
     "sampler.noise_scale": (0.0, 1.0),
 }
-# off at every size
-OFF: dict[str, Any] = {"action.previous_steps": 0, "action.previous_axes": []}
-
+# of older checkpoints: what they were tried with didn't pay, and the only value that still runs
+REMOVED = {"touch.site": "prefix", "action.previous_steps": 0}
 # run-time settings; checkpoints always store these defaults
 NEVER_STORED = {
     "verify": "full",
@@ -67,7 +66,6 @@ CHOICES = {
     "monitor": ("stop", "off"),
     "grip": ("", "read", "held"),
     "touch.input": (*ENCODED, "wrench", "none"),
-    "touch.site": ("prefix", "suffix"),
     "touch.on_sensor_loss": ("error", "mask"),
     "action.form": ("target_delta", "absolute"),
     "action.objective": ("flow", "regression"),
@@ -97,9 +95,7 @@ class TouchSettings:
     # input=newtons: sensor type whose force head reads, that of the demonstrations' finger: the
     # shipped one, or the one beside tokenizer_path
     head: str = "tactip"
-    # "prefix": beside cameras and text, encoded once | "suffix": before the actions, read in every
-    # flow step
-    site: str = "prefix"
+    site: str = field(default="prefix", init=False)  # REMOVED: older checkpoints name it
     # True: training starts with the base policy's actions, touch behind a learnt gate
     # (touch/tokens.py). tiny: off
     start_at_base: bool = _BY_SIZE
@@ -135,10 +131,9 @@ class ActionSettings:
     # target_delta: the demos' lowest and highest target per axis; targets stay within. Found in the
     # data; [] = unknown
     target_range: list[list[float]] = field(default_factory=list)
-    # target_delta of tiny: the previous action, as the command's move over so many steps, stands
-    # beside the state; 0 = not given. As many as n_action_steps, or more
-    previous_steps: int = _BY_SIZE
-    previous_axes: list[int] = _BY_SIZE  # its axes; [] = all
+    # REMOVED: older checkpoints name them
+    previous_steps: int = field(default=0, init=False)
+    previous_axes: list[int] = field(default_factory=list, init=False)
     # target_delta: m, m, m, rad, m by which an issued target may lead the measured pose. Just above
     # the arm's clip of 18 mm, beyond which no force grows
     leash: list[float] = field(default_factory=lambda: [0.02, 0.02, 0.02, 0.2, 0.03])
@@ -171,7 +166,8 @@ class TinySettings:
 class SamplerSettings:
     """How a chunk is sampled."""
 
-    # "fast": sampler/fast.py, with CUDA graphs on cuda | "eager": without them | "stock": LeRobot's
+    # "fast": sampler/fast.py, on cuda compiled and from CUDA graphs | "eager": the same without |
+    # "stock": LeRobot's
     kind: str = "fast"
     # of the flow's starting noise; tiny 0 (the central action), base 1
     noise_scale: float = _BY_SIZE
@@ -182,8 +178,7 @@ class SamplerSettings:
 class PI05UniforceConfig(PI05Config):
     """π0.5 with force tokens. A field left out takes its size's default (``BY_SIZE``).
 
-    Raises ContractError: an unknown choice, slot, finger or token site, or settings that don't go
-    together.
+    Raises ContractError: an unknown choice, slot or finger, or settings that don't go together.
     """
 
     # "tiny" (CPU, from scratch) | "base" (real π0.5) | "auto": base where CUDA is
@@ -261,7 +256,7 @@ class PI05UniforceConfig(PI05Config):
 
     def _fill_in(self) -> None:
         """Give every setting that was left out its size's default."""
-        defaults = OFF | {"augment.touch_dropout": 0.0}
+        defaults: dict[str, Any] = {"augment.touch_dropout": 0.0}
         for path, values in BY_SIZE.items():
             defaults[path] = values[SIZES.index(self.size)]
         if len(self.slots) > 1:
@@ -277,7 +272,6 @@ class PI05UniforceConfig(PI05Config):
             came = getattr(self, name, off)  # LeRobot 0.6 doesn't have them
             _require(came == off, name, f"{off}: this policy's samplers don't serve it", came)
         touch = self.touch
-        action = self.action
         stock = self.compile_model or self.gradient_checkpointing or self.dtype != "float32"
         _require(self.size != "tiny" or not stock, "size=tiny", "plain float32", self.dtype)
         square = self.image_resolution[0] == self.image_resolution[1]
@@ -295,13 +289,6 @@ class PI05UniforceConfig(PI05Config):
         _require(fits, "left_calibration, right_calibration", "latents to map", came)
         variation = self.augment.camera_variation
         _require(variation >= 0, "augment.camera_variation", "≥ 0", variation)
-        steps = action.previous_steps
-        deltas = self.state_token and action.form == "target_delta"
-        fits = steps == 0 or (steps > 0 and deltas)
-        _require(fits, "action.previous_steps", "0, or more with tiny's deltas", steps)
-        axes = action.previous_axes
-        fits = len(set(axes) & set(range(len(action.delta_scale)))) == len(axes)
-        _require(fits, "action.previous_axes", "axes, each at most once", axes)
 
     def _save_pretrained(self, save_directory: Path) -> None:
         """Write ``config.json``."""
@@ -387,31 +374,15 @@ class PI05UniforceConfig(PI05Config):
         return str((self.touch.tokenizer or {}).get("hash", ""))
 
     @property
-    def previous_axes(self) -> list[int]:
-        """Axes of the previous action beside the state; none without ``action.previous_steps``."""
-        if not self.action.previous_steps:
-            return []
-        return self.action.previous_axes or list(range(len(self.action.delta_scale)))
-
-    @property
     def image_features(self) -> dict[str, Any]:
         """Scene cameras only: marker images must never reach SigLIP."""
         return {k: v for k, v in super().image_features.items() if k not in TACTILE_KEYS}
 
     @property
     def action_delta_indices(self) -> list[int]:
-        """Frames of the action to load: the chunk, for target deltas behind the last command.
-
-        With ``previous_steps`` the command that many steps earlier comes first. ``prepare_action``
-        and ``previous_move`` know this order.
-        """
-        chunk = list(range(self.chunk_size))
-        steps = self.action.previous_steps
-        if self.action.form != "target_delta":
-            return chunk
-        if not steps:
-            return [-1, *chunk]
-        return [-1 - steps, -1, *chunk]
+        """Frames of the action to load: the chunk, for target deltas behind the last command."""
+        first = -1 if self.action.form == "target_delta" else 0
+        return list(range(first, self.chunk_size))
 
 
 def _require(fits: bool, name: str, wanted: str, came: object) -> None:

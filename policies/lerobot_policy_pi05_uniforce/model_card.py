@@ -73,7 +73,6 @@ def _touch(config: PI05UniforceConfig) -> str:
         sensor = touch.trained_sensors.get(slot) or "a sensor not stated"
         facts[f"slot `{slot}`"] = f"{touch.slots[slot]} finger, trained on {sensor}"
     facts["input"] = touch.input
-    facts["token site"] = touch.site
     facts["tokens per slot"] = str(config.tokens_per_slot)
     facts["tactile tokenizer"] = config.tokenizer_hash or "none"
     return _lines(facts)

@@ -17,6 +17,7 @@ from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.utils.constants import OBS_LANGUAGE_ATTENTION_MASK, OBS_LANGUAGE_TOKENS
 from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
+from tqdm import tqdm
 
 from lerobot_policy_pi05_uniforce import action, checkpoint, training, weights
 from lerobot_policy_pi05_uniforce.augment import vary
@@ -24,6 +25,7 @@ from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05Uniforc
 from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE, floor_quantiles
+from lerobot_policy_pi05_uniforce.sampler.cuda_graphs import BUCKETS
 from lerobot_policy_pi05_uniforce.sampler.prefix import drop_padding
 from lerobot_policy_pi05_uniforce.touch.encoder import ENCODER, check_hash, is_packaged
 from lerobot_policy_pi05_uniforce.touch.sensors import PolicySensors
@@ -80,7 +82,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
         settings = config.action
         self._action_size = config.output_features[ACTION].shape[0]
         action.check_axes(config.state_size, self._action_size, settings)
-        self.issued = action.IssuedTarget(settings.previous_steps)
+        self.issued = action.IssuedTarget()
         self.network_units = action.NetworkUnits(
             settings.delta_scale, settings.delta_knee, config.chunk_size
         )
@@ -186,15 +188,29 @@ class PI05UniforcePolicy(stock.PI05Policy):
         """Answer made-up observations, so that the first real ones don't wait for compilation.
 
         A robot that is connected already would see a dead controller. Neither generators nor an
-        episode are touched.
+        episode are touched. With CUDA graphs there is one for each length of text, and the first is
+        compiled.
         """
         begun = time.perf_counter()
         device = self.leash.device
         batch = made_up_batch(self.config, device)
+        fast = self.model.fast
+        lengths = {self.config.tokenizer_max_length}
+        is_graphed = False
+        if fast is not None:
+            is_graphed = fast.is_graphed_on(device)
+            fast.compiles = is_graphed
+        if is_graphed:
+            lengths |= {size for size in BUCKETS if size < self.config.tokenizer_max_length}
+        bar = tqdm(sorted(lengths, reverse=True), "compiling", disable=not is_graphed, unit="graph")
         with torch.random.fork_rng(devices=[device] if self.leash.is_cuda else []):
-            for _ in range(WARM_READINGS):
-                self.predict_action_chunk(batch)
-        self.reset()
+            for length in bar:
+                batch[OBS_LANGUAGE_ATTENTION_MASK][:, length:] = False
+                for _ in range(WARM_READINGS):
+                    self.predict_action_chunk(batch)
+                self.reset()
+        if fast is not None:
+            fast.compiles = False
         took_s = time.perf_counter() - begun
         logger.info("policy warmed up in %.1f s, before any robot moves", took_s)
 
@@ -233,41 +249,30 @@ class PI05UniforcePolicy(stock.PI05Policy):
         self.touch.reset()
 
     def _preprocess_images(self, batch: Batch) -> tuple[list[Tensor], list[Tensor]]:
-        """Return camera images and masks; training varies them.
+        """Return camera images and masks, from floats in [0, 1] or uint8; training varies them.
 
         Larger frames of ``tiny`` are resized by area, as training views; base keeps π0.5's resize.
         """
         size = self.config.image_resolution
         frames = dict(batch)
-        for key in self.config.image_features:  # no marker images
-            if self.config.size == "tiny" and key in batch and batch[key].shape[-1] > size[1]:
-                frames[key] = F.interpolate(batch[key], size, mode="area")
+        for key in self.config.image_features.keys() & batch.keys():  # no marker images
+            image = batch[key].to(self.leash.device)
+            if image.dtype == torch.uint8:  # a quarter of the bytes on their way to the device
+                image = image / 255
+            if self.config.size == "tiny" and image.shape[-1] > size[1]:
+                image = F.interpolate(image, size, mode="area")
+            frames[key] = image
         images, masks = super()._preprocess_images(frames)
         if self.training and self.config.augment.camera_variation:
             images = [vary(image, self.config.augment.camera_variation) for image in images]
         return images, masks
 
     def felt(self, batch: Batch) -> Felt:
-        """Return touch and the state, with the previous action where the policy takes it.
-
-        Raises as ``TouchInput.gather``.
-        """
+        """Return touch and, for a state token, the state; raises as ``TouchInput.gather``."""
         state = None
         if self.model.state_token is not None:
-            state = batch[STATE].to(self.leash)
-            axes = self.config.previous_axes
-            if axes:
-                move = self._previous_move(batch) / self.delta_scale
-                state = torch.cat([state, move[:, axes]], dim=1)
-            state = state[:, None]  # (B, 1, S), or S + A with the previous action
+            state = batch[STATE].to(self.leash)[:, None]  # (B, 1, S)
         return Felt(state, *self.touch.gather(batch, self.training))
-
-    def _previous_move(self, batch: Batch) -> Tensor:
-        """Return (B, A) in SI units: of a sample its demo's commands, of a rollout those issued."""
-        commands = batch.get(ACTION)
-        if commands is not None and commands.ndim == 3:
-            return action.previous_move(commands.to(self.delta_scale))
-        return self.issued.moved(self._measured(batch))
 
     def _measured(self, batch: Batch) -> Tensor:
         if MEASURED_STATE not in batch:
@@ -280,12 +285,9 @@ class PI05UniforcePolicy(stock.PI05Policy):
         """Return (B, chunk, max_action_dim) in network units."""
         actions = batch[ACTION]
         if self.config.action.form == "target_delta":
-            behind = -1 - self.config.chunk_size  # the last command and the chunk
             is_pad = batch.get("action_is_pad")
-            if is_pad is not None:
-                is_pad = is_pad[:, behind:]
             measured = self._measured(batch)
-            actions = action.to_deltas(actions[:, behind:], is_pad, measured, self.network_units)
+            actions = action.to_deltas(actions, is_pad, measured, self.network_units)
         return stock.pad_vector(actions, self.config.max_action_dim)
 
     def forward(self, batch: Batch, reduction: str = "mean") -> tuple[Tensor, dict[str, Any]]:

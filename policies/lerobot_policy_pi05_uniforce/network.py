@@ -20,43 +20,26 @@ from lerobot_policy_pi05_uniforce.touch.tokens import (
     ForceTokens,
     GatedColumns,
     TouchGate,
-    TouchTokens,
 )
 from lerobot_policy_pi05_uniforce.training import freeze_unread
 from lerobot_policy_pi05_uniforce.weights import no_weights
 
-PREVIOUS_NOISE = 0.1  # on the previous action, training only, in units of ``delta_scale``
-
 
 class StateToken(nn.Module):
-    """The normalised state as one prefix token: text bins are too coarse to learn from few demos.
+    """The normalised state as one prefix token: text bins are too coarse to learn a few demos."""
 
-    Behind the state stand the chosen axes of the previous action, noisy while training.
-    """
-
-    def __init__(self, config: PI05UniforceConfig, width: int) -> None:
+    def __init__(self, state_size: int, width: int) -> None:
         super().__init__()
-        moves = len(config.previous_axes)
-        self.noise = [0.0] * config.state_size + [PREVIOUS_NOISE] * moves
-        self.proj = nn.Sequential(
-            nn.Linear(len(self.noise), width), nn.GELU(), nn.Linear(width, width)
-        )
+        self.proj = nn.Sequential(nn.Linear(state_size, width), nn.GELU(), nn.Linear(width, width))
 
     def forward(self, state: Tensor) -> Tensor:
-        """Map (B, 1, state size + moves) to (B, 1, D) of unit RMS."""
-        if self.training and any(self.noise):
-            state = state + torch.randn_like(state) * state.new_tensor(self.noise)
+        """Map (B, 1, state size) to (B, 1, D) of unit RMS."""
         hidden = self.proj(state)
         return F.rms_norm(hidden, hidden.shape[-1:])
 
 
 class PI05UniforcePytorch(stock.PI05Pytorch):
-    """π0.5's network with a state token and force tokens behind cameras and text.
-
-    At ``touch.site=prefix`` force tokens join cameras and text, encoded once per observation. At
-    ``suffix`` they stand before the noisy actions in the action expert, which reads them again in
-    every flow step; they see the prefix and each other, never the actions.
-    """
+    """π0.5's network with a state token and force tokens behind cameras and text."""
 
     def __init__(
         self, config: PI05UniforceConfig, rtc_processor: Any = None, empty: bool = False
@@ -70,7 +53,6 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
             self._build_stock(config)
         # of the call in progress: LeRobot's loops hand no more than cameras and text on
         self._felt = NOTHING
-        self._touch: TouchTokens | None = None  # at touch.site=suffix
         self.tactile_encoder: Any = None
         self.force_tokens: Any = None
         self.touch_gate: Any = None
@@ -79,14 +61,11 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         if config.encodes:
             self.tactile_encoder = build_frozen_touch(config, empty)
         if config.slots:
-            width = vlm_width
-            if config.touch.site == "suffix":
-                width = self.action_in_proj.out_features
-            self.force_tokens = ForceTokens(config, config.touch_shape, width)
+            self.force_tokens = ForceTokens(config, config.touch_shape, vlm_width)
         if config.slots and config.touch.start_at_base:
             self.touch_gate = TouchGate(len(config.slots))
         if config.state_token:
-            self.state_token = StateToken(config, vlm_width)
+            self.state_token = StateToken(config.state_size, vlm_width)
         freeze_unread(self.vlm)
         self.adapted = False  # PEFT's adapters are in: sampled by LeRobot's loop, which runs them
         self.fast = None
@@ -169,13 +148,12 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
 
     @contextmanager
     def feeling(self, felt: Felt) -> Iterator[None]:
-        """Hand state and touch to ``embed_prefix`` and ``embed_suffix`` around LeRobot's loops."""
+        """Hand state and touch to ``embed_prefix`` around LeRobot's loops."""
         self._felt = felt
         try:
             yield
         finally:
             self._felt = NOTHING
-            self._touch = None
 
     def embed_prefix(
         self,
@@ -192,28 +170,14 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         """
         embs, pads, atts = super().embed_prefix(images, img_masks, tokens, masks)
         before = embs.shape[1]
-        self._touch = self.suffix_touch(self._felt)
         embs, pads, self.paligemma_with_expert.gated = self.append_felt(self._felt, embs, pads)
         # False: sees the whole prefix
         return embs, pads, F.pad(atts, (0, embs.shape[1] - before))
 
-    def embed_suffix(
-        self, noisy_actions: Tensor, timestep: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Embed noisy actions as π0.5 does, force tokens before them at ``touch.site=suffix``."""
-        embs, pads, atts, cond = super().embed_suffix(noisy_actions, timestep)
-        if self._touch is not None:
-            block = atts.new_zeros(self._touch.real.shape)
-            block[:, 0] = 1  # a block of its own between prefix and actions
-            embs = torch.cat([self._touch.tokens.to(embs.dtype), embs], dim=1)  # (B, N + chunk, D)
-            pads = torch.cat([self._touch.real, pads], dim=1)
-            atts = torch.cat([block, atts], dim=1)
-        return embs, pads, atts, cond
-
     def append_felt(
         self, felt: Felt, embs: Tensor, real: Tensor
     ) -> tuple[Tensor, Tensor, GatedColumns | None]:
-        """Append the state's token and, at that site, force tokens to cameras and text.
+        """Append the state's token and force tokens to cameras and text.
 
         Args:
             felt: state and touch.
@@ -228,22 +192,13 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
             parts.append(self.state_token(felt.state).to(embs.dtype))  # (B, 1, D)
             reals.append(torch.ones_like(real[:, :1]))
         gated = None
-        if felt.touches is not None and self.touch_gate is not None:
+        if felt.touches is not None:
             count = self.config.tokens_per_slot
-            bias = self.touch_gate(len(felt.touches), count)
-            gated = GatedColumns(embs.shape[1] + len(parts) - 1, bias, felt.real(count))
-        if felt.touches is not None and self.config.touch.site == "prefix":
-            touch = self._touch_tokens(felt)
-            parts.append(touch.tokens.to(embs.dtype))
-            reals.append(touch.real)
+            real_touch = felt.real(count)
+            if self.touch_gate is not None:
+                bias = self.touch_gate(len(felt.touches), count)
+                gated = GatedColumns(embs.shape[1] + len(parts) - 1, bias, real_touch)
+            for slot, touch in enumerate(felt.touches):
+                parts.append(self.force_tokens(touch, slot).to(embs.dtype))
+            reals.append(real_touch)
         return torch.cat(parts, dim=1), torch.cat(reals, dim=1), gated
-
-    def suffix_touch(self, felt: Felt) -> TouchTokens | None:
-        """Return all slots' tokens for the suffix; None at the other site or without touch."""
-        if felt.touches is None or self.config.touch.site != "suffix":
-            return None
-        return self._touch_tokens(felt)
-
-    def _touch_tokens(self, felt: Felt) -> TouchTokens:
-        tokens = [self.force_tokens(touch, slot) for slot, touch in enumerate(felt.touches)]
-        return TouchTokens(torch.cat(tokens, dim=1), felt.real(self.config.tokens_per_slot))

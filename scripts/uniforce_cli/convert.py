@@ -62,9 +62,6 @@ class ConvertConfig:
     touch_input: Literal["latent", "none", "wrench"] = "latent"
     # which finger fills which touch slot, comma between them
     touch_slots: Slots = "touch0:right,touch1:left"
-    # place of the force tokens: prefix = beside cameras and text, encoded once | suffix = before
-    # the actions, read in every flow step
-    token_site: Literal["prefix", "suffix"] = "prefix"
     # training starts with the source's actions, touch behind a gate (touch/tokens.py)
     start_at_base: bool = True
     # number format of the backbone; a tiny source stays float32
@@ -121,6 +118,8 @@ def _settings(
     source: dict[str, Any], config: ConvertConfig, slots: dict[str, str]
 ) -> PI05UniforceConfig:
     """Return the source's sizes and flow with this project's touch."""
+    import draccus
+
     from lerobot_policy_pi05_uniforce import PI05UniforceConfig
     from lerobot_policy_pi05_uniforce import configuration_pi05_uniforce as groups
 
@@ -132,11 +131,13 @@ def _settings(
         "sampler": groups.SamplerSettings,
     }
     for name in kinds.keys() & taken.keys():
-        taken[name] = kinds[name](**taken[name])
+        taken[name] = draccus.decode(kinds[name], taken[name])
+    for path, only in groups.REMOVED.items():
+        group, _, name = path.partition(".")
+        if group in taken:
+            setattr(taken[group], name, only)
     taken.setdefault("size", "base")
-    touch = groups.TouchSettings(
-        slots, config.touch_input, site=config.token_site, start_at_base=config.start_at_base
-    )
+    touch = groups.TouchSettings(slots, config.touch_input, start_at_base=config.start_at_base)
     dtype = "float32" if taken["size"] == "tiny" else config.dtype
     return PI05UniforceConfig(**taken, device="cpu", dtype=dtype, touch=touch)
 

@@ -1,53 +1,73 @@
-"""The benches: what they count is exact and held to the bar; what they time is only asked to be there."""
+"""The programs for a GPU box, at a small size on a CPU: what they count is exact, what they time is there."""
 
 import json
 from pathlib import Path
 
 import pytest
+import torch
 
-from benchmarks import policy_speed
-from benchmarks.policy.latency import CASES, BenchCase, bench_case
-from benchmarks.policy.touch import bench_training
-from benchmarks.policy_speed import main
-from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings
+from benchmarks.policy import chart, latency, training_speed
+from benchmarks.policy.network import build
+from benchmarks.policy.training_speed import TrainingSpeedConfig, steps_of
+from uniforce_cli.boundary import Command
 
-SMALL = {"tiny": TinySettings(width=64, depth=2, mlp_dim=32)}
-
-
-def test_a_tiny_call_takes_at_most_two_fifths_of_the_operations() -> None:
-    report = bench_case(CASES["tiny"], "cpu", rounds=1, steps=10)
-    assert report["operations_share"] <= 0.40
-    assert report["max_abs_difference"] < 1e-4
-    assert min(report["floor_ms"], report["fast_ms"]) > 0
+PROGRAMS = (latency.main, chart.main, training_speed.main)
 
 
-def test_the_command_writes_its_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(
-        policy_speed.CASES, "tiny", BenchCase("tiny", missing=1, prompt=12, settings=SMALL)
-    )
-    assert main(["only=tiny", "rounds=2", "steps=2", f"out={tmp_path}"]) == 0
-    table = json.loads((tmp_path / "policy_latency.json").read_text())
-    assert table["gpu"] == "not run" and table["cpu"]["stock_ms"] > 0
-    assert table["cases"]["tiny"]["cameras"] == 2
+def run(main: Command, out: Path, size: str = "small") -> dict:
+    """Run a program with a small network; return what it wrote."""
+    assert main([f"size={size}", "rounds=1", f"out={out}"]) == 0
+    (file,) = out.glob("*.json")
+    table = json.loads(file.read_text())
+    assert table["device"] == "cpu" and {"commit", "dirty", "command"} <= table.keys()
+    return table
+
+
+def test_latency_and_its_parts(tmp_path: Path) -> None:
+    table = run(latency.main, tmp_path, "tiny")
+    assert table["operations"]["fast"] <= 0.45 * table["operations"]["stock"]
+    assert table["operations"]["stock_batched"] < table["operations"]["stock"]
+    assert table["max_abs_difference"] < 1e-4 < table["largest_action"]
+    assert table["floor"]["ms"] > 0 and table["floor"]["weight_bytes"] > 1e6
+    parts = {"preprocessor", "cameras", "touch_to_latents", "postprocessor", "whole", "touch"}
+    assert parts < table["end_to_end_ms"].keys()
+
+
+def test_more_flow_steps_are_nearer_to_the_exact_chunk(tmp_path: Path) -> None:
+    table = run(chart.main, tmp_path)
+    float32 = [row["rms"] for row in table["points"] if row["dtype"] == "float32"]
+    assert len(table["points"]) == 2 * len(float32) and float32[-1] < 0.2 * float32[0]
+    assert chart.main([f"drawn={tmp_path / 'chart.json'}"]) == 0
+    assert (tmp_path / "chart.png").stat().st_size > 5000
+
+
+def test_training_beside_stock(tmp_path: Path) -> None:
+    table = run(training_speed.main, tmp_path)
+    run_rows = [row for row in table["rows"] if "batch" in row]
+    assert {(row["batch"], row["checkpointing"]) for row in run_rows} == {
+        (1, False),
+        (4, False),
+        (1, True),
+        (4, True),
+    }
+    for row in run_rows:
+        assert row["touch_over_stock"] > 0 and row["tokenizer_unchanged"]
 
 
 def test_twenty_steps_of_bases_code_learn_touch_and_leave_the_tokenizer() -> None:
-    """The code of ``base`` at reduced width; at full size it runs on a GPU (docs/results/policy_latency.json)."""
-    small = BenchCase("small", prompt=12, settings=SMALL)
-    report = bench_training(small, "cpu", steps=20, learning_rate=1e-3)
-    assert report["losses"][-1] < 0.8 * report["losses"][0]
-    assert all(min(norms) > 0 for norms in report["gradient_norms"].values())
-    assert report["tokenizer_unchanged"] and report["steps"] == 20 == len(report["losses"])
+    """The code of ``base`` at reduced width."""
+    config = TrainingSpeedConfig(size="small", rounds=19)
+    row = steps_of(build("small", "cpu").train(), 1, config, learning_rate=1e-3)
+    assert row["losses"]["touch"][-1] < 0.8 * row["losses"]["touch"][0]
+    assert all(min(norms) > 0 for norms in row["gradient_norms"].values())
+    assert row["tokenizer_unchanged"] and len(row["losses"]["touch"]) == 20
 
 
-@pytest.mark.parametrize(
-    ("given", "says"), [("only=huge", "base_3_cameras"), ("device=cuda", "CUDA")]
-)
+@pytest.mark.parametrize("main", PROGRAMS)
+@pytest.mark.parametrize(("given", "says"), [("size=huge", "base"), ("device=cuda", "CUDA")])
 def test_what_is_not_there_is_said(
-    given: str, says: str, capsys: pytest.CaptureFixture[str]
+    main: Command, given: str, says: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    import torch
-
     if given == "device=cuda" and torch.cuda.is_available():
         pytest.skip("a CUDA device is here")
     assert main([given]) == 2

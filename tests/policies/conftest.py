@@ -57,7 +57,7 @@ def make_config(tokenizer_path: Path) -> Callable[..., PI05UniforceConfig]:
 
 
 def in_groups(settings: dict[str, Any]) -> dict[str, Any]:
-    """``touch__site="suffix"`` → ``touch=TouchSettings(site="suffix")``."""
+    """``touch__input="wrench"`` → ``touch=TouchSettings(input="wrench")``."""
     groups: dict[str, dict[str, Any]] = {}
     plain = {name: value for name, value in settings.items() if "__" not in name}
     for name, value in settings.items():

@@ -12,17 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from lerobot.policies.rtc.configuration_rtc import RTCConfig
 from lerobot.rollout.inference.rtc import supports_rtc_inference
-from properties import examples
 
 from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
 from lerobot_policy_pi05_uniforce import make_pi05_uniforce_pre_post_processors as make_processors
 from lerobot_policy_pi05_uniforce.action import (
     STRIDE,
     CheckActionStep,
-    IssuedTarget,
     NetworkUnits,
     on_leash,
-    previous_move,
     to_deltas,
     to_targets,
 )
@@ -290,88 +287,6 @@ def test_evaluation_mode_reaches_a_module_that_was_set_apart(make_policy):
     assert not modules[-1].training
     policy.train()
     assert policy.training and policy.model.training
-
-
-@examples(30)
-@given(length=st.integers(1, 30), steps=st.integers(1, 6), data=st.data())
-def test_a_rollout_has_the_previous_action_of_the_sample_it_was_trained_on(length, steps, data):
-    """Frame t of an episode: commands are clipped to the episode as training views do; a rollout issued 0 … t − 1."""
-    frame = data.draw(st.integers(0, length - 1))
-    commands = torch.rand(length, 5)
-    seen = torch.tensor([frame - 1 - steps, frame - 1]).clip(0, length - 1)
-    issued = IssuedTarget(steps)
-    for target in commands[:frame]:
-        issued.record(target[None])
-    assert torch.allclose(issued.moved(torch.zeros(1, 5)), previous_move(commands[seen][None]))
-
-
-def test_the_previous_action_of_another_batch_is_refused():
-    issued = IssuedTarget(2)
-    issued.record(torch.zeros(3, 5))
-    with pytest.raises(RolloutError, match="reset"):
-        issued.moved(torch.zeros(2, 5))
-
-
-def test_where_the_command_came_from_decides_when_all_else_is_equal(make_policy, make_batch):
-    """In mid-stroke a picture doesn't tell which way; a sample's own commands and a rollout's do."""
-    policy = make_policy(touch__input="none", action__previous_steps=3, n_action_steps=1)
-    policy.model.state_token.eval()
-    assert policy.config.action_delta_indices[:3] == [-4, -1, 0]
-    batch = make_batch(policy)
-    way = torch.tensor([0.0, 0.02, 0.0, 0.0, 0.0])
-    chunks = {}
-    for sign in (-1, 0, 1):
-        policy.reset()
-        for step in (4, 3, 2, 1, 0):
-            policy.issued.record(batch[MEASURED_STATE] - sign * step * way)
-        chunks[sign] = policy.predict_action_chunk(batch)
-        commands = torch.stack(
-            [batch[MEASURED_STATE] - sign * 3 * way, batch[MEASURED_STATE]], dim=1
-        )
-        given_move = policy.predict_action_chunk({**batch, "action": commands})
-        assert torch.allclose(given_move, chunks[sign], atol=1e-6)
-    assert (chunks[1] - chunks[-1]).abs().max() > 1e-4
-    policy.reset()
-    still = policy.predict_action_chunk(batch)  # nothing issued yet: nothing moved
-    assert torch.allclose(still, chunks[0], atol=1e-6)
-
-
-def test_training_reads_the_move_in_front_of_the_chunk_and_blurs_it(make_policy, make_batch):
-    policy = make_policy(touch__input="none", action__previous_steps=3)
-    batch, size = make_batch(policy), policy.config.chunk_size
-    actions = torch.rand(2, 2 + size, 5)
-    is_pad = torch.zeros(2, 2 + size, dtype=torch.bool)
-    padded = policy.prepare_action({**batch, "action": actions, "action_is_pad": is_pad})[..., :5]
-    assert torch.allclose(
-        padded, to_deltas(actions[:, 1:], None, batch[MEASURED_STATE], policy.network_units)
-    )
-    seen: list[torch.Tensor] = []
-    policy.model.state_token.proj.register_forward_pre_hook(lambda _, given: seen.append(given[0]))
-    policy.train()
-    loss, _ = policy({**batch, "action": actions, "action_is_pad": is_pad})
-    loss.backward()
-    given_move = (actions[:, 1] - actions[:, 0]) / UNITS.unit
-    assert seen[0].shape == (2, 1, 10) and torch.equal(
-        seen[0][:, 0, :5], batch["observation.state"]
-    )
-    assert 0.02 < (seen[0][:, 0, 5:] - given_move).abs().mean() < 0.3
-
-
-def test_of_the_previous_action_only_the_axes_asked_for_are_given(make_policy, make_batch):
-    policy = make_policy(
-        touch__input="none", action__previous_steps=3, action__previous_axes=[1, 2]
-    )
-    batch = make_batch(policy)
-    from_m = batch[MEASURED_STATE]
-
-    def chunk(move: list[float]) -> torch.Tensor:
-        commands = torch.stack([from_m - torch.tensor(move), from_m], dim=1)
-        return policy.predict_action_chunk({**batch, "action": commands})
-
-    still = chunk([0.0] * 5)
-    assert policy.model.state_token.proj[0].in_features == 5 + 2
-    assert torch.equal(chunk([0.02, 0.0, 0.0, 0.1, 0.01]), still)
-    assert (chunk([0.0, 0.02, 0.0, 0.0, 0.0]) - still).abs().max() > 1e-4
 
 
 STEP = CheckActionStep(low=[0.0, -1.0], high=[1.0, 1.0], margin=0.5)

@@ -16,7 +16,7 @@ from transformers import AutoTokenizer
 
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy, weights
 from lerobot_policy_pi05_uniforce.checkpoint import check_sensors
-from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import REMOVED, TinySettings
 from lerobot_policy_pi05_uniforce.model_card import model_card
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import (
     FOLDER,
@@ -134,16 +134,35 @@ def test_swap_runs_the_same_checkpoint(make_policy, make_batch, tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("slots", {"touch0": "left"}), ("tokenizer", {"hash": "beef"}), ("site", "suffix")],
+    [("slots", {"touch0": "left"}), ("tokenizer", {"hash": "beef"}), ("input", "wrench")],
 )
 def test_touch_settings_must_be_the_checkpoints_own(checkpoint, name, value):
     config = PreTrainedConfig.from_pretrained(checkpoint)
     setattr(config.touch, name, value)
     with pytest.raises(CheckpointError, match=f"touch settings.*'{name}'") as error:
         PI05UniforcePolicy.from_pretrained(checkpoint, config=config)
-    others = {"slots", "tokenizer", "site"} - {name}
+    others = {"slots", "tokenizer", "input"} - {name}
     # only what differs is named
     assert not any(f"'{other}'" in str(error.value) for other in others)
+
+
+@pytest.mark.parametrize(
+    ("path", "value"), [("touch.site", "suffix"), ("action.previous_steps", 4)]
+)
+def test_what_was_removed_is_refused_and_its_names_are_tolerated(checkpoint, path, value):
+    file = checkpoint / "config.json"
+    stored = json.loads(file.read_text())
+    group, _, name = path.partition(".")
+    assert stored[group][name] == REMOVED[path]  # as in older checkpoints, and it loads
+    del stored[group][name]
+    file.write_text(json.dumps(stored))
+    write_hashes(checkpoint)
+    PI05UniforcePolicy.from_pretrained(checkpoint)
+    stored[group][name] = value
+    file.write_text(json.dumps(stored))
+    write_hashes(checkpoint)
+    with pytest.raises(CheckpointError, match=f"{path} in .* expected .*{value}.*304b337e"):
+        PI05UniforcePolicy.from_pretrained(checkpoint)
 
 
 def test_other_sensors_must_be_asked_for(make_config):
@@ -357,3 +376,18 @@ def test_a_tokenizer_without_a_head_of_its_own_is_refused(
     )
     with pytest.raises(CheckpointError, match="Fit a head"):
         make_policy(touch__input="newtons", touch__tokenizer_path=path)
+
+
+def test_text_that_stays_is_tokenized_once(monkeypatch):
+    step = UniforceTokenizerProcessorStep(max_length=16)
+    calls = []
+    real = step.input_tokenizer
+    monkeypatch.setattr(
+        step, "input_tokenizer", lambda text, **how: calls.append(text) or real(text, **how)
+    )
+    first = step._tokenize_text(["wipe"])
+    again = step._tokenize_text(["wipe"])
+    assert torch.equal(first["input_ids"], again["input_ids"]) and len(calls) == 1
+    assert not torch.equal(step._tokenize_text(["lift"])["input_ids"], first["input_ids"])
+    assert torch.equal(step._tokenize_text(["wipe"])["input_ids"], first["input_ids"])
+    assert calls == [["wipe"], ["lift"], ["wipe"]]

@@ -9,7 +9,7 @@ from lerobot.configs import PreTrainedConfig
 from lerobot.scripts import lerobot_train
 
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig
-from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import NOT_SERVED, OFF
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import NOT_SERVED, REMOVED
 from uniforce_vtla.errors import ContractError
 
 GROUPS = ("touch", "action", "augment", "tiny", "sampler")
@@ -17,11 +17,6 @@ GROUPS = ("touch", "action", "augment", "tiny", "sampler")
 
 def parsed(*given: str) -> PI05UniforceConfig:
     return draccus.parse(PI05UniforceConfig, args=["--size=tiny", "--device=cpu", *given])
-
-
-def value(config: PI05UniforceConfig, path: str) -> object:
-    group, _, name = path.rpartition(".")
-    return getattr(getattr(config, group) if group else config, name)
 
 
 def test_groups_are_set_one_by_one_and_the_rest_keeps_its_default() -> None:
@@ -42,25 +37,21 @@ def test_lerobots_help_names_our_settings(
     assert stop.value.code in (0, None) and "--policy.touch.slots" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("previous_steps", [0, 4])
-def test_a_config_survives_a_round_trip(previous_steps, make_config, tmp_path) -> None:
-    config = make_config(
-        action__previous_steps=previous_steps, swap="touch0:left", left_sensor="uskin"
-    )
+def test_a_config_survives_a_round_trip(make_config, tmp_path) -> None:
+    config = make_config(swap="touch0:left", left_sensor="uskin")
     config._save_pretrained(tmp_path)
     again = PreTrainedConfig.from_pretrained(tmp_path)
     assert isinstance(again, PI05UniforceConfig) and again == config
-    given = ["--swap=touch0:right", "--touch.site=suffix"]
+    given = ["--swap=touch0:right", "--touch.on_sensor_loss=mask"]
     later = PreTrainedConfig.from_pretrained(tmp_path, cli_overrides=given)
     assert later.swap == "touch0:right" and later.touch.slots == config.touch.slots
-    assert later.touch.site == "suffix" and later.augment == config.augment
+    assert later.touch.on_sensor_loss == "mask" and later.augment == config.augment
 
 
-def test_what_no_size_uses_is_off_and_what_is_given_stays() -> None:
-    plain = parsed()
-    assert {path: value(plain, path) for path in OFF} == OFF
-    given = parsed("--action.previous_steps=4", "--n_action_steps=3")
-    assert (given.action.previous_steps, given.n_action_steps) == (4, 3)
+@pytest.mark.parametrize("path", REMOVED)
+def test_what_was_removed_can_not_be_asked_for(path: str) -> None:
+    with pytest.raises(SystemExit):
+        parsed(f"--{path}={REMOVED[path]}")
 
 
 def test_there_are_at_most_25_settings_of_our_own_at_the_top_and_35_in_groups() -> None:
@@ -95,17 +86,9 @@ def test_auto_size_is_tiny_on_a_cpu() -> None:
         ({"touch__slots": {"touch0": "middle"}}, "finger"),
         ({"swap": "touch9:left"}, "swap"),
         ({"swap": "touch0"}, "finger"),
-        ({"touch__site": "middle"}, "suffix"),
         ({"touch__input": "video"}, r"touch\.input"),
         ({"action__form": "velocity"}, r"action\.form"),
         ({"action__objective": "diffusion"}, r"flow \| regression"),
-        *(
-            ({"action__previous_steps": 4, "action__previous_axes": a}, "previous_axes")
-            for a in ([5], [1, 1])
-        ),
-        ({"action__previous_steps": 4, "action__form": "absolute"}, "previous_steps"),
-        ({"action__previous_steps": 4, "size": "base"}, "previous_steps"),
-        ({"action__previous_steps": -1}, "previous_steps"),
         ({"dtype": "bfloat16"}, "float32"),
         ({"image_resolution": (28, 56)}, "square"),
     ],

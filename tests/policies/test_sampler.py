@@ -4,22 +4,19 @@ The functions that CUDA graphs would replay run uncaptured on the CPU. Nothing h
 the last test does, where there is one.
 """
 
-import timeit
+import functools
 from dataclasses import replace
-from types import SimpleNamespace
 
 import pytest
 import torch
 from lerobot.policies.rtc.configuration_rtc import RTCConfig
-from policy_samples import OPEN, SITES, alive, inputs, lerobots_own, ours, start_noise
-from torch import nn
-from torch.nn import functional as F  # noqa: N812
+from policy_samples import OPEN, alive, inputs, lerobots_own, ours, start_noise
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from lerobot_policy_pi05_uniforce.sampler import layers
+from lerobot_policy_pi05_uniforce.sampler import cuda_graphs, fast, layers
 from lerobot_policy_pi05_uniforce.sampler.cuda_graphs import BUCKETS, KEPT, GraphedSampler, bucketed
-from lerobot_policy_pi05_uniforce.sampler.prefix import drop_dead
-from uniforce_vtla.errors import ContractError
+from lerobot_policy_pi05_uniforce.sampler.fast import FastSampler, velocity
+from lerobot_policy_pi05_uniforce.sampler.prefix import drop_dead, encode
 
 TOLERANCE = 1e-4  # on actions in network units, of order 1
 # stated in docs/design.md; measured 2e-3 at π0.5's depth, where bfloat16 itself errs by 8e-3
@@ -27,16 +24,15 @@ BFLOAT16 = 5e-3
 GATED = pytest.mark.parametrize("gate", [None, OPEN])
 
 
-def gated_policy(make_policy, site, gate, **settings):
-    settings = {"touch__input": "wrench", "touch__site": site, **settings}
+def gated_policy(make_policy, gate, **settings):
+    settings = {"touch__input": "wrench", **settings}
     return alive(make_policy(touch__start_at_base=gate is not None, **settings), gate)
 
 
-@SITES
 @pytest.mark.parametrize("touch", ["none", "latent", "wrench"])
 @pytest.mark.parametrize("steps", [1, 10])
-def test_equals_the_stock_loop(touch, steps, site, make_policy, make_batch):
-    policy = alive(make_policy(touch__input=touch, touch__site=site))
+def test_equals_the_stock_loop(touch, steps, make_policy, make_batch):
+    policy = alive(make_policy(touch__input=touch))
     given, noise = inputs(policy, make_batch(policy, size=3)), start_noise(policy, 3)
     slow = lerobots_own(policy, given, noise, steps)
     assert (slow - noise).abs().max() > 0.05  # the network moves the noise at all
@@ -50,13 +46,10 @@ def lost(felt, rows):
     return replace(felt, masks=masks)
 
 
-@SITES
 @GATED
 @pytest.mark.parametrize("size", [1, 3])
-def test_rows_with_other_prompts_and_a_lost_finger_stay_apart(
-    size, site, gate, make_policy, make_batch
-):
-    policy = gated_policy(make_policy, site, gate)
+def test_rows_with_other_prompts_and_a_lost_finger_stay_apart(size, gate, make_policy, make_batch):
+    policy = gated_policy(make_policy, gate)
     given, noise = inputs(policy, make_batch(policy, size=size)), start_noise(policy, size)
     if size > 1:
         shorter = given.masks.clone()
@@ -84,7 +77,7 @@ def test_changed_weights_are_noticed(graphs, make_policy, make_batch):
 def test_real_time_chunking_guides_both_alike(gate, make_policy, make_batch):
     """RTC differentiates through the velocity towards what is left of the chunk before."""
     rtc = RTCConfig(enabled=True, execution_horizon=4)
-    policy = gated_policy(make_policy, "prefix", gate, rtc_config=rtc, action__form="absolute")
+    policy = gated_policy(make_policy, gate, rtc_config=rtc, action__form="absolute")
     given, noise = inputs(policy, make_batch(policy)), start_noise(policy)
     free = ours(policy, given, noise)
     left = {
@@ -97,10 +90,9 @@ def test_real_time_chunking_guides_both_alike(gate, make_policy, make_batch):
     assert (lerobots_own(policy, given, noise, **left) - fast).abs().max() < TOLERANCE
 
 
-@SITES
 @GATED
-def test_in_bfloat16_it_is_as_near_to_float32_as_lerobots_loop(site, gate, make_policy, make_batch):
-    policy = gated_policy(make_policy, site, gate)
+def test_in_bfloat16_it_is_as_near_to_float32_as_lerobots_loop(gate, make_policy, make_batch):
+    policy = gated_policy(make_policy, gate)
     given, noise = inputs(policy, make_batch(policy)), start_noise(policy)
     exact = lerobots_own(policy, given, noise, 10)
     policy.model.paligemma_with_expert.to_bfloat16_for_selected_params("bfloat16")  # as size base
@@ -113,78 +105,89 @@ def test_in_bfloat16_it_is_as_near_to_float32_as_lerobots_loop(site, gate, make_
 @pytest.mark.slow  # dynamo traces for some seconds
 @torch.no_grad()
 def test_torch_compile_traces_step_and_prefix_whole(make_policy, make_batch):
-    policy = gated_policy(make_policy, "suffix", OPEN)
-    fast, given = policy.model.fast, drop_dead(inputs(policy, make_batch(policy)))
-    tables, noise = fast.prepared.tables(2), start_noise(policy)
-    prefix = fast.encoder.encode(given, noise.shape[1])
-    step = torch._dynamo.explain(fast.velocity)(prefix, noise, tables[0])
-    prefill = torch._dynamo.explain(fast.encoder.prefill)(given, 48, always_mask=True)
-    reasons = step.break_reasons, prefill.break_reasons
-    assert (step.graph_break_count, prefill.graph_break_count) == (0, 0), reasons
+    policy = gated_policy(make_policy, OPEN)
+    network, prepared = policy.model, policy.model.fast.prepared
+    given, noise = drop_dead(inputs(policy, make_batch(policy))), start_noise(policy)
+    tables = prepared.tables(2)
+    prefix = encode(network, prepared, given, noise.shape[1], always_mask=True)
+    traced = [
+        torch._dynamo.explain(encode)(network, prepared, given, 16, always_mask=True),
+        torch._dynamo.explain(velocity)(network, prepared, prefix, noise, tables[0]),
+    ]
+    assert [found.graph_break_count for found in traced] == [0, 0], traced
+
+
+def watched(monkeypatch):
+    """Return what is said about compiling: one line each time."""
+    said: list[str] = []
+    monkeypatch.setattr(cuda_graphs.logger, "warning", lambda form, *args: said.append(form % args))
+    return said
+
+
+def test_compiled_code_gives_lerobots_actions(policy, make_batch, monkeypatch):
+    """As traced and made functional for a compiler; inductor itself takes two minutes on a CPU."""
+    said = watched(monkeypatch)
+    graphed = policy.model.fast.graphed
+    graphed._compiled = functools.cache(
+        functools.partial(torch.compile, dynamic=False, backend="aot_eager")
+    )
+    policy.model.fast.compiles = True
+    for _ in range(2):
+        slow, fast = both(policy, inputs(policy, make_batch(policy)))
+        assert (slow - fast).abs().max() < TOLERANCE
+    assert policy.model.fast.compiles and said == [] and len(graphed.recordings.kept) == 1
+
+
+def test_without_a_compiler_one_line_says_so_and_the_actions_are_the_same(
+    policy, make_batch, monkeypatch, tmp_path
+):
+    monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(torch._inductor.config.cpp, "cxx", ("/no/such/compiler",))
+    torch._dynamo.reset()
+    said = watched(monkeypatch)
+    policy.model.fast.compiles = True
+    given = inputs(policy, make_batch(policy))
+    for steps in (2, 3):
+        slow, fast = both(policy, given, steps)
+        assert (slow - fast).abs().max() < TOLERANCE
+    assert len(said) == 1 and "\n" not in said[0] and "compile" in said[0]
 
 
 CLOSE = {"rtol": 1e-5, "atol": 1e-5}
 
 
 @torch.no_grad()
-def test_products_and_their_epilogues_are_torchs() -> None:
-    x, w, b, other = (
-        torch.randn(2, 7, 24),
-        torch.randn(16, 24) / 5,
-        torch.randn(16),
-        torch.randn(2, 7, 16),
-    )
-    plain = F.linear(x, w)
-    torch.testing.assert_close(layers.linear(x, w, b), plain + b, **CLOSE)
-    torch.testing.assert_close(
-        layers.linear_gelu(x, w, b), F.gelu(plain + b, approximate="tanh"), **CLOSE
-    )
-    torch.testing.assert_close(layers.linear_times(x, w, other), plain * other, **CLOSE)
-    torch.testing.assert_close(layers.linear_plus(x, w, b, other), plain + b + other, **CLOSE)
+@pytest.mark.parametrize("masked", [False, True])
+def test_attention_by_folded_heads_is_torchs(masked: bool) -> None:
+    q, cache = torch.randn(2, 8, 50, 16), torch.randn(2, 2, 300, 16)
+    mask = None
+    if masked:
+        mask = torch.zeros(2, 1, 1, 300).masked_fill(torch.rand(2, 1, 1, 300) > 0.7, -torch.inf)
+    wanted = layers.attend(q, cache, mask)
+    torch.testing.assert_close(layers.attend_folded(q, cache, mask), wanted, **CLOSE)
 
 
 @torch.no_grad()
-@pytest.mark.parametrize("rows", [0, 1, 50])
-def test_attention_in_one_product_is_torchs(rows: int) -> None:
-    q, cache = torch.randn(1, 8, 50, 16), torch.randn(1, 2, 300, 16)
-    mask = None if rows == 0 else torch.rand(1, 1, rows, 300) > 0.3
-    k, v = (cache[:, n : n + 1].expand(-1, 8, -1, -1) for n in (0, 1))
-    wanted = F.scaled_dot_product_attention(q, k, v, attn_mask=mask, scale=1.0)
-    torch.testing.assert_close(
-        layers.attend_one(q, cache[0, 0], cache[0, 1], mask), wanted, **CLOSE
-    )
+def test_cameras_are_encoded_in_the_policys_dtype(make_policy) -> None:
+    """LeRobot keeps SigLIP in float32; a copy in bfloat16 follows its weights."""
+    policy = make_policy(touch__input="none")
+    prepared, backbone = policy.model.fast.prepared, policy.model.paligemma_with_expert
+    prepared.tables(1)
+    assert prepared.tower is backbone.paligemma.model.vision_tower  # nothing is held twice
+    backbone.to_bfloat16_for_selected_params("bfloat16")
+    for factor in (1.0, 2.0):
+        backbone.paligemma.model.multi_modal_projector.linear.weight.mul_(factor)
+        prepared.tables(1)
+        weight = backbone.paligemma.model.multi_modal_projector.linear.weight
+        assert weight.dtype == torch.float32
+        assert prepared.projector.linear.weight.dtype == torch.bfloat16
+        torch.testing.assert_close(prepared.projector.linear.weight, weight.bfloat16())
 
 
-def test_where_a_gradient_is_wanted_torch_runs() -> None:
-    x, w = torch.randn(3, 8), torch.randn(4, 8, requires_grad=True)
-    assert not layers.here(x)
-    layers.linear_gelu(x, w).sum().backward()
-    assert w.grad is not None and bool(w.grad.abs().max() > 0)
-    with torch.no_grad():
-        assert not layers.here(x.bfloat16()) and layers.here(x) == layers.AVAILABLE
-
-
-@torch.no_grad()
-def test_cameras_are_seen_as_transformers_sees_them(make_policy) -> None:
-    model = make_policy(touch__input="none").model.paligemma_with_expert
-    for norm in (m for m in model.modules() if isinstance(m, nn.LayerNorm)):
-        nn.init.normal_(norm.weight), nn.init.normal_(norm.bias)
-    images = torch.rand(3, 3, 28, 28) * 2 - 1
-    wanted = model.embed_image(images)
-    assert wanted.abs().max() > 0.01
-    torch.testing.assert_close(layers.embed_cameras(model.paligemma.model, images), wanted, **CLOSE)
-
-
-@pytest.fixture(params=["prefix", "suffix"])
-def policy(request, make_policy):
-    return graphed(make_policy, request.param)
-
-
-def graphed(make_policy, site):
+@pytest.fixture
+def policy(make_policy):
     """A policy with touch behind a half-open gate, whose norms do something, and uncaptured graphs."""
-    policy = alive(
-        make_policy(touch__input="wrench", touch__site=site, touch__start_at_base=True), OPEN
-    )
+    policy = alive(make_policy(touch__input="wrench", touch__start_at_base=True), OPEN)
     policy.model.fast.graphed = GraphedSampler(policy.model.fast, capture=False)
     return policy
 
@@ -201,7 +204,7 @@ def test_replays_give_lerobots_actions_for_every_new_observation(policy, make_ba
         slow, fast = both(policy, inputs(policy, make_batch(policy)))
         assert (slow - fast).abs().max() < TOLERANCE
         returned.append((fast, fast.clone()))
-    assert len(graphed._pairs) == 1  # recorded once
+    assert len(graphed.recordings.kept) == 1  # recorded once
     assert all(torch.equal(now, then) for now, then in returned)  # a later call overwrites no chunk
 
 
@@ -222,20 +225,14 @@ def test_prompts_cameras_and_lost_fingers_change_and_the_actions_are_still_lerob
         slow, fast = both(policy, given)
         assert (slow - fast).abs().max() < TOLERANCE
     # with and without the camera; the rest are values
-    assert len(policy.model.fast.graphed._pairs) == 2
+    assert len(policy.model.fast.graphed.recordings.kept) == 2
 
 
-def test_pairs_are_not_kept_for_ever(policy, make_batch):
+def test_recordings_are_not_kept_for_ever(policy, make_batch):
     given = inputs(policy, make_batch(policy))
     for steps in range(1, KEPT + 3):
         both(policy, given, steps)
-    assert len(policy.model.fast.graphed._pairs) == KEPT
-
-
-def recorded_pair(policy):
-    """The only pair of graphs after one call."""
-    (pair,) = policy.model.fast.graphed._pairs.values()
-    return pair
+    assert len(policy.model.fast.graphed.recordings.kept) == KEPT
 
 
 class Recorded(TorchDispatchMode):
@@ -252,22 +249,15 @@ def test_nothing_recorded_waits_for_the_device(policy, make_batch):
     """A value read by the host, or a shape that depends on values, can't be captured."""
     given = inputs(policy, make_batch(policy))
     both(policy, given)
-    pair = recorded_pair(policy)
+    (recording,) = policy.model.fast.graphed.recordings.kept.values()
     with torch.no_grad(), Recorded() as recorded:
-        pair.prefill(*pair.prefill._inputs)
-        pair.flow(*pair.flow._inputs)
+        recording(recording.buffers)
     assert {
         "scaled_dot_product_attention",
         "_scaled_dot_product_flash_attention_for_cpu",
     } & recorded.names
     waits = {"_local_scalar_dense", "nonzero", "masked_select", "lift_fresh", "equal", "_unique2"}
     assert not waits & recorded.names
-
-
-def test_inputs_of_other_shapes_are_refused(policy, make_batch):
-    both(policy, inputs(policy, make_batch(policy)))
-    with pytest.raises(ContractError, match="inputs of a graph"):
-        recorded_pair(policy).flow(torch.zeros(1, 2, 3))
 
 
 def test_prompts_go_to_the_next_bucket() -> None:
@@ -278,21 +268,16 @@ def test_prompts_go_to_the_next_bucket() -> None:
 
 
 @pytest.mark.parametrize(("kind", "made"), [("fast", True), ("eager", False)])
-def test_graphs_are_for_cuda_alone_and_can_be_turned_off(
-    kind, made, make_policy, make_batch, monkeypatch
-):
+def test_graphs_are_for_cuda_alone_and_can_be_turned_off(kind, made, make_policy, make_batch):
     policy = make_policy(sampler__kind=kind)
     policy.predict_action_chunk(make_batch(policy))
     assert policy.model.fast.graphed is None  # a CPU
-    on_cuda = SimpleNamespace(device=torch.device("cuda"))
-    assert (policy.model.fast._graphs(on_cuda) is not None) == made
+    assert policy.model.fast.is_graphed_on(torch.device("cuda")) == made
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device: capture was never run")
 def test_a_gpu_captures_them(make_policy, make_batch):
-    policy = make_policy(touch__input="wrench", touch__site="suffix", touch__start_at_base=True).to(
-        "cuda"
-    )
+    policy = make_policy(touch__input="wrench", touch__start_at_base=True).to("cuda")
     batch = {
         k: v.cuda() if isinstance(v, torch.Tensor) else v for k, v in make_batch(policy).items()
     }
@@ -303,13 +288,29 @@ def test_a_gpu_captures_them(make_policy, make_batch):
     assert (lerobots_own(policy, given, noise) - fast).abs().max() < 1e-3
 
 
-# a chunk at 112 px took a second instead of 40 ms
-def test_keys_that_lie_apart_in_memory_cost_no_more():
-    q, cache = torch.randn(1, 161, 8, 16).transpose(1, 2), torch.randn(161, 160)
-    keys = cache[:, :16], cache[:, :16].clone()
-    with torch.no_grad():
-        assert torch.allclose(*(layers.attend_one(q, k, k, None) for k in keys), atol=1e-6)
-        apart_s, close_s = (
-            min(timeit.repeat(lambda k=k: layers.attend_one(q, k, k, None), number=1)) for k in keys
-        )
-    assert apart_s < 10 * close_s
+def test_warm_up_records_each_length_of_text_and_compiles_the_usual_one(
+    make_policy, monkeypatch, capsys
+):
+    compiled: list[str] = []
+    monkeypatch.setattr(torch, "compile", lambda f, **_: compiled.append(f.__name__) or f)
+    monkeypatch.setattr(FastSampler, "is_graphed_on", lambda self, device: True)
+    monkeypatch.setattr(fast, "GraphedSampler", functools.partial(GraphedSampler, capture=False))
+    policy = make_policy(touch__input="none", tokenizer_max_length=BUCKETS[-1])
+    policy.warm_up()
+    assert compiled == ["encode", "velocity"] and not policy.model.fast.compiles
+    assert len(policy.model.fast.graphed.recordings.kept) == len(BUCKETS)
+    assert "compiling" in capsys.readouterr().err  # the bar
+
+
+def test_cameras_may_come_as_bytes(make_policy, make_batch):
+    policy = make_policy(touch__input="none")
+    batch = make_batch(policy)
+    keys = list(policy.config.image_features)
+    sent = {key: (255 * batch[key]).round().to(torch.uint8) for key in keys}
+    as_floats = {key: image.float() / 255 for key, image in sent.items()}
+    for image, wanted in zip(
+        policy._preprocess_images(batch | sent)[0],
+        policy._preprocess_images(batch | as_floats)[0],
+        strict=True,
+    ):
+        assert torch.equal(image, wanted)

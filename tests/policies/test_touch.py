@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 import torch
 from lerobot.policies.pi05 import modeling_pi05 as stock
-from policy_samples import OPEN, SITES, alive, inputs, ours, start_noise
+from policy_samples import (
+    OPEN,
+    alive,
+    calibrate,
+    inputs,
+    ours,
+    start_noise,
+    watched,
+    with_dots,
+)
 
 from lerobot_env_uniforce_wiping import WipeEnv
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy, training
@@ -28,15 +37,11 @@ from lerobot_policy_pi05_uniforce.touch.tokens import SHUT, Felt, ForceTokens
 from lerobot_policy_pi05_uniforce.touch.touch_input import TouchInput, marker_images
 from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError, SensorError
 from uniforce_vtla.keys import latent_key, tactile_key
-from uniforce_vtla.tokenizer.calibration import Agreement, Calibration
 from uniforce_vtla.tokenizer.finger_balance import FingerBalance
 from uniforce_vtla.tokenizer.force_head import ForceHead
-from uniforce_vtla.tokenizer.latent_map import LatentMap
 from uniforce_vtla.tokenizer.latent_range import (
     FREE_LOOKS,
     FreeAirError,
-    HealthMonitor,
-    LatentRange,
 )
 
 PROJECTIONS = ("action_in_proj", "action_out_proj", "time_mlp_in", "time_mlp_out")
@@ -64,9 +69,8 @@ def test_no_touch_is_bit_equal_to_plain_pi05(make_policy, make_batch):
     assert not any("force" in key or "tactile" in key for key in policy.state_dict())
 
 
-@SITES
-def test_masked_touch_equals_no_touch(site, make_policy, make_batch):
-    policy = make_policy(touch__site=site)
+def test_masked_touch_equals_no_touch(make_policy, make_batch):
+    policy = make_policy()
     *seen, felt = inputs(policy, make_batch(policy))
     start = start_noise(policy)
     off = replace(felt, masks=torch.zeros_like(felt.masks))
@@ -77,10 +81,9 @@ def test_masked_touch_equals_no_touch(site, make_policy, make_batch):
     assert (touched - without).abs().max() > 1e-3
 
 
-@SITES
 @pytest.mark.parametrize("gate", [None, OPEN])
-def test_joint_training_velocity_equals_sampling_velocity(site, gate, make_policy, make_batch):
-    policy = alive(make_policy(touch__site=site, touch__start_at_base=gate is not None), gate)
+def test_joint_training_velocity_equals_sampling_velocity(gate, make_policy, make_batch):
+    policy = alive(make_policy(touch__start_at_base=gate is not None), gate)
     *seen, felt = inputs(policy, make_batch(policy))
     x, time = start_noise(policy), torch.tensor([0.7, 0.3])
     actions = torch.zeros_like(x)
@@ -169,13 +172,6 @@ def test_lost_touch_can_be_masked_and_is_logged_once(make_policy, make_batch, ca
             masks = policy.felt(gone).masks
     assert masks[0].all() and not masks[1].any()
     assert sum("tactile_left" in r.message for r in caplog.records) == 1
-
-
-def watched(policy, limit=1e-3):
-    """A policy whose right sensor is watched so closely that nothing is healthy."""
-    usual = LatentRange("tactip", policy.config.tokenizer_hash, 96, limit, limit)
-    policy.touch.sensors["touch0"].monitor = HealthMonitor(usual, "right", FREE_LOOKS)
-    return policy
 
 
 def test_a_sensor_that_is_not_healthy_stops_the_rollout_at_the_third_look(make_policy, make_batch):
@@ -279,19 +275,6 @@ def test_touch_dropout_in_training_with_two_slots_or_on_request(make_policy, mak
         assert masks.all()
 
 
-def with_dots(batch):
-    """Marker images that show markers: a grid per finger, moved by a pixel or two in the current frame."""
-    shown = dict(batch)
-    for index, finger in enumerate(("left", "right")):
-        grid = torch.zeros(len(batch[tactile_key(finger)]), 3, 48, 64)
-        for row in range(4, 40, 8):
-            for column in range(4, 56, 8 + index):
-                grid[..., row : row + 3, column : column + 3] = 1
-        shown[tactile_key(finger, True)] = grid
-        shown[tactile_key(finger)] = grid.roll((1 + index, 2), dims=(-2, -1))
-    return shown
-
-
 def test_newtons_are_what_the_shipped_head_reads_in_the_latents(
     make_policy, make_batch, tokenizer_path
 ):
@@ -349,10 +332,9 @@ def test_a_masked_policy_acts_without_touch(make_policy, make_batch):
 AT_START = 1e-5
 
 
-@SITES
 @pytest.mark.parametrize("kind", ["fast", "stock"])
-def test_the_first_action_is_the_bases(site, kind, make_policy, make_batch):
-    settings = {"touch__input": "wrench", "touch__site": site, "sampler__kind": kind}
+def test_the_first_action_is_the_bases(kind, make_policy, make_batch):
+    settings = {"touch__input": "wrench", "sampler__kind": kind}
     policy = alive(make_policy(touch__start_at_base=True, **settings))
     given, noise = inputs(policy, make_batch(policy, size=3)), start_noise(policy, 3)
     # touch isn't appended
@@ -364,9 +346,8 @@ def test_the_first_action_is_the_bases(site, kind, make_policy, make_batch):
     assert (ours(policy, given, noise) - without).abs().max() > 100 * AT_START
 
 
-@SITES
-def test_the_gate_has_a_gradient_from_the_first_step(site, make_policy, make_batch):
-    policy = alive(make_policy(touch__site=site, touch__start_at_base=True)).train()
+def test_the_gate_has_a_gradient_from_the_first_step(make_policy, make_batch):
+    policy = alive(make_policy(touch__start_at_base=True)).train()
     loss, _ = policy(make_batch(policy, actions=True))
     loss.backward()
     shut = policy.model.touch_gate.gate.grad
@@ -375,16 +356,13 @@ def test_the_gate_has_a_gradient_from_the_first_step(site, make_policy, make_bat
     assert shut.abs().min() > 1e-4 * others
 
 
-@SITES
 def test_a_short_training_opens_the_gate_where_touch_decides_the_action(
-    site, make_policy, make_batch, monkeypatch
+    make_policy, make_batch, monkeypatch
 ):
     """The action is the wrench's first number: without touch the loss can't fall below its variance."""
     monkeypatch.setattr(training, "GATE_LR", 1e-2)
     one = {"touch__slots": {"touch0": "right"}, "action__form": "absolute"}
-    policy = make_policy(
-        touch__input="wrench", touch__site=site, touch__start_at_base=True, **one
-    ).train()
+    policy = make_policy(touch__input="wrench", touch__start_at_base=True, **one).train()
     optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=3e-3)
     batch = make_batch(policy, size=16, actions=True)
     wrench = torch.randn(16, 4)
@@ -425,19 +403,6 @@ def test_the_gate_and_what_starts_random_learn_at_their_own_rates(make_policy):
     assert len(groups[2]["params"]) == 1 and len(groups[1]["params"]) > 5
     trained = {id(p) for group in groups for p in group["params"]}
     assert trained == {id(p) for p in policy.parameters() if p.requires_grad}
-
-
-JUDGED = {"tool": Agreement(9, (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))}
-
-
-def calibrate(folder, config, shift=0.0, new="tactip:7", anchor="tactip:7", gain=1.0, **hashes):
-    """Save a calibration for a policy whose map adds ``shift``; return its folder."""
-    found = LatentMap(config.tokens_per_slot, config.latent_size)
-    found.shift.fill_(shift)
-    tokenizer_hash = hashes.get("tokenizer_hash", config.tokenizer_hash)
-    head_hash = hashes.get("head_hash", config.touch.head_hash)
-    names = (tokenizer_hash, head_hash, new, anchor)
-    return str(Calibration(found, *names, 1.0, 0.0, JUDGED, gain).save(folder))
 
 
 @pytest.fixture

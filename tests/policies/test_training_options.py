@@ -8,7 +8,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from lerobot.configs import FeatureType
-from policy_samples import SITES, alive
+from policy_samples import alive
 
 from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
 from lerobot_policy_pi05_uniforce.augment import VariationRange, vary
@@ -18,7 +18,6 @@ OPTIONS = {
     "full": {},
     "expert_only": {"train_expert_only": True},
     "frozen_vision": {"freeze_vision_encoder": True},
-    "previous_action": {"action__previous_steps": 4},
     "no_touch": {"touch__input": "none", "touch__slots": {}},
 }
 # a key's bias moves all scores of a row alike: its gradient is 0 but for rounding
@@ -42,12 +41,11 @@ def without_gradient(policy):
     return [n for n, p in trained.items() if p.grad is None or not bool(p.grad.abs().max() > 0)]
 
 
-@SITES
 @pytest.mark.parametrize("gated", [False, True])
 @pytest.mark.parametrize("option", OPTIONS)
-def test_every_trained_weight_gets_a_gradient(option, gated, site, make_policy, make_batch):
+def test_every_trained_weight_gets_a_gradient(option, gated, make_policy, make_batch):
     """Else data-parallel training without a search for unused parameters would stop at the second step."""
-    settings = {"touch__site": site, "touch__start_at_base": gated, "action__objective": "flow"}
+    settings = {"touch__start_at_base": gated, "action__objective": "flow"}
     policy = alive(make_policy(**settings | OPTIONS[option]), std=0.1).train()
     step(policy, make_batch)
     assert without_gradient(policy) == []
@@ -62,9 +60,8 @@ def test_every_trained_weight_gets_a_gradient(option, gated, site, make_policy, 
 
 
 @pytest.mark.skipif(not HAS_PEFT, reason="peft isn't installed (an extra of LeRobot's)")
-@SITES
-def test_lora_trains_its_targets_and_the_new_modules(site, make_policy, make_batch, tmp_path):
-    start = make_policy(touch__site=site, touch__start_at_base=True, action__objective="flow")
+def test_lora_trains_its_targets_and_the_new_modules(make_policy, make_batch, tmp_path):
+    start = make_policy(touch__start_at_base=True, action__objective="flow")
     start.save_pretrained(tmp_path / "start")
     policy = PI05UniforcePolicy.from_pretrained(tmp_path / "start")
     policy.config.pretrained_path = tmp_path / "start"

@@ -1,55 +1,55 @@
-"""Replay the fast sampler's kernels from CUDA graphs: one for the prefill, one for the flow.
+"""Replay a whole call of the fast sampler, prefix and flow, from one CUDA graph.
+
+Touch is encoded before it, from a graph of its own (``touch/encoder.py``): the health monitor, on
+the host, decides between latents and actions.
 
 An eager call launches thousands of small kernels, and launching takes longer than running them.
 A graph fixes shapes and addresses. So inputs are copied into buffers of its own, text is padded to
-one of a few lengths (one pair of graphs each), masks are always there, and the returned actions are
-a copy. The flow's graph reads the keys and values where the prefill's leaves them.
+one of a few lengths (a graph each), masks are always there, and the returned actions are a copy.
 
 ``capture=False`` runs the same functions on the same fixed buffers without a graph, on any device:
-the tests do. A bench on an H200 recorded graphs (docs/results/policy_latency.json).
+the tests do.
 """
 
 from __future__ import annotations
 
+import copy
+import functools
+import logging
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
+from torch._dynamo.exc import TorchDynamoException
 from torch.nn import functional as F  # noqa: N812
 
 from lerobot_policy_pi05_uniforce.sampler.layers import StepTable
-from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, Prefill
-from lerobot_policy_pi05_uniforce.touch.tokens import Felt, TouchTokens
-from uniforce_vtla.errors import ContractError, expected
+from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs
 
 if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce.sampler.fast import FastSampler
 
-BUCKETS = (48, 96, 200)  # text tokens: a short prompt, one with many state digits, π0.5's most
-KEPT = 6  # pairs of graphs: buckets times a camera that comes and goes; each holds its own buffers
+logger = logging.getLogger(__name__)
+
+BUCKETS = (96, 200)  # text tokens: a usual prompt, and π0.5's most
+KEPT = 6  # graphs: buckets times a camera that comes and goes; each holds buffers of its own
 
 
-class Replayed[Result]:
+class Recording:
     """A function of fixed buffers, recorded into a CUDA graph or called again.
 
     Args:
         function: reads the buffers; no shape or branch may depend on their values.
-        inputs: the buffers.
-        outputs: takes a result apart into its tensors, the buffers that the next call overwrites.
+        buffers: overwritten by each call's values.
         capture: record a graph (CUDA).
     """
 
     def __init__(
-        self,
-        function: Callable[[], Result],
-        inputs: list[Tensor],
-        outputs: Callable[[Result], list[Tensor]],
-        capture: bool,
+        self, function: Callable[[], Tensor], buffers: list[Tensor], capture: bool
     ) -> None:
-        self._function = function
-        self._inputs = inputs
-        self._outputs = outputs
+        self.function = function
+        self.buffers = buffers
         self._graph: torch.cuda.CUDAGraph | None = None
         if capture:
             self._graph = torch.cuda.CUDAGraph()
@@ -60,108 +60,80 @@ class Replayed[Result]:
                 function()
             torch.cuda.current_stream().wait_stream(aside)
             with torch.cuda.graph(self._graph):
-                self.result = function()
+                self._result = function()
         else:
-            self.result = function()
+            self._result = function()
 
-    def __call__(self, *inputs: Tensor) -> Result:
-        """Return the result for ``inputs``.
-
-        Raises ContractError: inputs of other shapes than the buffers'.
-        """
-        wanted = [tuple(value.shape) for value in self._inputs]
-        came = [tuple(value.shape) for value in inputs]
-        if wanted != came:
-            do = "Record another graph for other shapes."
-            raise ContractError(expected("inputs of a graph", wanted, came, do))
-        _copy(inputs, self._inputs)
+    def __call__(self, values: list[Tensor]) -> Tensor:
+        """Return a copy of the result for ``values``, of the buffers' shapes."""
+        for buffer, value in zip(self.buffers, values, strict=True):
+            buffer.copy_(value)
         if self._graph is not None:
             self._graph.replay()
         else:
-            _copy(self._outputs(self._function()), self._outputs(self.result))
-        return self.result
+            self._result = self.function()
+        return self._result.clone()
 
 
-def _copy(sources: list[Tensor] | tuple[Tensor, ...], buffers: list[Tensor]) -> None:
-    for source, buffer in zip(sources, buffers, strict=True):
-        buffer.copy_(source)
+class Recordings:
+    """The last few recordings of a function, one for each set of shapes."""
 
+    def __init__(self, capture: bool = True) -> None:
+        self.capture = capture
+        self.kept: dict[tuple, Recording] = {}
 
-class Pair(NamedTuple):
-    """The two graphs of one set of shapes; the flow reads the buffers that the prefill writes."""
-
-    prefill: Replayed[Prefill]
-    flow: Replayed[Tensor]
+    def call(self, key: tuple, values: list[Tensor], record: Callable[[], Recording]) -> Tensor:
+        """Return the result for ``values``; ``record`` makes a recording of their shapes."""
+        shapes = [(tuple(value.shape), value.dtype, value.device) for value in values]
+        key = (*key, *shapes)
+        if key not in self.kept:
+            while len(self.kept) >= KEPT:
+                self.kept.pop(next(iter(self.kept)))
+            self.kept[key] = record()
+        return self.kept[key](values)
 
 
 class GraphedSampler:
     """Samples like the ``FastSampler`` it is given, by replay."""
 
     def __init__(self, sampler: FastSampler, capture: bool = True) -> None:
+        self.recordings = Recordings(capture)
         self._sampler = sampler
-        self._capture = capture
-        self._pairs: dict[tuple, Pair] = {}
         self._version = -1
+        # one compiled form of each function, for all recordings
+        self._compiled = functools.cache(functools.partial(torch.compile, dynamic=False))
 
     def sample(self, inputs: Inputs, noise: Tensor, tables: list[StepTable]) -> Tensor:
         """Return (B, chunk, max_action_dim) actions of inputs that are all there."""
+        if self._version != self._sampler.prepared.version:  # other weights: tables were made anew
+            self.recordings.kept.clear()
+            self._version = self._sampler.prepared.version
         tokens, masks = bucketed(inputs.tokens, inputs.masks)
         inputs = inputs._replace(tokens=tokens, masks=masks)
-        touch = self._sampler.network.suffix_touch(inputs.felt)
-        suffix = [noise]
-        if touch is not None:
-            suffix += [touch.tokens, touch.real]
-        pair = self._pair(inputs, suffix, tables)
-        pair.prefill(*flattened(inputs))
-        return pair.flow(*suffix).clone()
+        key = (len(tables), len(inputs.images))
+        record = functools.partial(self._record, inputs, noise, tables)
+        return self.recordings.call(key, flattened(inputs, noise), record)
 
-    def _pair(self, inputs: Inputs, suffix: list[Tensor], tables: list[StepTable]) -> Pair:
-        if self._version != self._sampler.prepared.version:  # other weights: tables were made anew
-            self._pairs = {}
-            self._version = self._sampler.prepared.version
-        shapes = [tuple(value.shape) for value in (*flattened(inputs), *suffix)]
-        key = (len(tables), len(inputs.images), *shapes)
-        if key not in self._pairs:
-            while len(self._pairs) >= KEPT:
-                self._pairs.pop(next(iter(self._pairs)))
-            self._pairs[key] = self._record_pair(inputs, suffix, tables)
-        return self._pairs[key]
-
-    def _record_pair(self, inputs: Inputs, suffix: list[Tensor], tables: list[StepTable]) -> Pair:
-        encoder = self._sampler.encoder
-        chunk = suffix[0].shape[1]
-        room = sum(part.shape[1] for part in suffix[:2])  # noise and tokens
-        observed = copied(inputs)
-        noise, *touch = map(torch.clone, suffix)
-
-        def prefill() -> Prefill:
-            return encoder.prefill(observed, room, always_mask=True)
-
-        def flow() -> Tensor:
-            tokens = TouchTokens(*touch) if touch else None
-            prefix = encoder.with_suffix(recorded.result, tokens, chunk, always_mask=True)
-            return self._sampler.flow(prefix, noise, tables)
-
-        recorded = Replayed(prefill, flattened(observed), Prefill.tensors, self._capture)
-        flowing = Replayed(flow, [noise, *touch], lambda actions: [actions], self._capture)
-        return Pair(recorded, flowing)
+    def _record(self, inputs: Inputs, noise: Tensor, tables: list[StepTable]) -> Recording:
+        observed, start = copy.deepcopy((inputs, noise))
+        buffers = flattened(observed, start)
+        run = functools.partial(self._sampler.run, observed, start, tables, always_mask=True)
+        if self._sampler.compiles and inputs.tokens.shape[1] <= BUCKETS[0]:
+            compiled = functools.partial(run, through=self._compiled)
+            try:
+                return Recording(compiled, buffers, self.recordings.capture)
+            except TorchDynamoException as error:
+                self._sampler.compiles = False
+                reason = str(error).partition("\n")[0][:200]
+                logger.warning("torch.compile fails, kernels run as they are: %s", reason)
+        return Recording(run, buffers, self.recordings.capture)
 
 
-def flattened(inputs: Inputs) -> list[Tensor]:
-    """Return the tensors of an observation, one behind the other."""
+def flattened(inputs: Inputs, noise: Tensor) -> list[Tensor]:
+    """Return the tensors of a call, one behind the other."""
     felt = inputs.felt
-    seen = [*inputs.images, *inputs.img_masks, inputs.tokens, inputs.masks]
+    seen = [*inputs.images, *inputs.img_masks, inputs.tokens, inputs.masks, noise]
     return [*seen, *filter(torch.is_tensor, (felt.state, felt.touches, felt.masks))]
-
-
-def copied(inputs: Inputs) -> Inputs:
-    """Return an observation in memory of its own."""
-    felt = []
-    for part in (inputs.felt.state, inputs.felt.touches, inputs.felt.masks):
-        felt.append(None if part is None else part.clone())
-    images = list(map(torch.clone, inputs.images))
-    img_masks = list(map(torch.clone, inputs.img_masks))
-    return Inputs(images, img_masks, inputs.tokens.clone(), inputs.masks.clone(), Felt(*felt))
 
 
 def bucketed(tokens: Tensor, masks: Tensor) -> tuple[Tensor, Tensor]:

@@ -6,40 +6,47 @@ Same weights and mathematics, another order of summation: actions are equal with
 - the last VLM layer after its keys and values;
 - copies of the prefix cache in every flow step;
 - the norms' modulation, which depends on the flow time alone: it is kept in a table per step;
-- attention matrices, by torch's fused attention;
+- attention matrices of the prefix, by torch's fused attention;
 - masks, positions and rotations, built once.
+
+In bfloat16 the cameras are encoded in bfloat16 too.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
+from torch.nn import functional as F  # noqa: N812
 
 from lerobot_policy_pi05_uniforce.sampler.cuda_graphs import GraphedSampler
 from lerobot_policy_pi05_uniforce.sampler.layers import (
     Prepared,
     StepTable,
-    attend,
-    gated_hidden,
-    linear,
+    attend_folded,
     modulated,
     rotated,
 )
-from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, Prefix, PrefixEncoder, drop_dead
+from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, Prefix, drop_dead, encode
 
 if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
 
 
 class FastSampler:
-    """Samples for one network; weights that changed since the last call are prepared again."""
+    """Samples for one network; weights that changed since the last call are prepared again.
+
+    Attributes:
+        compiles: compile what is recorded from now on, for prompts of the first bucket. That takes
+            long, so only a policy's warm-up asks for it; later shapes are recorded as they are.
+    """
 
     def __init__(self, network: PI05UniforcePytorch) -> None:
         self.network = network
         self.prepared = Prepared(network)
-        self.encoder = PrefixEncoder(network, self.prepared)
+        self.compiles = False
         self.graphed: GraphedSampler | None = None  # made where there is a cuda device
 
     @torch.no_grad()
@@ -47,47 +54,61 @@ class FastSampler:
         """Return (B, chunk, max_action_dim) actions."""
         tables = self.prepared.tables(num_steps)
         inputs = drop_dead(inputs)
-        graphed = self._graphs(noise)
-        if graphed is not None:
-            return graphed.sample(inputs, noise, tables)
-        return self.flow(self.encoder.encode(inputs, noise.shape[1]), noise, tables)
-
-    def _graphs(self, noise: Tensor) -> GraphedSampler | None:
-        wanted = noise.device.type == "cuda" and self.network.config.sampler.kind == "fast"
-        if self.graphed is None and wanted:
+        if self.graphed is None and self.is_graphed_on(noise.device):
             self.graphed = GraphedSampler(self)
-        return self.graphed
+        if self.graphed is not None:
+            return self.graphed.sample(inputs, noise, tables)
+        return self.run(inputs, noise, tables)
 
-    def flow(self, prefix: Prefix, noise: Tensor, tables: list[StepTable]) -> Tensor:
-        """Return the actions at the end of the flow from ``noise``, by Euler's method."""
+    def is_graphed_on(self, device: torch.device) -> bool:
+        """Return whether a device's calls are replayed from CUDA graphs."""
+        return device.type == "cuda" and self.network.config.sampler.kind == "fast"
+
+    def run(
+        self,
+        inputs: Inputs,
+        noise: Tensor,
+        tables: list[StepTable],
+        always_mask: bool = False,
+        through: Callable[[Callable], Callable] = lambda function: function,
+    ) -> Tensor:
+        """Return the actions at the end of the flow from ``noise``, by Euler's method.
+
+        Args:
+            inputs: of the observation.
+            noise: (B, chunk, max_action_dim).
+            tables: one for each flow step.
+            always_mask: as ``encode``'s.
+            through: makes another function of each of the two that are run, a compiled one.
+        """
+        prefix = through(encode)(self.network, self.prepared, inputs, noise.shape[1], always_mask)
         x = noise
         for table in tables:
-            x = torch.add(x, self.velocity(prefix, x, table), alpha=-1.0 / len(tables))
+            step = through(velocity)(self.network, self.prepared, prefix, x, table)
+            x = torch.add(x, step, alpha=-1.0 / len(tables))
         return x
 
-    def velocity(self, prefix: Prefix, actions: Tensor, table: StepTable) -> Tensor:
-        """Return (B, chunk, max_action_dim) velocity of noisy actions at a table's flow time."""
-        expert = self.network.expert
-        eps = self.prepared.eps
-        x = self.network.action_in_proj(actions)
-        if prefix.touch is not None:
-            x = torch.cat([prefix.touch.tokens.to(x.dtype), x], dim=1)  # (B, N + chunk, D)
-        x = x.to(expert.layers[0].self_attn.q_proj.weight.dtype)
-        for depth, layer in enumerate(expert.layers):
-            attention = table[2 * depth]
-            mlp = table[2 * depth + 1]
-            qkv = linear(modulated(x, attention, eps), self.prepared.qkv[depth])
-            mixed = self._mix(prefix, depth, layer, qkv)
-            x = torch.addcmul(x, linear(mixed, layer.self_attn.o_proj.weight), attention.gate)
-            hidden = gated_hidden(layer.mlp, modulated(x, mlp, eps))
-            x = torch.addcmul(x, linear(hidden, layer.mlp.down_proj.weight), mlp.gate)
-        x = x[:, -actions.shape[1] :]  # (B, chunk, D)
-        return self.network.action_out_proj(modulated(x, table[-1], eps).float())
 
-    def _mix(self, prefix: Prefix, depth: int, layer: nn.Module, qkv: Tensor) -> Tensor:
-        """Let the suffix attend to prefix and suffix; its key and value take their cache places."""
-        rows = qkv.unflatten(-1, (-1, layer.self_attn.head_dim))
-        turned = rotated(rows.transpose(1, 2), prefix.rotary)  # (B, heads + 2, L_suffix, head)
-        cache = prefix.prefill.cache[depth]
-        cache[:, :, prefix.prefill.real.shape[1] :] = turned[:, -2:]
-        return attend(turned[:, :-2], cache, prefix.mask)
+def velocity(
+    network: PI05UniforcePytorch,
+    prepared: Prepared,
+    prefix: Prefix,
+    actions: Tensor,
+    table: StepTable,
+) -> Tensor:
+    """Return (B, chunk, max_action_dim) velocity of noisy actions at a table's flow time."""
+    eps = prepared.eps
+    x = network.action_in_proj(actions).to(prepared.dtype)  # (B, chunk, D)
+    for depth, layer in enumerate(network.expert.layers):
+        attention = table[2 * depth]
+        mlp = table[2 * depth + 1]
+        rows = F.linear(modulated(x, attention, eps), prepared.qkv[depth])
+        turned = rotated(rows, prefix.rotary, layer.self_attn.head_dim)
+        cache = prefix.cache[depth]
+        cache[:, :, prefix.length :] = turned[:, -2:]
+        mixed = attend_folded(turned[:, :-2], cache, prefix.mask)
+        x = torch.addcmul(x, layer.self_attn.o_proj(mixed), attention.gate)
+        gate, up = F.linear(modulated(x, mlp, eps), prepared.gate_up[depth]).chunk(2, dim=-1)
+        hidden = F.gelu(gate, approximate="tanh") * up
+        x = torch.addcmul(x, layer.mlp.down_proj(hidden), mlp.gate)
+    return network.action_out_proj(modulated(x, table[-1], eps).float())

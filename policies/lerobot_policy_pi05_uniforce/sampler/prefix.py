@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import compress
 from typing import TYPE_CHECKING, NamedTuple
 
 import torch
@@ -11,7 +12,7 @@ from torch.nn import functional as F  # noqa: N812
 
 from lerobot_policy_pi05_uniforce.sampler import layers as ops
 from lerobot_policy_pi05_uniforce.sampler.layers import Prepared
-from lerobot_policy_pi05_uniforce.touch.tokens import NOTHING, Felt, GatedColumns, TouchTokens
+from lerobot_policy_pi05_uniforce.touch.tokens import NOTHING, Felt, GatedColumns
 
 if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
@@ -28,114 +29,82 @@ class Inputs(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Prefill:
-    """Cameras, text and felt tokens after the VLM."""
-
-    # per layer (B, 2, L_prefix + L_suffix, head): key and value, the suffix's places still empty
-    cache: list[Tensor]
-    real: Tensor  # (B, L_prefix) bool, False where a token is padding
-    gated: GatedColumns | None  # the weight of touch, or None: as any other token
-
-    def tensors(self) -> list[Tensor]:
-        """Return every tensor in it."""
-        gate = [] if self.gated is None else [self.gated.bias, self.gated.real]
-        return [*self.cache, self.real, *gate]
-
-
-@dataclass(frozen=True)
 class Prefix:
-    """A prefill ready for the flow: with touch in the suffix, and how the suffix attends."""
+    """An observation after the VLM, and how a chunk's rows attend to it."""
 
-    prefill: Prefill  # the suffix's own keys and values take their places in every step
-    touch: TouchTokens | None  # force tokens in front of the actions, or None
-    # (B, 1, 1 or L_suffix, L_prefix + L_suffix), bool or additive; None: all see all
-    mask: Tensor | None
-    # of the suffix's positions, for queries, key and value; the value's turns nothing
-    rotary: ops.Rotary
+    # per layer (B, 2, length + chunk, head): key and value; each flow step writes the chunk's own
+    cache: list[Tensor]
+    length: int  # of the prefix
+    mask: Tensor | None  # (B, 1, 1, length + chunk) additive; None: all see all
+    rotary: ops.Rotary  # of the chunk's positions, for queries, key and value
 
 
-class PrefixEncoder:
-    """Makes prefixes for one network."""
+def encode(
+    network: PI05UniforcePytorch,
+    prepared: Prepared,
+    inputs: Inputs,
+    chunk: int,
+    always_mask: bool = False,
+) -> Prefix:
+    """Run an observation through the VLM and keep every layer's keys and values.
 
-    def __init__(self, network: PI05UniforcePytorch, prepared: Prepared) -> None:
-        self._network = network
-        self._prepared = prepared
+    Args:
+        network: whose VLM encodes.
+        prepared: of its weights.
+        inputs: of the observation.
+        chunk: steps of the chunk, for which places are left.
+        always_mask: don't ask whether all tokens are real, which would wait for the device.
+    """
+    vlm = network.vlm
+    seen, seen_real = _seen(network, prepared, inputs)
+    x, real, gated = network.append_felt(inputs.felt, seen, seen_real)
+    x = x.to(prepared.dtype)  # (B, L, D)
+    length = x.shape[1]
+    whole = F.pad(real, (0, chunk), value=True)  # (B, L + chunk)
+    mask = None
+    chunk_mask = None
+    if always_mask or gated is not None or not real.all():
+        mask = _additive(real, gated).to(x.dtype)
+        chunk_mask = _additive(whole, gated)
+    positions = whole.cumsum(dim=1) - 1
+    if gated is not None:  # touch behind a gate takes no place
+        positions = gated.placed(positions, whole.shape[1])
+    rotary = ops.rotary_of(vlm, x, positions[:, :length])
+    cache = []
+    for depth, layer in enumerate(vlm.layers):
+        a = layer.self_attn
+        normed = ops.rms(x, prepared.eps).mul_(prepared.gains[depth][0]).to(x.dtype)
+        rows = torch.cat([a.q_proj(normed), a.k_proj(normed), a.v_proj(normed)], dim=-1)
+        turned = ops.rotated(rows, rotary, a.head_dim)  # (B, heads + 2, L, head)
+        cache.append(F.pad(turned[:, -2:], (0, 0, 0, chunk)))
+        if depth == len(vlm.layers) - 1:
+            break  # the last layer's output for the prefix is not read
+        x = x + a.o_proj(ops.attend(turned[:, :-2], turned[:, -2:], mask))
+        x = x + layer.mlp(ops.rms(x, prepared.eps).mul_(prepared.gains[depth][1]).to(x.dtype))
+    chunk_rotary = ops.rotary_of(network.expert, x, positions[:, length:])
+    return Prefix(cache, length, chunk_mask, chunk_rotary)
 
-    def encode(self, inputs: Inputs, chunk: int) -> Prefix:
-        """Encode an observation and make its prefix ready for a chunk of that many steps."""
-        touch = self._network.suffix_touch(inputs.felt)
-        room = chunk
-        if touch is not None:
-            room += touch.real.shape[1]
-        return self.with_suffix(self.prefill(inputs, room), touch, chunk)
 
-    def prefill(self, inputs: Inputs, room: int, always_mask: bool = False) -> Prefill:
-        """Run cameras, text and felt tokens through the VLM; keep every layer's keys and values.
+def _seen(
+    network: PI05UniforcePytorch, prepared: Prepared, inputs: Inputs
+) -> tuple[Tensor, Tensor]:
+    """Return (B, L, D) tokens of cameras and text, and (B, L) whether each is real."""
+    parts = [network.paligemma_with_expert.embed_language_tokens(inputs.tokens)]
+    reals = [inputs.masks.bool()]
+    if inputs.images:
+        images = torch.cat(inputs.images).to(prepared.dtype)  # (cameras · B, 3, H, W)
+        patches = prepared.projector(prepared.tower(images).last_hidden_state)
+        parts = [*patches.chunk(len(inputs.images)), *parts]
+        present = torch.stack(inputs.img_masks, dim=1)  # (B, cameras)
+        reals = [present.repeat_interleave(patches.shape[1], dim=1), *reals]
+    return torch.cat(parts, dim=1), torch.cat(reals, dim=1)
 
-        Args:
-            inputs: of the observation.
-            room: places to leave for the suffix.
-            always_mask: don't ask whether all tokens are real, which would wait for the device.
-        """
-        eps = self._prepared.eps
-        gains = self._prepared.gains
-        vlm = self._network.vlm
-        x, real, gated = self._network.append_felt(inputs.felt, *self._seen(inputs))
-        x = x.to(vlm.layers[0].self_attn.q_proj.weight.dtype)  # (B, L, D)
-        mask = None
-        if always_mask or not real.all():
-            mask = real[:, None, None, :]  # the output of a padded token is not read
-        if gated is not None and gated.first < real.shape[1]:  # touch is in the prefix
-            mask = _additive(mask, real, gated, x.dtype)
-        rotary = ops.rotary_of(vlm, x, _positions(real, gated))
-        cache = []
-        for depth, layer in enumerate(vlm.layers):
-            rows = ops.project(layer, ops.rms(x, eps).mul_(gains[depth][0]))
-            turned = ops.rotated(rows, rotary)  # (B, heads + 2, L, head)
-            cache.append(F.pad(turned[:, -2:], (0, 0, 0, room)))
-            if depth == len(vlm.layers) - 1:
-                break  # the last layer's output for the prefix is not read
-            mixed = ops.attend(turned[:, :-2], turned[:, -2:], mask)
-            x = ops.linear_plus(mixed, layer.self_attn.o_proj.weight, None, x)
-            normed = ops.rms(x, eps).mul_(gains[depth][1]).to(x.dtype)
-            hidden = ops.gated_hidden(layer.mlp, normed)
-            x = ops.linear_plus(hidden, layer.mlp.down_proj.weight, None, x)
-        return Prefill(cache, real, gated)
 
-    def with_suffix(
-        self, prefill: Prefill, touch: TouchTokens | None, chunk: int, always_mask: bool = False
-    ) -> Prefix:
-        """Return whom the suffix attends to and where it stands; arguments as ``prefill``'s."""
-        gated = prefill.gated
-        length = prefill.real.shape[1]
-        behind = prefill.real.new_ones(len(prefill.real), chunk)
-        if touch is not None:
-            behind = torch.cat([touch.real, behind], dim=1)  # (B, L_suffix)
-        real = torch.cat([prefill.real, behind], dim=1)  # (B, L_prefix + L_suffix)
-        mask = None
-        if touch is not None or always_mask or not real.all():
-            mask = real[:, None, None, :]
-        if touch is not None:  # touch sees the prefix and itself, actions see everything
-            rows = real.new_ones(behind.shape[1], real.shape[1])
-            rows[: touch.real.shape[1], -chunk:].fill_(False)
-            mask = mask & rows
-        dtype = prefill.cache[0].dtype
-        positions = _positions(real, gated)[:, length:]
-        rotary = ops.rotary_of(self._network.expert, prefill.cache[0], positions)
-        return Prefix(prefill, touch, _additive(mask, real, gated, dtype), rotary)
-
-    def _seen(self, inputs: Inputs) -> tuple[Tensor, Tensor]:
-        """Return (B, L, D) tokens of cameras and text, and (B, L) whether each is real."""
-        backbone = self._network.paligemma_with_expert
-        parts = [backbone.embed_language_tokens(inputs.tokens)]
-        reals = [inputs.masks.bool()]
-        if inputs.images:
-            cameras = ops.embed_cameras(backbone.paligemma.model, torch.cat(inputs.images))
-            patches = cameras.shape[1]
-            parts = [*cameras.chunk(len(inputs.images)), *parts]
-            present = torch.stack(inputs.img_masks, dim=1)  # (B, cameras)
-            reals = [present.repeat_interleave(patches, dim=1), *reals]
-        return torch.cat(parts, dim=1), torch.cat(reals, dim=1)
+def _additive(real: Tensor, gated: GatedColumns | None) -> Tensor:
+    """Return a mask (B, 1, 1, L) float32: 0 or a gate's logit where a token is real, else −inf."""
+    mask = torch.zeros(real.shape, device=real.device).masked_fill_(~real, -torch.inf)
+    mask = mask[:, None, None]
+    return mask if gated is None else gated.masked(mask)
 
 
 def drop_dead(inputs: Inputs) -> Inputs:
@@ -143,38 +112,15 @@ def drop_dead(inputs: Inputs) -> Inputs:
 
     Positions count real tokens only, and masked ones are not attended to, so nothing else changes.
     """
-    images = []
-    img_masks = []
-    for image, mask in zip(inputs.images, inputs.img_masks, strict=True):
-        if mask.any():
-            images.append(image)
-            img_masks.append(mask)
+    there = torch.stack(inputs.img_masks).any(dim=1).cpu().tolist()
+    images = list(compress(inputs.images, there))
+    img_masks = list(compress(inputs.img_masks, there))
     return Inputs(images, img_masks, *drop_padding(inputs.tokens, inputs.masks), inputs.felt)
 
 
 def drop_padding(tokens: Tensor, masks: Tensor) -> tuple[Tensor, Tensor]:
     """Return text (B, L) and its mask without the columns that no prompt of the batch uses."""
-    used = 0
-    if masks.any():
-        used = int(masks.any(dim=0).nonzero().max()) + 1
-    return tokens[:, :used], masks[:, :used]
-
-
-def _positions(real: Tensor, gated: GatedColumns | None) -> Tensor:
-    """Return (B, L) positions: real tokens counted, touch behind a gate not."""
-    positions = real.cumsum(dim=1) - 1
-    if gated is None:
-        return positions
-    return gated.placed(positions, real.shape[1])
-
-
-def _additive(
-    mask: Tensor | None, real: Tensor, gated: GatedColumns | None, dtype: torch.dtype
-) -> Tensor | None:
-    """Return a bool mask (B, 1, rows, L), with a gate an additive one that holds its logits."""
-    if gated is None:
-        return mask
-    if mask is None:
-        mask = real.new_ones(1, 1, 1, real.shape[1])
-    additive = torch.zeros(mask.shape, device=real.device).masked_fill_(~mask, -torch.inf)
-    return gated.masked(additive).to(dtype)
+    used = masks.any(dim=0).cpu().tolist()
+    while used and not used[-1]:
+        used.pop()
+    return tokens[:, : len(used)], masks[:, : len(used)]

@@ -1,22 +1,68 @@
 """The frozen tokenizer and force head inside a policy: built, or loaded, and checked."""
 
+import copy
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import asdict
-from typing import Self
+from functools import partial
+from typing import Any, Self
 
-from torch import nn
+import torch
+from torch import Tensor, nn
 
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
+from lerobot_policy_pi05_uniforce.sampler.cuda_graphs import Recording, Recordings
 from lerobot_policy_pi05_uniforce.weights import no_weights
 from uniforce_vtla.errors import CheckpointError, expected
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
-from uniforce_vtla.tokenizer.api import STORED_KEY, canonicalizer_facts, shipped_sizes
+from uniforce_vtla.tokenizer.api import (
+    MOST_REMEMBERED,
+    STORED_KEY,
+    canonicalizer_facts,
+    shipped_sizes,
+)
 from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig
-from uniforce_vtla.tokenizer.model import build_model
+from uniforce_vtla.tokenizer.model import Encoder, Posterior, ReferenceCache, build_model
 from uniforce_vtla.tokenizer.weights import content_hash
 
 # its tensors in a policy; stored only where the package doesn't have them
 ENCODER = "model.tactile_encoder."
+
+
+class ReplayedEncoder:
+    """``Encoder.encode_current``, on CUDA replayed from a graph: a hundred small kernels a finger.
+
+    Attributes:
+        device: type of the devices on which it is recorded; on others it is called.
+    """
+
+    def __init__(self, encoder: Encoder) -> None:
+        self.device = "cuda"
+        self.recordings = Recordings()
+        self._encode = encoder.encode_current
+
+    def __call__(self, reference: ReferenceCache, current: Tensor) -> Posterior:
+        """Return the posterior of (B, 1, S, S) current images."""
+        if current.device.type != self.device or len(current) > MOST_REMEMBERED:
+            return self._encode(reference, current)
+        record = partial(self._record, reference, current)
+        mean, log_variance = self.recordings.call((), _flattened(reference, current), record)
+        return Posterior(mean, log_variance)
+
+    def _record(self, reference: ReferenceCache, current: Tensor) -> Recording:
+        before, after = copy.deepcopy((reference, current))
+
+        def encoded() -> Tensor:
+            return torch.stack(self._encode(before, after))
+
+        return Recording(encoded, _flattened(before, after), self.recordings.capture)
+
+
+def _flattened(reference: ReferenceCache, current: Tensor) -> list[Tensor]:
+    tensors = [current, reference.image, *reference.halved]
+    for kept in reference.kept:
+        tensors += kept
+    return tensors
 
 
 class FrozenTouch(nn.Module):
@@ -27,10 +73,15 @@ class FrozenTouch(nn.Module):
     Args:
         tokenizer: encodes.
         head: force head that reads newtons; None where the policy feels latents.
+        replays: replay the encoder on CUDA.
     """
 
-    def __init__(self, tokenizer: Tokenizer, head: ForceHead | None) -> None:
+    def __init__(self, tokenizer: Tokenizer, head: ForceHead | None, replays: bool = False) -> None:
         super().__init__()
+        encoder: Any = tokenizer.model.encoder
+        self.replayed = ReplayedEncoder(encoder)
+        if replays:
+            encoder.encode_current = self.replayed
         self.tokenizer = tokenizer
         self.force_head = head
         # names of their tensors in every checkpoint
@@ -42,6 +93,11 @@ class FrozenTouch(nn.Module):
     def train(self, mode: bool = True) -> Self:
         """Stay in eval mode: LeRobot calls ``policy.train()`` at every step."""
         return super().train(False)
+
+    def _apply(self, fn: Callable[..., Any], recurse: bool = True) -> Self:
+        """Move; recordings point to where the weights were."""
+        self.replayed.recordings.kept.clear()
+        return super()._apply(fn, recurse)
 
 
 def is_packaged(config: PI05UniforceConfig) -> bool:
@@ -61,7 +117,7 @@ def build_frozen_touch(config: PI05UniforceConfig, empty: bool) -> FrozenTouch:
     head = None
     if config.reads_newtons:
         head = _build_head(config, empty)
-    return FrozenTouch(tokenizer, head)
+    return FrozenTouch(tokenizer, head, config.sampler.kind == "fast")
 
 
 def _build_tokenizer(config: PI05UniforceConfig, empty: bool) -> Tokenizer:

@@ -31,14 +31,6 @@ class Felt:
 NOTHING = Felt()
 
 
-@dataclass(frozen=True)
-class TouchTokens:
-    """Force tokens of all slots, side by side."""
-
-    tokens: Tensor  # (B, N, D), N = slots · K
-    real: Tensor  # (B, N) bool
-
-
 class ForceTokens(nn.Module):
     """Project each slot's touch input to K tokens; an embedding tells the slots apart.
 
