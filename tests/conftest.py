@@ -1,9 +1,11 @@
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from filelock import FileLock
 
 from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
@@ -32,6 +34,33 @@ def dots() -> np.ndarray:
             for column in range(16, 128, 24):
                 image[row + dy : row + dy + 8, column + dx : column + dx + 8] = 255
     return images
+
+
+@pytest.fixture
+def short_scenes(monkeypatch) -> None:
+    """Cut scenes of level easy after two seconds."""
+    from lerobot_env_uniforce_wiping.levels import LEVELS
+
+    monkeypatch.setitem(LEVELS, "easy", replace(LEVELS["easy"], time_limit_s=2.0))
+
+
+@pytest.fixture(scope="session")
+def drawn_demo(tmp_path_factory, request) -> Path:
+    """One demo of the expert at level easy, scene 3, recorded once for all processes of a run.
+
+    Sensors are as drawn, the only ones that the shipped heads of recordings know.
+    """
+    from uniforce_cli.record import RecordConfig, record
+
+    folder = tmp_path_factory.getbasetemp()
+    if hasattr(request.config, "workerinput"):
+        folder = folder.parent
+    root = folder / "drawn_demo"
+    drawn = {"left_sensor": "gelsight:drawing", "right_sensor": "tactip:drawing"}
+    with FileLock(f"{root}.lock"):
+        if not root.exists():
+            record(RecordConfig(episodes=1, level="easy", root=str(root), seed=3, **drawn))
+    return root
 
 
 # These hold no clock against what they test: whole programs, or calculations.

@@ -2,6 +2,7 @@
 
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -58,8 +59,13 @@ def test_a_failed_step_shows_the_end_of_the_log_and_where_it_is(
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_the_smallest_demo_prints_less_than_forty_lines(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    tmp_path, capfd, monkeypatch, short_scenes
 ) -> None:
+    """Scenes are cut short, so that the demo is none that wiped the board."""
+    make_view = view.make_view
+    monkeypatch.setattr(
+        view, "make_view", lambda config: make_view(replace(config, keep_failures=True))
+    )
     out = tmp_path / "demo"
     assert demo.main(["episodes=1", "train_steps=1", "rollouts=1", "level=easy", f"out={out}"]) == 0
     said, warned = capfd.readouterr()

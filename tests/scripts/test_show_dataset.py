@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 from headless_browser import Page, find_browser, open_browser
 
-from uniforce_cli import record
 from uniforce_cli.dataset_rerun import traces
 from uniforce_cli.dataset_sheet import write_sheet
 from uniforce_cli.episode_films import Films, encoded
@@ -392,12 +391,9 @@ def test_the_page_shows_what_was_kept(raw_recorded: Path, tmp_path: Path) -> Non
     )
 
 
-@pytest.mark.slow  # records a demonstration: 15 s
-def test_the_first_demo_of_a_newcomer_reads_no_force_in_free_air(tmp_path: Path) -> None:
+def test_a_demo_as_a_newcomer_records_it_reads_no_force_in_free_air(drawn_demo) -> None:
     """In a drawn GelSight the reference differs from free air; a head that takes it for touch reads 7 N."""
-    sensors = ["left_sensor=gelsight:drawing", "right_sensor=tactip:drawing"]
-    assert record.main(["episodes=1", "level=easy", f"root={tmp_path}", *sensors]) == 0
-    recording = RecordingForces(tmp_path, descriptor_heads())
+    recording = RecordingForces(drawn_demo, descriptor_heads())
     forces = recording.read(recording.source.episodes[0])
     is_free = np.linalg.norm(forces.true_force_N, axis=2) < 0.05
     assert np.linalg.norm(forces.force_N, axis=2)[is_free].max() < 1.5

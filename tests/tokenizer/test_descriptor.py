@@ -134,7 +134,7 @@ def test_heads_read_what_the_descriptors_hold_and_judge_by_it() -> None:
 @pytest.mark.slow
 def test_a_described_episode_is_a_whole_wipe_of_both_fingers() -> None:
     """One short look: the scene's own frames described, forces beside them."""
-    (episode,) = described_episodes("touch", range(70_500, 70_501))
+    (episode,) = described_episodes("easy", range(70_500, 70_501))
     n = len(episode.trace.time_s)
     assert episode.sensors == {"left": "gelsight", "right": "tactip"}
     for finger in FINGERS:
