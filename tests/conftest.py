@@ -21,12 +21,12 @@ TINY = TokenizerConfig(
 
 
 @pytest.fixture
-def tiny() -> TokenizerConfig:
+def tiny():
     return TINY
 
 
 @pytest.fixture
-def dots() -> np.ndarray:
+def dots():
     """(3, 96, 128) uint8: a free-air image, then the same dots moved 4 px right, then 4 px down."""
     images = np.zeros((3, 96, 128), np.uint8)
     for image, (dx, dy) in zip(images, ((0, 0), (4, 0), (0, 4)), strict=True):
@@ -37,7 +37,7 @@ def dots() -> np.ndarray:
 
 
 @pytest.fixture
-def short_scenes(monkeypatch) -> None:
+def short_scenes(monkeypatch):
     """Cut scenes of level easy after two seconds."""
     from lerobot_env_uniforce_wiping.levels import LEVELS
 
@@ -45,7 +45,7 @@ def short_scenes(monkeypatch) -> None:
 
 
 @pytest.fixture(scope="session")
-def drawn_demo(tmp_path_factory, request) -> Path:
+def drawn_demo(tmp_path_factory, request):
     """One demo of the expert at level easy, scene 3, recorded once for all processes of a run.
 
     Sensors are as drawn, the only ones that the shipped heads of recordings know.
@@ -75,11 +75,11 @@ PATIENT += ("test_fci_model.py", "test_fci_protocol.py")
 REALTIME = ("sensors", "recorder", "franka", "standins", "teleop")  # folders of tests/robots
 
 
-def pytest_configure(config: pytest.Config) -> None:
+def pytest_configure(config):
     config.pluginmanager.register(FairClock(), "fair_clock")
 
 
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config, items):
     """Mark what runs against a clock; with several processes begin with the files that would end last."""
     for item in items:
         if (

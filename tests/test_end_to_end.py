@@ -4,7 +4,6 @@ import json
 import shutil
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from lerobot.scripts import lerobot_eval
@@ -40,12 +39,12 @@ def checkpoint(drawn_demo, tmp_path_factory):
     return folder / "train" / "checkpoints" / "last" / "pretrained_model"
 
 
-def test_a_checkpoint_knows_what_grip_its_demonstrations_carried(checkpoint: Path) -> None:
+def test_a_checkpoint_knows_what_grip_its_demonstrations_carried(checkpoint):
     touch = json.loads((checkpoint / "config.json").read_text())["touch"]
     assert set(touch["carried_N"]) == {"touch0"} and 4 < touch["carried_N"]["touch0"] < 14
 
 
-def test_scores_with_the_trained_and_a_swapped_sensor(checkpoint, tmp_path, short_scenes) -> None:
+def test_scores_with_the_trained_and_a_swapped_sensor(checkpoint, tmp_path, short_scenes):
     for left, swap in (("gelsight", ""), ("uskin", "touch0:left")):
         once = {"level": "easy", "rollouts": 1, "workers": 1, "out": str(tmp_path)}
         config = ScoreConfig(str(checkpoint), "e2e", left_sensor=left, swap=swap, **once)
@@ -55,9 +54,7 @@ def test_scores_with_the_trained_and_a_swapped_sensor(checkpoint, tmp_path, shor
     assert len(list(tmp_path.glob("*/seed_10000.mp4"))) == 2
 
 
-def lerobot_evaluated(
-    monkeypatch: pytest.MonkeyPatch, out: Path, policy: Path, level: str, seed: int
-) -> bool:
+def lerobot_evaluated(monkeypatch, out, policy, level, seed):
     flags = [
         f"policy.path={policy}",
         "policy.device=cpu",
@@ -74,9 +71,7 @@ def lerobot_evaluated(
     return bool(success)
 
 
-def test_lerobot_eval_agrees_with_our_score(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_lerobot_eval_agrees_with_our_score(tmp_path, monkeypatch):
     """The shipped policy wipes the board of the first scene in both commands."""
     config = ScoreConfig(
         level="touch", rollouts=1, workers=1, videos=0, out=str(tmp_path / "score")
@@ -88,7 +83,7 @@ def test_lerobot_eval_agrees_with_our_score(
     assert row.outcome == "success"
 
 
-def test_a_dataset_that_is_full_says_that_nothing_was_recorded(drawn_demo, tmp_path) -> None:
+def test_a_dataset_that_is_full_says_that_nothing_was_recorded(drawn_demo, tmp_path):
     demos = shutil.copytree(drawn_demo, tmp_path / "demos")
     settings = RecordConfig(episodes=1, level="easy", root=str(demos), left_sensor="uskin:drawing")
     with pytest.raises(
@@ -99,7 +94,7 @@ def test_a_dataset_that_is_full_says_that_nothing_was_recorded(drawn_demo, tmp_p
     assert end.exit_code == 0 and end.message.startswith(f"nothing new, {demos} holds 1 or more")
 
 
-def test_a_recording_is_scored_from_its_fingers_alone(drawn_demo, tmp_path) -> None:
+def test_a_recording_is_scored_from_its_fingers_alone(drawn_demo, tmp_path):
     """Marker images → newtons → events, and true forces beside them because this recording is simulated."""
     friction = draw_scene(3, "easy").pad_friction
     config = ScoreRecordingConfig(
@@ -115,8 +110,9 @@ def test_a_recording_is_scored_from_its_fingers_alone(drawn_demo, tmp_path) -> N
 
 
 @pytest.mark.parametrize("friction", ["", "0.6", "a,b", "0,0.5"])
-def test_a_recording_without_known_friction_is_refused(friction, drawn_demo, tmp_path, capsys) -> None:
+def test_a_recording_without_known_friction_is_refused(friction, drawn_demo, tmp_path, capsys):
     assert (
-        score_recording_main([f"root={drawn_demo}", f"pad_friction={friction}", f"out={tmp_path}"]) == 2
+        score_recording_main([f"root={drawn_demo}", f"pad_friction={friction}", f"out={tmp_path}"])
+        == 2
     )
     assert "pad_friction" in capsys.readouterr().err

@@ -13,7 +13,7 @@ NOTEBOOKS = sorted((Path(__file__).parents[1] / "docs" / "notebooks").glob("*.py
 SHOWS = "plt.show()"
 
 
-def pictures(cell: dict) -> list[np.ndarray]:
+def pictures(cell):
     """Return what a cell shows, (H, W, 3) uint8 each."""
     encoded = [
         out["data"]["image/png"] for out in cell["outputs"] if "image/png" in out.get("data", {})
@@ -27,7 +27,7 @@ def pictures(cell: dict) -> list[np.ndarray]:
 @pytest.mark.slow
 @pytest.mark.timeout(900)  # 40 s of work; other processes may leave it little of a core
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_every_cell_runs_and_shows_its_picture(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_cell_runs_and_shows_its_picture(path, monkeypatch):
     monkeypatch.delenv("MPLBACKEND", raising=False)  # else the kernel draws into no notebook
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
     notebook = jupytext.read(path)

@@ -23,29 +23,29 @@ FORCE_N = (1.5, -1.0, 6.0)
 
 
 @pytest.fixture
-def known(monkeypatch: pytest.MonkeyPatch) -> None:
+def known(monkeypatch):
     """Do what the page asks for: add the sensor behind the others."""
     monkeypatch.setitem(registry._SENSORS, "mygel", mygel.MYGEL)
 
 
-def pressed(*force_N: float) -> ContactState:
+def pressed(*force_N):
     gap_mm = gap_map("sphere", center_mm=(0.0, 0.0), angle_rad=0.0)[None]
     return ContactState(gap_mm, np.array([force_N], np.float32), np.zeros(1, np.float32))
 
 
-def test_the_page_shows_the_file_and_it_is_short() -> None:
+def test_the_page_shows_the_file_and_it_is_short():
     text = FILE.read_text()
     assert text in PAGE.read_text() and len(text.splitlines()) <= MOST_LINES
 
 
-def test_datasets_store_it_behind_the_others(known: None) -> None:
+def test_datasets_store_it_behind_the_others(known):
     others = list_sensors()[:-1]
     assert "mygel" not in others and [sensor_index(name) for name in (*others, "mygel")] == [
         *range(len(others) + 1)
     ]
 
 
-def test_its_frames_come_back_as_its_drawing_and_force_is_read(known: None) -> None:
+def test_its_frames_come_back_as_its_drawing_and_force_is_read(known):
     simulator, canonicalizer = TactileSimulator("mygel"), Canonicalizer("mygel")
     free, touched = simulator.raw_reference(), simulator.raw_frames(pressed(*FORCE_N))[0]
     spec, centres_px = get_sensor("mygel"), Canonicalizer("mygel").markers(free)
@@ -61,7 +61,7 @@ def test_its_frames_come_back_as_its_drawing_and_force_is_read(known: None) -> N
     assert (np.sign(read_N) == np.sign(FORCE_N)).all() and 2 < read_N[2] < 12
 
 
-def test_the_contact_model_moves_its_markers_with_the_force(known: None) -> None:
+def test_the_contact_model_moves_its_markers_with_the_force(known):
     simulator = TactileSimulator("mygel", options=ContactOptions().quiet())
     (moved_px, _), (rest_px, _) = (simulator.markers_px(pressed(fx, 0, 6)) for fx in (2.0, 0.0))
     assert (moved_px - rest_px)[0, :, 0].mean() > 0.5 and abs(
@@ -69,7 +69,7 @@ def test_the_contact_model_moves_its_markers_with_the_force(known: None) -> None
     ) < 0.1
 
 
-def test_a_scene_wears_units_of_it(known: None) -> None:
+def test_a_scene_wears_units_of_it(known):
     env = WipeEnv("touch", right_sensor="mygel:any")
     shown = env.reset(seed=3)[0]["pixels"][tactile_name("right")]
     assert env.sensors["right"] == "mygel" and shown.any()

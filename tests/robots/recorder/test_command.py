@@ -1,7 +1,5 @@
 """``uniforce record`` itself: the scene steered by a teleoperator, and what it refuses."""
 
-from pathlib import Path
-
 import pytest
 import recording_fakes  # noqa: F401  registers the teleoperator recording_test
 
@@ -19,7 +17,7 @@ QUICK = [
 
 
 @pytest.mark.slow
-def test_a_scene_by_hand_and_its_resume(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_scene_by_hand_and_its_resume(tmp_path, capsys):
     root = tmp_path / "data"
     own = [
         f"teleop.calibration_dir={tmp_path}",
@@ -37,7 +35,7 @@ def test_a_scene_by_hand_and_its_resume(tmp_path: Path, capsys: pytest.CaptureFi
 
 
 @pytest.mark.parametrize(
-    ("words", "reason"),
+    "words, reason",
     [
         (["robot=moon"], "sim | franka"),
         (["robot=franka"], "works on a robot"),
@@ -68,7 +66,7 @@ def test_a_scene_by_hand_and_its_resume(tmp_path: Path, capsys: pytest.CaptureFi
         ),
     ],
 )
-def test_what_cannot_be_is_refused_with_a_reason(words, reason, tmp_path, capsys) -> None:
+def test_what_cannot_be_is_refused_with_a_reason(words, reason, tmp_path, capsys):
     home = [f"teleop.calibration_dir={tmp_path}", "teleop.id=a"]
     assert main([*words, *home, f"root={tmp_path / 'data'}"]) == 2
     assert reason in capsys.readouterr().err
@@ -79,7 +77,7 @@ def test_what_cannot_be_is_refused_with_a_reason(words, reason, tmp_path, capsys
 @pytest.mark.parametrize("words", [["level=easy"], QUICK])
 def test_a_root_that_cannot_be_ends_before_the_first_episode(
     words, root, tmp_path, capsys, monkeypatch
-) -> None:
+):
     file = tmp_path / "file"
     full = tmp_path / "full"
     file.write_text("mine")

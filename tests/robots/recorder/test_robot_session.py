@@ -5,10 +5,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable
 from contextlib import nullcontext
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,8 +19,8 @@ from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_datasets.source import read_source, stored_frames
 from uniforce_robots.recorder import disk_guard
 from uniforce_robots.recorder.assemble import run_session
-from uniforce_robots.recorder.operators import VERDICTS, Command, Event, Operator, Phase, Unattended
-from uniforce_robots.recorder.session import SessionEnd, SessionSettings
+from uniforce_robots.recorder.operators import VERDICTS, Command, Event, Phase, Unattended
+from uniforce_robots.recorder.session import SessionSettings
 from uniforce_robots.recorder.sim_rig import SimRig
 from uniforce_robots.recorder.store import StoreSettings, open_recorder
 from uniforce_robots.sensors.faults import WrongSensorError
@@ -35,18 +32,11 @@ SHORT_S = 0.5
 
 
 @pytest.fixture
-def fake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeRig:
+def fake(tmp_path, monkeypatch):
     return FakeRig(tmp_path / "calibration", monkeypatch)
 
 
-def go(
-    fake: FakeRig,
-    root: Path,
-    operator: Operator,
-    teleop: Any = None,
-    out: Any = None,
-    **settings: Any,
-) -> SessionEnd:
+def go(fake, root, operator, teleop=None, out=None, **settings):
     plain = {
         "episodes": 1,
         "episode_s": SHORT_S,
@@ -56,14 +46,14 @@ def go(
     }
     teleop = teleop or sway(root.parent)
     store = StoreSettings(root, "local/test", reserve_MB=1.0)
-    wanted = SessionSettings(**(plain | settings))  # type: ignore[arg-type]
+    wanted = SessionSettings(**(plain | settings))
     end = run_session(fake.rig, teleop, operator, store, wanted, out=out, open_store=open_recorder)
     assert not fake.robot.is_connected and not teleop.is_connected
     assert not [t.name for t in threading.enumerate() if t.name in ("arm-stream", "hand")]
     return end
 
 
-def test_two_episodes_then_one_more(fake: FakeRig, tmp_path: Path) -> None:
+def test_two_episodes_then_one_more(fake, tmp_path):
     root = tmp_path / "data"
     end = go(fake, root, Unattended("success"), episodes=2, prompts=("wipe", "clean the board"))
     assert end.exit_code == 0 and [e.label for e in end.endings] == ["success"] * 2
@@ -78,7 +68,7 @@ def test_two_episodes_then_one_more(fake: FakeRig, tmp_path: Path) -> None:
         assert read_card(root, episode)["label"] == "success"
 
 
-def test_what_a_row_holds(fake: FakeRig, tmp_path: Path) -> None:
+def test_what_a_row_holds(fake, tmp_path):
     go(fake, tmp_path / "data", Unattended("success"))
     times = tuple(
         key(source)
@@ -105,7 +95,7 @@ def test_what_a_row_holds(fake: FakeRig, tmp_path: Path) -> None:
 
 def test_an_episode_that_missed_many_ticks_is_aborted_and_does_not_count(
     fake, tmp_path, monkeypatch
-) -> None:
+):
     teleop = sway(tmp_path)
     quick = teleop.get_action
     monkeypatch.setattr(teleop, "get_action", lambda: time.sleep(2.5 / 30) or quick())
@@ -117,7 +107,7 @@ def test_an_episode_that_missed_many_ticks_is_aborted_and_does_not_count(
     assert read_card(tmp_path / "data", 0)["label"] == "aborted:late"
 
 
-def labels(root: Path) -> list[str]:
+def labels(root):
     source = read_source(root)
     columns = source.columns((keys.OUTCOME, keys.CAUSE))
     starts = [episode.start for episode in source.episodes]
@@ -126,7 +116,7 @@ def labels(root: Path) -> list[str]:
     return [o if c == "none" else f"{o}:{c}" for o, c in zip(outcomes, causes, strict=True)]
 
 
-def at(phase: Phase, asked: int, command: Command) -> Callable[[Phase, int], list[Command]]:
+def at(phase, asked, command):
     """Begin whenever waiting; say the command once, at that question of that phase."""
     return lambda now, n: (
         [Command.GO] if now is Phase.WAITING else [command] * (now is phase and n == asked)
@@ -134,13 +124,13 @@ def at(phase: Phase, asked: int, command: Command) -> Callable[[Phase, int], lis
 
 
 @pytest.mark.parametrize("command", VERDICTS)
-def test_keys_judge_an_episode(fake: FakeRig, tmp_path: Path, command: Command) -> None:
+def test_keys_judge_an_episode(fake, tmp_path, command):
     end = go(fake, tmp_path / "data", Script(at(Phase.RUNNING, 6, command)), episode_s=30.0)
     assert end.exit_code == 0 and labels(tmp_path / "data") == [VERDICTS[command]]
     assert read_source(tmp_path / "data").num_frames == 6
 
 
-BREAKS: dict[str, tuple[str, str, str]] = {  # what breaks, how, the cause that is stored
+BREAKS = {  # what breaks, how, the cause that is stored
     "camera unplugged": ("front", "stop", "camera"),
     "camera silent": ("front", "stall", "stale_camera"),
     "camera frozen": ("front", "freeze", "frozen_camera"),
@@ -153,26 +143,24 @@ BREAKS: dict[str, tuple[str, str, str]] = {  # what breaks, how, the cause that 
 }
 
 
-def break_it(fake: FakeRig, teleop: Sway, what: str, how: str) -> None:
+def break_it(fake, teleop, what, how):
     if what == "arm":
         fake.arm.mode = how
     elif what == "teleop":
         teleop.error = KeyError(how)
     elif what == "rig":
-        fake.rig.observe = {}  # type: ignore[method-assign, assignment]
+        fake.rig.observe = {}
     else:
         fake.captures[what].fault = how
 
 
 @pytest.mark.parametrize("name", BREAKS)
-def test_a_fault_ends_the_episode_held_and_labelled(
-    fake: FakeRig, tmp_path: Path, name: str
-) -> None:
+def test_a_fault_ends_the_episode_held_and_labelled(fake, tmp_path, name):
     what, how, cause = BREAKS[name]
     teleop = sway(tmp_path)
     begun = []
 
-    def say(phase: Phase, asked: int) -> list[Command]:
+    def say(phase, asked):
         if phase is Phase.WAITING:
             begun.append(phase)
             return [Command.GO if len(begun) == 1 else Command.QUIT]
@@ -189,11 +177,11 @@ def test_a_fault_ends_the_episode_held_and_labelled(
     assert cause in read_card(tmp_path / "data", 0)["label"]
 
 
-def scripted(*lines: tuple[Phase, int, Command | Event]) -> Script:
+def scripted(*lines):
     """Begin whenever waiting; say each line once, when its phase is asked so often."""
     left = list(lines)
 
-    def say(phase: Phase, asked: int) -> list[Command | Event]:
+    def say(phase, asked):
         if phase is Phase.WAITING and asked == 0:
             return [Command.GO]
         if left and left[0][:2] == (phase, asked):
@@ -203,7 +191,7 @@ def scripted(*lines: tuple[Phase, int, Command | Event]) -> Script:
     return Script(say)
 
 
-def test_discard_rerecord_pause_and_notes(fake: FakeRig, tmp_path: Path) -> None:
+def test_discard_rerecord_pause_and_notes(fake, tmp_path):
     operator = scripted(
         (Phase.RUNNING, 3, Command.DISCARD),
         (Phase.RUNNING, 4, Command.RERECORD),
@@ -222,9 +210,9 @@ def test_discard_rerecord_pause_and_notes(fake: FakeRig, tmp_path: Path) -> None
     assert np.diff(stamps).max() > 5 / 30, "the pause shows"
 
 
-def test_a_pause_ends_once_the_device_is_at_rest(fake: FakeRig, tmp_path: Path) -> None:
+def test_a_pause_ends_once_the_device_is_at_rest(fake, tmp_path):
     class Deflected(Sway):
-        def start_from(self, axes: dict[str, float]) -> None:
+        def start_from(self, axes):
             super().start_from(axes)
             if len(self.starts) == 2:
                 raise TeleoperatorError("let go", "far")
@@ -242,9 +230,7 @@ def test_a_pause_ends_once_the_device_is_at_rest(fake: FakeRig, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("interruption", ["fault", "hold", "robot"])
-def test_between_episodes_steering_goes_on_at_a_persons_word(
-    fake, tmp_path: Path, interruption: str
-) -> None:
+def test_between_episodes_steering_goes_on_at_a_persons_word(fake, tmp_path, interruption):
     teleop = sway(tmp_path)
     calls = {}
     out = io.StringIO()
@@ -252,7 +238,7 @@ def test_between_episodes_steering_goes_on_at_a_persons_word(
     if interruption == "hold":
         orders[5] = Command.HOLD
 
-    def say(phase: Phase, asked: int) -> list[Event]:
+    def say(phase, asked):
         calls[asked] = len(teleop.starts), teleop.calls
         if asked == 5:
             teleop.error = KeyError("unplugged") if interruption == "fault" else None
@@ -274,9 +260,7 @@ def test_between_episodes_steering_goes_on_at_a_persons_word(
 
 
 @pytest.mark.parametrize("name", ["Open the gripper", "bad_touch"])
-def test_nothing_begins_out_of_free_air_nor_from_a_moving_gel(
-    fake: FakeRig, tmp_path: Path, name: str
-) -> None:
+def test_nothing_begins_out_of_free_air_nor_from_a_moving_gel(fake, tmp_path, name):
     finger = fake.captures["tactile_left"]
     if name == "bad_touch":
         finger.frames = tuple(
@@ -288,11 +272,11 @@ def test_nothing_begins_out_of_free_air_nor_from_a_moving_gel(
     assert end.exit_code == 3 and name in end.message and not end.endings
 
 
-def test_an_open_hand_is_asked_for_again(fake: FakeRig, tmp_path: Path) -> None:
+def test_an_open_hand_is_asked_for_again(fake, tmp_path):
     fake.hand.width_m = 0.03
-    asked: list[Phase] = []
+    asked = []
 
-    def say(phase: Phase, n: int) -> list[Command]:
+    def say(phase, n):
         asked.append(phase)
         fake.hand.width_m = 0.03 if len(asked) < 3 else 0.08  # refused, opened, begun
         return [Command.GO] if phase is Phase.WAITING else [Command.SUCCESS] * (n == 3)
@@ -301,9 +285,7 @@ def test_an_open_hand_is_asked_for_again(fake: FakeRig, tmp_path: Path) -> None:
     assert end.exit_code == 0 and asked.count(Phase.WAITING) >= 2
 
 
-def test_a_full_disk_stops_at_the_next_tick_and_what_was_saved_stays(
-    fake, tmp_path, monkeypatch
-) -> None:
+def test_a_full_disk_stops_at_the_next_tick_and_what_was_saved_stays(fake, tmp_path, monkeypatch):
     root = tmp_path / "data"
     go(fake, root, Unattended("success"))
     room = iter([10**12] * 8)
@@ -315,10 +297,10 @@ def test_a_full_disk_stops_at_the_next_tick_and_what_was_saved_stays(
     assert end.exit_code == 4 and not end.endings, "no room for another one"
 
 
-def acting(act: Callable[[], object], success_at: int | None = None) -> Script:
+def acting(act, success_at=None):
     """Begin whenever waiting; do something at the fifth tick, and call it a success later."""
 
-    def say(phase: Phase, asked: int) -> list[Command]:
+    def say(phase, asked):
         if phase is Phase.WAITING:
             return [Command.GO]
         if phase is Phase.RUNNING and asked == 5:
@@ -332,12 +314,12 @@ def acting(act: Callable[[], object], success_at: int | None = None) -> Script:
     "come", ["INT", "TERM", "HUP", "HUP HUP HUP", "TERM HUP", "INT INT", "HUP TERM INT"]
 )
 def test_a_stop_from_outside_ends_the_episode_in_order_unless_somebody_insists(
-    fake, tmp_path, come: str
-) -> None:
+    fake, tmp_path, come
+):
     """Whoever reads what is shown may be gone by then."""
     reader, writer = os.pipe()
 
-    def interrupt() -> None:
+    def interrupt():
         os.close(reader)
         for name in come.split():
             signal.raise_signal(signal.Signals[f"SIG{name}"])
@@ -351,7 +333,7 @@ def test_a_stop_from_outside_ends_the_episode_in_order_unless_somebody_insists(
     assert [signal.getsignal(number) for number in STOPS] == before
 
 
-def test_nohup_goes_on_without_its_terminal(fake: FakeRig, tmp_path: Path) -> None:
+def test_nohup_goes_on_without_its_terminal(fake, tmp_path):
     hang_up = acting(lambda: signal.raise_signal(signal.SIGHUP), success_at=8)
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
@@ -360,27 +342,23 @@ def test_nohup_goes_on_without_its_terminal(fake: FakeRig, tmp_path: Path) -> No
         signal.signal(signal.SIGHUP, before)
 
 
-def test_a_terminal_that_takes_its_keyboard_along_is_an_interrupt_too(
-    fake: FakeRig, tmp_path: Path
-) -> None:
+def test_a_terminal_that_takes_its_keyboard_along_is_an_interrupt_too(fake, tmp_path):
     teleop = sway(tmp_path)
     breaks = acting(lambda: setattr(teleop, "error", RuntimeError("hung up")))
     own_hold = fake.rig.hold
 
-    def hold() -> None:
+    def hold():
         if teleop.error is not None:
             signal.raise_signal(signal.SIGHUP)
         own_hold()
 
-    fake.rig.hold = hold  # type: ignore[method-assign]
+    fake.rig.hold = hold
     assert go(fake, tmp_path / "data", breaks, teleop, episode_s=5.0).exit_code == 130
     assert labels(tmp_path / "data") == ["aborted:interrupt"]
 
 
-def test_a_row_that_the_store_refuses_late_ends_the_session_in_order(
-    fake, tmp_path, monkeypatch
-) -> None:
-    def refuse(*_: object) -> None:
+def test_a_row_that_the_store_refuses_late_ends_the_session_in_order(fake, tmp_path, monkeypatch):
+    def refuse(*_):
         raise ContractError("state: expected finite numbers")
 
     monkeypatch.setattr(EpisodeRecorder, "save", refuse)
@@ -388,9 +366,7 @@ def test_a_row_that_the_store_refuses_late_ends_the_session_in_order(
     assert end.exit_code == 3 and "finite" in end.message and len(end.endings) == 1
 
 
-def test_another_sensor_than_configured_is_refused_before_anything_moves(
-    fake: FakeRig, tmp_path: Path
-):
+def test_another_sensor_than_configured_is_refused_before_anything_moves(fake, tmp_path):
     captures = fake.captures
     captures["tactile_left"], captures["tactile_right"] = (
         captures["tactile_right"],
@@ -401,13 +377,11 @@ def test_another_sensor_than_configured_is_refused_before_anything_moves(
     assert not fake.arm.targets and not fake.robot.is_connected
 
 
-def test_another_setting_of_the_rig_is_refused_before_the_first_episode(
-    fake: FakeRig, tmp_path: Path
-) -> None:
+def test_another_setting_of_the_rig_is_refused_before_the_first_episode(fake, tmp_path):
     """Also what the robot itself says once it is connected."""
     root = tmp_path / "data"
     load_kg = [0.7]
-    fake.robot.stored_facts = lambda: {"load_kg": load_kg[0]}  # type: ignore[attr-defined]
+    fake.robot.stored_facts = lambda: {"load_kg": load_kg[0]}
     assert go(fake, root, Unattended("success"), rig={"robot.gain": 1}).exit_code == 0
     load_kg[0] = 0.9
     with pytest.raises(ContractError, match=r"robot.gain 1 → 2, robot.stored.load_kg 0.7 → 0.9"):
@@ -427,7 +401,7 @@ def test_another_setting_of_the_rig_is_refused_before_the_first_episode(
 STEPS = 6
 
 
-def test_a_scene_is_recorded_like_a_robot(tmp_path: Path) -> None:
+def test_a_scene_is_recorded_like_a_robot(tmp_path):
     rig = SimRig(WipeEnv("easy", max_steps=STEPS), paced=False)
     root = tmp_path / "data"
     store = StoreSettings(root, "local/test", reserve_MB=1.0)
