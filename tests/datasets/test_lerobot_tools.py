@@ -9,6 +9,8 @@ import pytest
 from uniforce_cli.verify import main as verify
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.synthetic import record_synthetic
+from uniforce_vtla.errors import DatasetError
+from uniforce_vtla.file_hashes import read_hashes
 
 pytestmark = pytest.mark.slow
 
@@ -57,6 +59,13 @@ def test_merge_feature_removal_and_new_tasks_keep_it_whole(recording, run, tmp_p
     assert [episode.task for episode in source.episodes] == ["another"] * 4
     assert set(source.instructions()) == {"another"}
     assert "truth.wrench.left" not in source.features
+    assert verify([f"root={both}", "rehash=true"]) == 0
+    stored = read_hashes(both, DatasetError)
+    assert stored and not any("episode" in entry for entry in stored.values())  # packed files
+    episodes = check_dataset(both, "full").episodes
+    assert len({e.videos[k].file for e in episodes for k in e.videos}) == 6
+    record_synthetic(both, 1, 4)
+    assert len(check_dataset(both, "full").episodes) == 5
 
 
 def test_info_tells_of_dataset_and_machine(recording, run, capsys, caplog):

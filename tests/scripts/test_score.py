@@ -217,10 +217,14 @@ class Watching:
         return np.zeros((1, 5))
 
 
+@pytest.fixture(scope="module")
+def bank():
+    return donated_touch(Rig("easy"), donors=1)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("phase", [0, 2])
-def test_shuffled_touch_is_another_scenes_in_the_same_phase(phase, monkeypatch):
-    bank = donated_touch(Rig("easy"), donors=1)
+def test_shuffled_touch_is_another_scenes_in_the_same_phase(phase, bank, monkeypatch):
     assert set(bank) == {0, 1, 2, 3}
     monkeypatch.setattr(WipeEnv, "phase", phase)
     watching, env = Watching(), WipeEnv("easy")

@@ -24,14 +24,16 @@ def test_a_scene_by_hand_and_its_resume(tmp_path, capsys):
         "teleop.id=a",
         "teleop.width_m=0.07",
         "reserve_MB=1",
+        "right_sensor=tactip:drawing",
     ]
-    assert main([*QUICK, *own, f"root={root}", "episodes=1"]) == 0
+    left = "left_sensor=gelsight:drawing"
+    assert main([*QUICK, *own, left, f"root={root}", "episodes=1"]) == 0
     assert "1 of 1 episodes" in capsys.readouterr().out
-    assert main([*QUICK, *own, f"resume={root}", "episodes=2", "prompts=[tidy up]"]) == 0
+    assert main([*QUICK, *own, left, f"resume={root}", "episodes=2", "prompts=[tidy up]"]) == 0
     assert open_dataset(root).num_episodes == 2 and read_card(root, 1)["prompt"] == "tidy up"
     assert read_card(root, 1)["settings"]["rig"]["teleop.width_m"] == 0.07
     assert main([*QUICK, *own, f"root={root}", "episodes=3", "left_sensor=uskin"]) == 2
-    assert "scene.left_sensor 'gelsight' → 'uskin'" in capsys.readouterr().err
+    assert "scene.left_sensor 'gelsight:drawing' → 'uskin'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
