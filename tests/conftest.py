@@ -37,6 +37,17 @@ def dots():
 
 
 @pytest.fixture
+def refuses(capsys):
+    """Return a function: a command ends with code 2 over some words, and its error holds a text."""
+
+    def check(main, words, said):
+        assert main(words) == 2
+        assert said in capsys.readouterr().err
+
+    return check
+
+
+@pytest.fixture
 def short_scenes(monkeypatch):
     """Cut scenes of level easy after two seconds."""
     from lerobot_env_uniforce_wiping.levels import LEVELS

@@ -27,10 +27,14 @@ class Bench:
                 return error.fault
         return ""
 
+    def wish(self, width_m, for_s):
+        """Wish a width and run on without a fault."""
+        self.hand.submit(width_m)
+        assert self.run(for_s) == ""
+
     def grasp(self):
         self.client.is_grasped = True
-        self.hand.submit(0.02)
-        assert self.run(0.5) == ""
+        self.wish(0.02, 0.5)
 
 
 @pytest.fixture
@@ -65,12 +69,11 @@ def test_what_a_width_asks_for(wish, reading, wanted):
 def test_fingers_that_close_stop_where_wished_and_bound_their_force_from_the_widest_on(object_m):
     bench = Bench(moves=True)
     bench.client.object_m = object_m
-    bench.hand.submit(0.05)
-    assert bench.run(2.0) == ""
+    bench.wish(0.05, 2.0)
     assert [c.force_N for c in bench.client.commands] == [SETTINGS.grip_force_N]
     assert bench.client.width_m == pytest.approx(object_m or 0.05, abs=0.001)
-    bench.hand.submit(0.06 if object_m < 0.06 else 0.075)
-    assert bench.run(2.0) == "" and bench.client.commands[-1].force_N == 0
+    bench.wish(0.06 if object_m < 0.06 else 0.075, 2.0)
+    assert bench.client.commands[-1].force_N == 0
 
 
 def test_a_wish_that_changes_on_the_way_is_obeyed_where_it_is_reached():
@@ -100,25 +103,23 @@ def test_a_stop_ends_the_fingers_way_and_forgets_what_was_wished(how):
     assert bench.run(2.0) == "" and abs(bench.client.width_m - before_m) < 0.001
     bench.hand.recover()
     assert bench.run(2.0) == "" and len(bench.client.commands) == 1, "recovery begins nothing"
-    bench.hand.submit(before_m)
-    assert bench.run(1.0) == "" and len(bench.client.commands) == 1, "nor does a wish to stay"
-    bench.hand.submit(0.06)
-    assert bench.run(2.0) == "" and bench.client.width_m == pytest.approx(0.06, abs=0.001), (
-        "a new wish does"
-    )
+    bench.wish(before_m, 1.0)
+    assert len(bench.client.commands) == 1, "nor does a wish to stay"
+    bench.wish(0.06, 2.0)
+    assert bench.client.width_m == pytest.approx(0.06, abs=0.001), "a new wish does"
 
 
 def test_what_is_held_stays_held_over_a_stop():
     bench = Bench(moves=True)
     bench.client.object_m = 0.03
-    bench.hand.submit(0.02)
-    assert bench.run(2.0) == "" and bench.client.is_grasped
+    bench.wish(0.02, 2.0)
+    assert bench.client.is_grasped
     bench.hand.stop()
     bench.run(0.1)
     bench.hand.halt()
     bench.hand.recover()
-    bench.hand.submit(0.03)
-    assert bench.run(1.0) == "" and bench.client.is_grasped
+    bench.wish(0.03, 1.0)
+    assert bench.client.is_grasped
     assert bench.client.stops == 0 and len(bench.client.commands) == 1
 
 
@@ -126,8 +127,7 @@ def test_a_grip_that_wanders_by_more_than_the_hysteresis_stays_a_grasp():
     bench = Bench(moves=True)
     bench.client.object_m = 0.035
     for width_m in (0.020, 0.0235) * 3:
-        bench.hand.submit(width_m)
-        assert bench.run(1.5) == ""
+        bench.wish(width_m, 1.5)
     assert [c.force_N for c in bench.client.commands] == [SETTINGS.grip_force_N]
 
 
@@ -136,10 +136,9 @@ def test_what_slips_out_is_known_though_the_wish_went_on_after_the_grasp_began(s
     """Guards raise a wish step by step: the grasp was asked for at another width than is wished when it is lost."""
     bench = Bench(moves=True)
     bench.client.object_m = 0.035
-    bench.hand.submit(0.07)
-    assert bench.run(0.05) == ""
-    bench.hand.submit(0.02)
-    assert bench.run(1.5) == "" and bench.client.is_grasped
+    bench.wish(0.07, 0.05)
+    bench.wish(0.02, 1.5)
+    assert bench.client.is_grasped
     bench.client.width_m = 0.003  # on the way to nothing, the hand still says that it holds
     assert bench.run(0.1) == ""
     bench.client.is_grasped, bench.client.width_m = says, 0.0
@@ -150,8 +149,8 @@ def test_what_slips_out_is_known_though_the_wish_went_on_after_the_grasp_began(s
 def test_a_hand_that_opens_less_opens_as_far_as_it_goes_and_one_never_homed_is_named():
     bench = Bench(moves=True)
     bench.client.width_m, bench.client.max_width_m = 0.02, 0.0785
-    bench.hand.submit(0.08)
-    assert bench.run(3.0) == "" and bench.client.width_m == 0.0785
+    bench.wish(0.08, 3.0)
+    assert bench.client.width_m == 0.0785
     bench.client.max_width_m = 0.0
     with pytest.raises(RobotError, match="Home the hand in Desk"):
         bench.hand.start()
@@ -166,8 +165,7 @@ def test_a_grasp_of_nothing_lies_outside_its_tolerance():
 def test_commands_never_overlap_and_the_newest_target_wins(bench):
     bench.client.width_m = 0.02
     for width in (0.03, 0.04, 0.05, 0.055, 0.07):
-        bench.hand.submit(width)
-        assert bench.run(0.02) == ""
+        bench.wish(width, 0.02)
     assert bench.run(0.3) == "" and not bench.hand.is_busy
     assert [c.width_m for c in bench.client.commands] == [0.03, 0.07], (
         "the ones in between were skipped"
@@ -181,8 +179,7 @@ def test_a_command_that_fails_is_tried_again_counted_and_not_fatal():
     bench.client.begin = bench.client.commands.append  # the fingers don't move
     bench.client.poll = lambda: False
     for tried, width_m in enumerate((0.07, 0.05), 1):
-        bench.hand.submit(width_m)
-        assert bench.run(1.0) == ""
+        bench.wish(width_m, 1.0)
         assert len(bench.client.commands) == bench.hand.failed_commands == TRIES * tried
 
 
@@ -238,14 +235,12 @@ def test_what_slips_out_is_a_fault_until_the_operators_word(bench):
     bench.hand.recover()
     assert bench.run(1.0) == "" and len(bench.client.commands) == commands, "nothing is begun"
     bench.client.width_m = 0.08  # a person opened it and put the object back
-    bench.hand.submit(0.02)
-    assert bench.run(1.0) == "" and len(bench.client.commands) == commands + 1, (
-        "the same wish, asked for anew"
-    )
+    bench.wish(0.02, 1.0)
+    assert len(bench.client.commands) == commands + 1, "the same wish, asked for anew"
 
 
 def test_opening_on_purpose_loses_nothing(bench):
     bench.grasp()
     bench.client.is_grasped = False
-    bench.hand.submit(0.07)
-    assert bench.run(1.0) == "" and len(bench.client.commands) == 2
+    bench.wish(0.07, 1.0)
+    assert len(bench.client.commands) == 2

@@ -83,10 +83,9 @@ def test_stock_act_takes_it(written):
     assert bool(loss.isfinite())
 
 
-def test_nothing_is_overwritten_and_an_empty_choice_is_refused(demos, written, capsys):
+def test_nothing_is_overwritten_and_an_empty_choice_is_refused(demos, written, refuses):
     again = [f"roots={demos}", f"out={written}", "touch_in_state=true"]
-    assert view.main(again) == 2
-    assert "Choose another out" in capsys.readouterr().err
+    refuses(view.main, again, "Choose another out")
     renamed = [*again[:1], f"out={written.parent / 'other'}", again[2], "cameras=front:cam_high"]
     assert view.main(renamed) == 2
 

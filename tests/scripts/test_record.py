@@ -23,9 +23,8 @@ def test_a_rehearsal_records_goes_on_and_says_what_the_truth_is(tmp_path, capsys
 
 
 @pytest.mark.parametrize("wrong", ["indenters=banana", "indenters=sphere,sphere"])
-def test_what_makes_no_sense_is_refused_in_words(tmp_path, capsys, wrong):
-    assert main([*QUICK, f"out={tmp_path / 'new'}", wrong]) == 2
-    assert "expected" in capsys.readouterr().err
+def test_what_makes_no_sense_is_refused_in_words(tmp_path, refuses, wrong):
+    refuses(main, [*QUICK, f"out={tmp_path / 'new'}", wrong], "expected")
 
 
 def test_the_score_is_measured_and_written(tmp_path):

@@ -97,22 +97,22 @@ def test_a_force_head_reads_the_latents_instead_of_the_descriptors(recorded, tmp
     )
 
 
-def test_unknown_episodes_and_forms_are_refused(recorded, tmp_path, capsys):
+def test_unknown_episodes_and_forms_are_refused(recorded, tmp_path, refuses):
     for words, said in (
         (["episode=7"], "from 0 to 1"),
         (["episode=last"], "all, or numbers"),
         (["form=gif"], "sheet | rerun"),
         (["pad_friction=0.6"], "2 numbers"),
     ):
-        assert main([f"root={recorded}", f"out={tmp_path}", *words]) == 2
-        assert said in capsys.readouterr().err
+        refuses(main, [f"root={recorded}", f"out={tmp_path}", *words], said)
     assert not list(tmp_path.iterdir())
 
 
-def test_without_rerun_its_form_is_refused_before_any_work(recorded, tmp_path, monkeypatch, capsys):
+def test_without_rerun_its_form_is_refused_before_any_work(
+    recorded, tmp_path, monkeypatch, refuses
+):
     monkeypatch.setitem(sys.modules, "rerun", None)
-    assert main([f"root={recorded}", "form=rerun", f"out={tmp_path}"]) == 2
-    assert "[rerun]" in capsys.readouterr().err
+    refuses(main, [f"root={recorded}", "form=rerun", f"out={tmp_path}"], "[rerun]")
 
 
 def test_rerun_receives_everything_on_one_time_line(recorded, tmp_path, monkeypatch):

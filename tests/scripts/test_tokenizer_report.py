@@ -14,10 +14,9 @@ from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
 from uniforce_vtla.tokenizer.force_head import HeadTrainingConfig
 
 
-def test_a_table_needs_a_frozen_set(tmp_path, capsys):
+def test_a_table_needs_a_frozen_set(tmp_path, refuses):
     folders = [f"{name}={tmp_path}" for name in ("results", "facts", "cache")]
-    assert main(["set=hetero_hard_v2", *folders]) == 2
-    assert "freeze=true" in capsys.readouterr().err
+    refuses(main, ["set=hetero_hard_v2", *folders], "freeze=true")
 
 
 def test_one_row_measured_anew_leaves_the_rest_of_the_table(tmp_path, monkeypatch):

@@ -17,7 +17,7 @@ QUICK = [
 
 
 @pytest.mark.slow
-def test_a_scene_by_hand_and_its_resume(tmp_path, capsys):
+def test_a_scene_by_hand_and_its_resume(tmp_path, capsys, refuses):
     root = tmp_path / "data"
     own = [
         f"teleop.calibration_dir={tmp_path}",
@@ -32,8 +32,11 @@ def test_a_scene_by_hand_and_its_resume(tmp_path, capsys):
     assert main([*QUICK, *own, left, f"resume={root}", "episodes=2", "prompts=[tidy up]"]) == 0
     assert open_dataset(root).num_episodes == 2 and read_card(root, 1)["prompt"] == "tidy up"
     assert read_card(root, 1)["settings"]["rig"]["teleop.width_m"] == 0.07
-    assert main([*QUICK, *own, f"root={root}", "episodes=3", "left_sensor=uskin"]) == 2
-    assert "scene.left_sensor 'gelsight:drawing' → 'uskin'" in capsys.readouterr().err
+    refuses(
+        main,
+        [*QUICK, *own, f"root={root}", "episodes=3", "left_sensor=uskin"],
+        "scene.left_sensor 'gelsight:drawing' → 'uskin'",
+    )
 
 
 @pytest.mark.parametrize(
@@ -68,10 +71,9 @@ def test_a_scene_by_hand_and_its_resume(tmp_path, capsys):
         ),
     ],
 )
-def test_what_cannot_be_is_refused_with_a_reason(words, reason, tmp_path, capsys):
+def test_what_cannot_be_is_refused_with_a_reason(words, reason, tmp_path, refuses):
     home = [f"teleop.calibration_dir={tmp_path}", "teleop.id=a"]
-    assert main([*words, *home, f"root={tmp_path / 'data'}"]) == 2
-    assert reason in capsys.readouterr().err
+    refuses(main, [*words, *home, f"root={tmp_path / 'data'}"], reason)
     assert not (tmp_path / "data").exists()
 
 
