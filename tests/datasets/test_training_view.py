@@ -37,6 +37,10 @@ EPISODES, FRAMES = 3, 20
 DELTAS = [-1, 0, 1, 2, 3]
 
 
+def built(roots, out, encoder=None, **more):
+    return build_view(roots, out, encoder=encoder or BlockMeans(), **more)
+
+
 def test_samples_equal_stock_lerobot(demos, view):
     stock = open_dataset(
         demos, delta_timestamps={ACTION: [d / FPS for d in DELTAS]}, return_uint8=True
@@ -75,7 +79,7 @@ def test_fingers_are_not_confused(demos, tmp_path):
         def __call__(self, reference, current, finger):
             return np.full((len(current), 96), 1.0 if finger == "left" else -1.0, np.float32)
 
-    sample = TrainingView(build_view(demos, tmp_path / "view", encoder=Sign()))[0]
+    sample = TrainingView(built(demos, tmp_path / "view", encoder=Sign()))[0]
     assert sample[latent_key("touch0")].unique() == -1
     assert sample[latent_key("touch1")].unique() == 1
 
@@ -128,16 +132,16 @@ def test_interrupted_build_goes_on(demos, tmp_path, view):
 
     out = tmp_path / "view"
     with pytest.raises(KeyboardInterrupt):
-        build_view(demos, out, encoder=Fragile())
+        built(demos, out, encoder=Fragile())
     assert not out.exists()
     assert json.loads((tmp_path / "view.building" / PROGRESS).read_text())["done"] == 1
     counter = Fragile()
     counter.left = 4  # two episodes of two fingers remain
-    build_view(demos, out, encoder=counter)
+    built(demos, out, encoder=counter)
     for name in ("front", "latent_left", "latent_right", STATE):
         assert np.array_equal(np.load(out / f"{name}.npy"), np.load(view / f"{name}.npy"))
     counter.left = 0
-    build_view(demos, out, encoder=counter)  # nothing to do
+    built(demos, out, encoder=counter)  # nothing to do
 
 
 def test_one_process_builds_a_view_at_a_time(demos, tmp_path):
@@ -145,8 +149,8 @@ def test_one_process_builds_a_view_at_a_time(demos, tmp_path):
         only_writer(tmp_path / "view.building"),
         pytest.raises(ContractError, match="another one too"),
     ):
-        build_view(demos, tmp_path / "view", encoder=BlockMeans())
-    assert TrainingView(build_view(demos, tmp_path / "view", encoder=BlockMeans()))
+        built(demos, tmp_path / "view")
+    assert TrainingView(built(demos, tmp_path / "view"))
 
 
 def test_cameras_of_other_names_are_renamed_in_a_view(tmp_path):
@@ -164,16 +168,16 @@ def test_cameras_of_other_names_are_renamed_in_a_view(tmp_path):
         recorder.save(success=True, outcome="success", seed=0)
     refused = r"without .*images\.front.* Rename its cameras \(cam_high, cam_wrist\) with cameras="
     with pytest.raises(DatasetError, match=refused):
-        build_view(root, tmp_path / "none", encoder=BlockMeans())
+        built(root, tmp_path / "none")
     with pytest.raises(ContractError, match=r"camera: expected front \| wrist"):
-        build_view(root, tmp_path / "none", encoder=BlockMeans(), cameras={"cam_high": "front"})
-    built = build_view(root, tmp_path / "view", encoder=BlockMeans(), cameras=recorded)
-    sample = TrainingView(built)[2]
+        built(root, tmp_path / "none", cameras={"cam_high": "front"})
+    view = built(root, tmp_path / "view", cameras=recorded)
+    sample = TrainingView(view)[2]
     for camera, grey in pictures.items():
         assert abs(sample[camera_key(camera)].float().mean() - grey) < 3
     swapped = {"front": "cam_wrist", "wrist": "cam_high"}
-    build_view(root, tmp_path / "view", encoder=BlockMeans(), cameras=swapped)  # built anew
-    assert TrainingView(built)[2][camera_key("front")].float().mean() > 190
+    built(root, tmp_path / "view", cameras=swapped)  # built anew
+    assert TrainingView(view)[2][camera_key("front")].float().mean() > 190
 
 
 def test_each_frame_keeps_its_own_instruction(tmp_path):
@@ -184,7 +188,7 @@ def test_each_frame_keeps_its_own_instruction(tmp_path):
             for step, task in enumerate(words):
                 recorder.add(synthetic_frame(step, rng), task)
             recorder.save(success=True, outcome="success", seed=0)
-    made = TrainingView(build_view(root, tmp_path / "view", encoder=BlockMeans()))
+    made = TrainingView(built(root, tmp_path / "view"))
     assert [made[i]["task"] for i in range(len(made))] == [*said, *said[:3], *said[::-1]]
     numbers = [int(made[i]["task_index"]) for i in range(len(made))]
     assert numbers == [0] * 3 + [1] * 4 + [0] * 3 + [1] * 4 + [0] * 3
@@ -206,11 +210,11 @@ def test_sensors_are_those_of_the_episodes_sampled_from(view, tmp_path):
 
 def test_refusals(demos, view, tmp_path):
     with pytest.raises(DatasetError, match="chosen episode"):
-        build_view(demos, tmp_path / "none", encoder=BlockMeans(), keep=lambda facts: False)
+        built(demos, tmp_path / "none", keep=lambda facts: False)
     with pytest.raises(ContractError, match="slot"):
-        build_view(demos, tmp_path / "none", encoder=BlockMeans(), slots={"touch9": "left"})
+        built(demos, tmp_path / "none", slots={"touch9": "left"})
     with pytest.raises(DatasetError, match="other files"):
-        build_view(demos, demos, encoder=BlockMeans())
+        built(demos, demos)
     with pytest.raises(DatasetError, match=r"uniforce_view\.json"):
         TrainingView(tmp_path)
     with pytest.raises(ContractError, match="touch"):
@@ -258,12 +262,12 @@ def test_a_dataset_from_the_hub_is_checked_in_full_where_it_was_downloaded(demos
 
 
 def test_a_damaged_view_is_built_anew(demos, tmp_path):
-    out = build_view(demos, tmp_path / "view", encoder=BlockMeans())
+    out = built(demos, tmp_path / "view")
     kept = (out / "latent_left.npy").read_bytes()
     (out / "latent_left.npy").write_bytes(kept[:-1] + b"x")
     with pytest.raises(DatasetError, match=r"latent_left.*uniforce view"):
         TrainingView(out)
-    build_view(demos, out, encoder=BlockMeans())
+    built(demos, out)
     assert (out / "latent_left.npy").read_bytes() == kept
     assert len(TrainingView(out)) == EPISODES * FRAMES
 
@@ -274,7 +278,7 @@ def test_view_feeds_the_trainer_fast_enough(tmp_path):
     data = record_synthetic(tmp_path / "data", episodes=1, frames=90)
     chunk = {"action": [step / FPS for step in range(16)]}
     stock = samples_per_s(open_dataset(data, delta_timestamps=chunk, return_uint8=True))
-    view = build_view(data, tmp_path / "view", encoder=BlockMeans(), keep=lambda facts: True)
+    view = built(data, tmp_path / "view", keep=lambda facts: True)
     fast = samples_per_s(TrainingView(view, range(16)))
     assert fast >= 200 and fast > 3 * stock, (fast, stock)
 
@@ -293,8 +297,8 @@ def samples_per_s(dataset):
 
 
 def test_two_datasets_make_one_view_however_many_processes_build_it(demos, tmp_path):
-    given = {"encoder": BlockMeans(), "keep": first_and_last}
-    one, two = (build_view([demos, demos], tmp_path / str(n), workers=n, **given) for n in (1, 2))
+    given = {"keep": first_and_last}
+    one, two = (built([demos, demos], tmp_path / str(n), workers=n, **given) for n in (1, 2))
     files = sorted(path.name for path in one.iterdir())
     assert files == sorted(path.name for path in two.iterdir())
     assert all((one / name).read_bytes() == (two / name).read_bytes() for name in files)

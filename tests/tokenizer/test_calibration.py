@@ -38,14 +38,24 @@ def grasps(n=300):
     return Latent.of(new.view(n, 16, 6), "abc"), Latent.of(anchor.view(n, 16, 6), "abc")
 
 
+@pytest.fixture
+def calibrated(head):
+    """Return a function: paired grasps, those of the fixture's usual classes → a calibration."""
+
+    def run(new, anchor, classes=CLASSES, *more, head=head, **grasps):
+        return calibrate(new, anchor, classes, head, "new", "old", *more, **grasps)
+
+    return run
+
+
 def test_the_map_starts_as_the_identity():
     z = torch.randn(3, 16, 6)
     assert torch.equal(LatentMap(16, 6)(z), z)
 
 
-def test_grasps_it_never_saw_balance_afterwards(head):
+def test_grasps_it_never_saw_balance_afterwards(calibrated):
     new, anchor = grasps()
-    found = calibrate(new[:200], anchor[:200], CLASSES[:200], head, "new", "old")
+    found = calibrated(new[:200], anchor[:200], CLASSES[:200])
     before, after = ((z[200:] - anchor[200:]).square().mean() for z in (new, found(new)))
     assert before > 0.05 and after < 0.02 * before
     for judged in found.agreement.values():
@@ -55,9 +65,9 @@ def test_grasps_it_never_saw_balance_afterwards(head):
     assert found.worst()[1] == min(judged.r2[2] for judged in found.agreement.values())
 
 
-def test_equal_sensors_stay_as_they_are(head):
+def test_equal_sensors_stay_as_they_are(calibrated):
     _, anchor = grasps()
-    found = calibrate(anchor, anchor, CLASSES, head, "new", "old")
+    found = calibrated(anchor, anchor)
     assert torch.equal(found(anchor), anchor) and found.gain == 1.0
     assert (
         found.choice
@@ -73,22 +83,22 @@ def test_the_ridge_grows_with_what_can_not_be_explained():
     assert loose > 10 * exact
 
 
-def test_one_class_of_objects_does_not_speak_for_the_other(head):
+def test_one_class_of_objects_does_not_speak_for_the_other(calibrated):
     """Tools whose latents answer the other way round: each class is judged on its own grasps."""
     new, anchor = grasps()
     tool = torch.tensor([name == "tool" for name in CLASSES])
     twisted = new.as_subclass(torch.Tensor).clone()
     twisted[tool] = torch.randn(int(tool.sum()), 16, 6)
-    found = calibrate(Latent.of(twisted, "abc"), anchor, CLASSES, head, "new", "old")
+    found = calibrated(Latent.of(twisted, "abc"), anchor)
     assert (
         found.worst()[0] == "tool"
         and found.agreement["tool"].r2[2] < found.agreement["small"].r2[2] - 0.1
     )
 
 
-def test_saved_equals_loaded_and_another_tokenizer_is_refused(head, tmp_path):
+def test_saved_equals_loaded_and_another_tokenizer_is_refused(tmp_path, calibrated):
     new, anchor = grasps()
-    found = calibrate(new, anchor, CLASSES, head, "new", "old")
+    found = calibrated(new, anchor)
     found.save(tmp_path)
     again = Calibration.load(tmp_path, "abc")
     assert (
@@ -103,75 +113,58 @@ def test_saved_equals_loaded_and_another_tokenizer_is_refused(head, tmp_path):
     with pytest.raises(CheckpointError, match="calibration of new"):
         again(Latent.of(anchor, "xyz"))
     with pytest.raises(CheckpointError, match="latents for calibration"):
-        calibrate(Latent.of(new, "xyz"), anchor, CLASSES, head, "new", "old")
+        calibrated(Latent.of(new, "xyz"), anchor)
 
 
 @pytest.mark.parametrize("shape", [(4, 64, 6), (16, 6), (0, 16, 6)])
-def test_only_pooled_latents_are_mapped(shape, head):
-    found = calibrate(*grasps(), CLASSES, head, "new", "old")
+def test_only_pooled_latents_are_mapped(shape, calibrated):
+    found = calibrated(*grasps())
     with pytest.raises(ContractError, match="pool_latent"):
         found(Latent.of(torch.zeros(shape), "abc"))
+
+
+DRAWN = torch.rand(90, 16, 6)
+OTHER = torch.rand(90, 16, 6)
 
 
 @pytest.mark.parametrize(
     "new, anchor, classes, says",
     [
-        (torch.rand(90, 16, 6), torch.rand(90, 16, 6), ("small",) * 90, "tool objects are missing"),
-        (
-            torch.rand(90, 16, 6),
-            torch.rand(90, 16, 6),
-            ("small", "hammer") * 45,
-            "class of an object",
-        ),
-        (torch.rand(90, 16, 6), torch.rand(90, 9, 6), CLASSES[:90], "twice"),
-        (torch.rand(90, 16, 6), torch.rand(90, 16, 6), CLASSES[:80], "80 classes"),
-        (
-            torch.rand(90, 16, 6),
-            torch.rand(90, 16, 6),
-            ("small",) * 80 + ("tool",) * 10,
-            "tool objects",
-        ),
+        (DRAWN, OTHER, ("small",) * 90, "tool objects are missing"),
+        (DRAWN, OTHER, ("small", "hammer") * 45, "class of an object"),
+        (DRAWN, torch.rand(90, 9, 6), CLASSES[:90], "twice"),
+        (DRAWN, OTHER, CLASSES[:80], "80 classes"),
+        (DRAWN, OTHER, ("small",) * 80 + ("tool",) * 10, "tool objects"),
         (torch.full((90, 16, 6), torch.nan), torch.ones(90, 16, 6), CLASSES[:90], "finite"),
-        (torch.rand(90, 16, 6), torch.ones(90, 16, 6), CLASSES[:90], "changing"),
+        (DRAWN, torch.ones(90, 16, 6), CLASSES[:90], "changing"),
     ],
 )
-def test_bad_grasps_are_refused(new, anchor, classes, says, head):
+def test_bad_grasps_are_refused(new, anchor, classes, says, calibrated):
     with pytest.raises(ContractError, match=says):
-        calibrate(
-            Latent.of(new, "abc"),
-            Latent.of(anchor, "abc"),
-            classes,
-            head,
-            "new",
-            "old",
-            CalibrationConfig(),
-        )
+        calibrated(Latent.of(new, "abc"), Latent.of(anchor, "abc"), classes)
 
 
-def test_frames_of_few_grasps_are_refused(head):
+def test_frames_of_few_grasps_are_refused(calibrated):
     new, anchor = grasps()
     with pytest.raises(
         ContractError, match="separate grasps of small objects: expected at least 3, got 2"
     ):
-        calibrate(new, anchor, CLASSES, head, "new", "old", grasps=[row % 4 for row in range(300)])
+        calibrated(new, anchor, grasps=[row % 4 for row in range(300)])
 
 
-def test_a_whole_grasp_judges_or_chooses(head):
+def test_a_whole_grasp_judges_or_chooses(calibrated):
     """Sixty grasps of five rows, a class each in turn: a fifth of them judges."""
     new, anchor = grasps()
     classes = tuple(name for name in CLASSES[:60] for _ in range(5))
-    found = calibrate(
-        new, anchor, classes, head, "new", "old", grasps=[row // 5 for row in range(300)]
-    )
+    found = calibrated(new, anchor, classes, grasps=[row // 5 for row in range(300)])
     assert found.choice and found.choice.grasps == 48
     assert [judged.grasps for judged in found.agreement.values()] == [6, 6]
 
 
-def test_who_judges_is_drawn_by_the_seed_alone(head):
+def test_who_judges_is_drawn_by_the_seed_alone(calibrated):
     new, anchor = grasps()
     one, two, three = (
-        calibrate(new, anchor, CLASSES, head, "new", "old", CalibrationConfig(seed=seed))
-        for seed in (0, 0, 1)
+        calibrated(new, anchor, CLASSES, CalibrationConfig(seed=seed)) for seed in (0, 0, 1)
     )
     assert one.agreement == two.agreement != three.agreement
     assert np.isfinite([*one.agreement["tool"].abs_r]).all()
@@ -195,17 +188,19 @@ class Plain:
         return z.as_subclass(torch.Tensor)[:, 0, :3]
 
 
-def test_a_sensor_that_is_turned_is_refused_and_shear_that_says_nothing_is_warned_of(caplog):
+def test_a_sensor_that_is_turned_is_refused_and_shear_that_says_nothing_is_warned_of(
+    caplog, calibrated
+):
     _, anchor = grasps()
     turned = anchor.as_subclass(torch.Tensor).clone()
     turned[:, 0, :2] *= -1
     with pytest.raises(
         ContractError, match=r"both upright, got the one turned .*rotation_deg=180 in the rig"
     ):
-        calibrate(Latent.of(turned, "abc"), anchor, CLASSES, Plain(), "new", "old")
+        calibrated(Latent.of(turned, "abc"), anchor, head=Plain())
     assert not caplog.text
     turned[:, 0, 1] = torch.randn(len(turned))
-    calibrate(Latent.of(turned, "abc"), anchor, CLASSES, Plain(), "new", "old")
+    calibrated(Latent.of(turned, "abc"), anchor, head=Plain())
     assert "too little to tell how it is mounted" in caplog.text
 
 
@@ -234,7 +229,7 @@ def test_a_pad_that_answers_less_takes_a_gain_and_keeps_its_latents(noise):
     assert choose(new, anchor, Scale(), with_gain=False).form != "gain"
 
 
-def test_noise_is_not_calibrated():
+def test_noise_is_not_calibrated(calibrated):
     """Both fingers are read with the same noise: a gain that shrinks the reading would lower the error, and misread."""
     force = pushed(0)
     choice = choose(force + 0.3 * pushed(3), force + 0.3 * pushed(7), Scale())

@@ -77,12 +77,14 @@ def routine(data):
     "text, kind",
     [
         ("", faults.ProtocolError),
-        ("[" * 100_000, faults.ProtocolError),
+        ("[" * 500_000, faults.ProtocolError),
+        ('{"a":' * 200_000, faults.ProtocolError),
+        ("9" * 100_000, faults.ProtocolError),
         ("[1]", faults.ProtocolError),
         (json.dumps({"type": "routine"}), faults.WrongSensorError),
         *(
             (routine(data), faults.ProtocolError)
-            for data in (None, ["+1"] * 48, [True] * 48, [65_536] * 48)
+            for data in (None, [[]] * 48, ["+1"] * 48, [True] * 48, [65_536] * 48)
         ),
         (routine("1,2,3"), faults.WrongSensorError),
         (
