@@ -116,7 +116,7 @@ def made_up(seed):
 
 def heads():
     lessons = worn([made_up(seed) for seed in range(8)])
-    return {s: DescriptorHead.fit(s, wipes, stretch=30, steps=300) for s, wipes in lessons.items()}
+    return {s: DescriptorHead.fit(s, wipes, stretch=30, steps=150) for s, wipes in lessons.items()}
 
 
 def test_heads_read_what_the_descriptors_hold_and_judge_by_it():
