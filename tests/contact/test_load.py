@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import cache
 
+import contact_samples
 import numpy as np
 import pytest
 from hypothesis import example, given
@@ -12,7 +13,6 @@ from properties import examples
 from uniforce_vtla.contact import (
     ContactOptions,
     TactileSimulator,
-    flat_face_gap,
     gap_maps,
     pressure,
 )
@@ -42,11 +42,7 @@ def pressed(name, force, torsion=0.0, center=(0, 0), angle=0.0):
 
 def faces(*fz_N):
     """Return presses of a flat face larger than any pad."""
-    n = len(fz_N)
-    gap = flat_face_gap(np.zeros((n, 2)), np.full((n, 2), 60.0), np.zeros(n), np.zeros((n, 2)))
-    force = np.zeros((n, 3), np.float32)
-    force[:, 2] = fz_N
-    return ContactState(gap, force, np.zeros(n, np.float32))
+    return contact_samples.faces([(0, 0, fz) for fz in fz_N], side_mm=60.0)
 
 
 @examples(60)

@@ -5,12 +5,12 @@ from functools import cache
 
 import numpy as np
 import pytest
+from contact_samples import faces
 
 from uniforce_vtla.contact import (
     ContactOptions,
     TactileSimulator,
     UnitVariation,
-    flat_face_gap,
     free_air,
     gap_map,
     mirrored,
@@ -41,12 +41,6 @@ def stacked(*contacts):
     )
 
 
-def face_gap(side_mm):
-    """Return the (1, G, G) gap of a square flat face at the middle."""
-    middle = np.zeros((1, 2))
-    return flat_face_gap(middle, np.full((1, 2), side_mm), np.zeros(1), middle)
-
-
 def mean_shift(sensor, loaded, unloaded):
     simulator = quiet(sensor)
     return (simulator.markers_px(loaded)[0] - simulator.markers_px(unloaded)[0])[0].mean(axis=0)
@@ -70,8 +64,7 @@ def test_images_keep_the_contract(sensor):
 @pytest.mark.parametrize("flat", [False, True])
 def test_positive_shear_moves_markers_right_and_down(sensor, flat):
     def load(fx, fy):
-        state = contact((fx, fy, 8))
-        return replace(state, gap_mm=face_gap(20.0)) if flat else state
+        return faces([(fx, fy, 8)], side_mm=20.0) if flat else contact((fx, fy, 8))
 
     right = mean_shift(sensor, load(3, 0), load(0, 0))
     down = mean_shift(sensor, load(0, 3), load(0, 0))
@@ -208,7 +201,7 @@ def test_strong_grasp_reaches_counts_of_real_grasps():
     """Real uSkins: median 1,007, 99 % 7,071, 99.9 % 10,277 counts of z in contact (facts, section C)."""
     on_taxel = contact((0, 0, 12), name="sphere_s", center=(3.07, 2.83))
     assert 4_000 < quiet("uskin").counts(on_taxel)[0, :, 2].max() < 10_300
-    on_all = replace(on_taxel, gap_mm=face_gap(40.0))
+    on_all = faces(on_taxel.force_N, side_mm=40.0)
     assert 300 < np.median(quiet("uskin").counts(on_all)[0, :, 2]) < 2_500
 
 

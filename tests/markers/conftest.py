@@ -7,9 +7,6 @@ import cv2
 import numpy as np
 import pytest
 
-from uniforce_vtla.contact import gap_map
-from uniforce_vtla.contracts import ContactState
-
 REAL = Path(__file__).parents[2].parent / "shared" / "real"
 
 
@@ -26,17 +23,6 @@ def real_folder():
     if not REAL.is_dir():
         pytest.skip(f"no real recordings at {REAL}")
     return REAL
-
-
-@pytest.fixture(scope="session")
-def pressed():
-    """Return the contact of a sphere at the middle of a pad under a force x, y, z in N."""
-    gap_mm = gap_map("sphere", center_mm=(0.0, 0.0), angle_rad=0.0)[None]
-
-    def press(*force_N):
-        return ContactState(gap_mm, np.array([force_N], np.float32), np.zeros(1, np.float32))
-
-    return press
 
 
 @pytest.fixture(scope="session")

@@ -3,12 +3,11 @@
 import cv2
 import numpy as np
 import pytest
+from contact_samples import faces
 
 from uniforce_vtla.contact import TactileSimulator, free_air
-from uniforce_vtla.contact.indenters import flat_face_gap
 from uniforce_vtla.contact.worn import WornView
 from uniforce_vtla.contact.worn_in_words import wear
-from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.errors import SensorError
 from uniforce_vtla.markers import Canonicalizer, marker_reference
 from uniforce_vtla.markers.camera_markers import segment
@@ -35,11 +34,7 @@ def filled(hold, points_px):
 
 def pressed(frames):
     """Return a press that grows slowly, as seen from frame to frame at 30 Hz."""
-    gap = flat_face_gap(
-        np.zeros((frames, 2)), np.full((frames, 2), 15.0), np.zeros(frames), np.zeros((frames, 2))
-    )
-    force_N = np.stack([np.array([0.5, 0, 4]) * share for share in np.linspace(0.1, 1, frames)])
-    return ContactState(gap, force_N.astype(np.float32), np.zeros(frames, np.float32))
+    return faces(np.linspace(0.1, 1, frames)[:, None] * (0.5, 0, 4), side_mm=15.0)
 
 
 def test_a_marker_is_held_for_a_few_frames_and_then_lost():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from contact_samples import sphere
 
 from lerobot_env_uniforce_wiping import WipeEnv
 from uniforce_vtla import Canonicalizer, ForceHead, Tokenizer
@@ -70,9 +71,9 @@ def test_a_pressed_reference_is_refused():
         Canonicalizer("paxini").pair(pressed_then, FREE, finger="left")
 
 
-def test_simulated_taxels_say_together_what_the_pad_carries(pressed):
+def test_simulated_taxels_say_together_what_the_pad_carries():
     simulator = TactileSimulator("paxini", options=ContactOptions().quiet())
-    contact = pressed(2.0, -1.0, 8.0)
+    contact = sphere(2.0, -1.0, 8.0)
     carried_N = simulator.carried(contact)[0][0]
     counts = simulator.raw_frames(contact)[0]
     assert counts.shape == (68, 3) and counts.dtype == np.int32
@@ -80,11 +81,11 @@ def test_simulated_taxels_say_together_what_the_pad_carries(pressed):
     assert np.allclose(counts.sum(axis=0) * (COUNT_N, -COUNT_N, COUNT_N), carried_N, atol=0.6)
 
 
-def test_a_head_of_another_sensor_reads_its_grip(pressed):
+def test_a_head_of_another_sensor_reads_its_grip():
     simulator = TactileSimulator("paxini")
     tokenizer = Tokenizer.from_pretrained()
     head = ForceHead.from_pretrained()
-    frames = [simulator.raw_frames(pressed(0.0, 0.0, fz))[0] for fz in (3.0, 6.0, 10.0)]
+    frames = [simulator.raw_frames(sphere(0.0, 0.0, fz))[0] for fz in (3.0, 6.0, 10.0)]
     read_N = []
     for frame in frames:
         pair = Canonicalizer("paxini").pair(simulator.raw_reference(), frame, finger="left")
@@ -93,9 +94,9 @@ def test_a_head_of_another_sensor_reads_its_grip(pressed):
 
 
 @pytest.mark.parametrize("words", ["paxini:3", "tac3d:3+dead=0.25+gain=1.1"])
-def test_units_are_mounted_and_wipe(words, pressed):
+def test_units_are_mounted_and_wipe(words):
     view = WornView(wear(words)(0))
-    assert np.mean(view.images(pressed(1.0, 0.0, 6.0))[0] != view.reference) > 0.005
+    assert np.mean(view.images(sphere(1.0, 0.0, 6.0))[0] != view.reference) > 0.005
     sensor = words.partition(":")[0]
     env = WipeEnv("touch", right_sensor=sensor)
     assert env.reset(seed=3)[0]["pixels"][tactile_name("right")].any()

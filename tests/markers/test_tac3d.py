@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from contact_samples import sphere
 
 from uniforce_vtla import Canonicalizer, ForceHead, Tokenizer
 from uniforce_vtla.contact import ContactOptions, TactileSimulator
@@ -49,7 +50,7 @@ def test_what_is_no_displacement_breaks_the_contract(raw):
         Canonicalizer("tac3d").set_reference(raw)
 
 
-def test_a_dead_stream_and_a_pressed_reference_are_refused(pressed):
+def test_a_dead_stream_and_a_pressed_reference_are_refused():
     with pytest.raises(SensorError, match="a live scan"):
         Canonicalizer("tac3d").set_reference(np.zeros((400, 3)))
     with pytest.raises(SensorError, match="in contact"):
@@ -57,13 +58,13 @@ def test_a_dead_stream_and_a_pressed_reference_are_refused(pressed):
     simulator = TactileSimulator("tac3d")
     with pytest.raises(SensorError, match="in contact"):
         Canonicalizer("tac3d").pair(
-            simulator.raw_frames(pressed(0, 0, 3.0))[0], simulator.raw_reference(), "left"
+            simulator.raw_frames(sphere(0, 0, 3.0))[0], simulator.raw_reference(), "left"
         )
 
 
-def test_simulated_raw_points_are_drawn_as_the_simulator_draws_them(pressed):
+def test_simulated_raw_points_are_drawn_as_the_simulator_draws_them():
     simulator = TactileSimulator("tac3d", options=ContactOptions().quiet())
-    contact = pressed(1.0, -1.0, 6.0)
+    contact = sphere(1.0, -1.0, 6.0)
     raw = simulator.raw_frames(contact)[0]
     assert raw.shape == (400, 3) and raw[:, 2].max() > 0.1
     assert raw[:, 0].mean() > 0 > raw[:, 1].mean()
@@ -72,7 +73,7 @@ def test_simulated_raw_points_are_drawn_as_the_simulator_draws_them(pressed):
     assert np.array_equal(drawn, simulator.marker_images(contact)[0])
 
 
-def test_a_head_of_another_sensor_reads_its_grip_and_shear(pressed):
+def test_a_head_of_another_sensor_reads_its_grip_and_shear():
     simulator = TactileSimulator("tac3d")
     tokenizer = Tokenizer.from_pretrained()
     head = ForceHead.from_pretrained("gelsight")
@@ -80,7 +81,7 @@ def test_a_head_of_another_sensor_reads_its_grip_and_shear(pressed):
     loads = ((0.0, 0.0, 3.0), (2.0, 0.0, 6.0), (0.0, 2.0, 10.0))
     read_N = []
     for load in loads:
-        pair = Canonicalizer("tac3d").pair(free, simulator.raw_frames(pressed(*load))[0], "left")
+        pair = Canonicalizer("tac3d").pair(free, simulator.raw_frames(sphere(*load))[0], "left")
         read_N.append(head(tokenizer.encode(pair))[0].numpy())
     assert np.allclose(read_N, loads, atol=4)
     assert np.corrcoef(np.ravel(read_N), np.ravel(loads))[0, 1] > 0.9

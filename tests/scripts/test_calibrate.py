@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from contact_samples import faces
 
 from uniforce_cli.calibrate import main
 from uniforce_cli.known_loads import presses_by_hand
@@ -16,7 +17,7 @@ from uniforce_datasets.synthetic import FPS, synthetic_frame
 from uniforce_robots.sensors.config_uniforce import Orientation
 from uniforce_vtla import keys
 from uniforce_vtla.contact import TactileSimulator
-from uniforce_vtla.contact.indenters import PRETRAIN, flat_face_gap
+from uniforce_vtla.contact.indenters import PRETRAIN
 from uniforce_vtla.contact.sampling import ForceRange, sample_loads, sample_objects
 from uniforce_vtla.contact.worn import WornView
 from uniforce_vtla.contact.worn_in_words import wear
@@ -188,10 +189,9 @@ class Pressed:
         return np.repeat(self.marker_image(self.simulator.raw_reference())[..., None], 3, axis=2)
 
     def next_touch(self, index):
-        face = flat_face_gap(np.zeros((1, 2)), np.full((1, 2), 20.0), np.zeros(1), np.zeros((1, 2)))
         force = [0, -self.load_N / 2, self.grip_N] if self.grip_N else [0, 0, self.load_N]
-        contact = ContactState(face, np.float32([force]), np.zeros(1, np.float32))
-        return SimpleNamespace(index=index + 1, raw=self.simulator.raw_frames(contact)[0])
+        (raw,) = self.simulator.raw_frames(faces([force], side_mm=20.0))
+        return SimpleNamespace(index=index + 1, raw=raw)
 
 
 def test_a_person_presses_each_load_and_frames_of_it_are_read():
@@ -228,12 +228,9 @@ def test_every_kind_is_weighed_through_the_tool(worn, tmp_path):
 def record_wipe(root, frames):
     """Record one wipe of a TacTip, left, and a uSkin, right, which both carry half of a press that comes and goes."""
     shear_N = -1.5 + 1.5 * np.cos(np.arange(frames) / 5)
-    force = np.column_stack([0 * shear_N, shear_N, 0 * shear_N + 9.0]).astype(np.float32)
+    force = np.column_stack([0 * shear_N, shear_N, 0 * shear_N + 9.0])
     rng = np.random.default_rng(0)
-    face = flat_face_gap(
-        np.zeros((frames, 2)), np.full((frames, 2), 40.0), np.zeros(frames), np.zeros((frames, 2))
-    )
-    contact = ContactState(face, force, np.zeros(frames, np.float32))
+    contact = faces(force, side_mm=40.0)
     views = {"left": WornView(wear("tactip")(0), 0), "right": WornView(wear("uskin:2")(0), 1)}
     images = {finger: view.images(contact) for finger, view in views.items()}
     with EpisodeRecorder(root, "local/wipe", "tactip", "uskin", FPS) as recorder:

@@ -62,6 +62,17 @@ def test_every_file_or_folder_of_a_wrong_kind_is_a_users_error(name, room, monke
             )
 
 
+@pytest.fixture
+def last_words(capfd):
+    """Return a function: a command is refused over some words → the last line it says."""
+
+    def run(name, words):
+        assert exit_code(entry(name), words) == REFUSED, words
+        return capfd.readouterr().err.splitlines()[-1]
+
+    return run
+
+
 ADDRESSES = (
     "http://[::1",
     "http://",
@@ -74,12 +85,9 @@ ADDRESSES = (
 
 
 @pytest.mark.parametrize("source", ADDRESSES)
-def test_a_source_that_is_none_is_a_users_error(source, capfd):
-    assert (
-        exit_code(entry("touch"), ["sensor=tactip", f"source={source}", "tokenizer=nano"])
-        == REFUSED
-    )
-    assert capfd.readouterr().err.splitlines()[-1].startswith("uniforce touch: ")
+def test_a_source_that_is_none_is_a_users_error(source, last_words):
+    words = ["sensor=tactip", f"source={source}", "tokenizer=nano"]
+    assert last_words("touch", words).startswith("uniforce touch: ")
 
 
 TRAINED = (
@@ -94,35 +102,30 @@ EPISODES = ("[99]", "[-1]", "[]", "[0, 0]", "[0.5]", "3", "all", "[a]", "{a: 1}"
 
 @pytest.mark.parametrize("data", ["view", "dataset"])
 @pytest.mark.parametrize("episodes", EPISODES)
-def test_episodes_that_are_not_there_are_named(data, episodes, room, tmp_path, capfd):
+def test_episodes_that_are_not_there_are_named(data, episodes, room, tmp_path, last_words):
     words = [*TRAINED, f"dataset.root={room.folder / data}", f"output_dir={tmp_path / 'out'}"]
-    assert exit_code(entry("train"), [*words, f"dataset.episodes={episodes}"]) == REFUSED
-    assert (
-        capfd.readouterr()
-        .err.splitlines()[-1]
-        .startswith("uniforce train: dataset.episodes: expected")
-    )
+    said = last_words("train", [*words, f"dataset.episodes={episodes}"])
+    assert said.startswith("uniforce train: dataset.episodes: expected")
 
 
 @pytest.mark.parametrize(
     "given", ["", "{run}", "{run}/checkpoints/last/pretrained_model", "{run}/none.json"]
 )
-def test_a_run_to_go_on_with_names_its_settings(given, tmp_path, capfd):
+def test_a_run_to_go_on_with_names_its_settings(given, tmp_path, last_words):
     (tmp_path / "checkpoints" / "last" / "pretrained_model").mkdir(parents=True)
     words = [
         "resume=true",
         "steps=6",
         *([f"config_path={given.format(run=tmp_path)}"] if given else []),
     ]
-    assert exit_code(entry("train"), words) == REFUSED
-    assert "config_path: expected a checkpoint's train_config.json" in capfd.readouterr().err
+    assert "config_path: expected a checkpoint's train_config.json" in last_words("train", words)
 
 
 @pytest.mark.parametrize("name", ["garbage", "empty", "latin1", "list", "number", "object"])
-def test_settings_of_a_run_that_are_none_are_a_users_error(name, room, capfd):
+def test_settings_of_a_run_that_are_none_are_a_users_error(name, room, last_words):
     for file in (room.folder / name, room.damaged(name, "config.json") / "config.json"):
-        assert exit_code(entry("train"), ["resume=true", f"config_path={file}"]) == REFUSED
-        assert capfd.readouterr().err.splitlines()[-1].startswith("uniforce train: ")
+        said = last_words("train", ["resume=true", f"config_path={file}"])
+        assert said.startswith("uniforce train: ")
 
 
 def undeclared(option):

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from contact_samples import faces
 
 from uniforce_cli.touch import TouchConfig, main
 from uniforce_cli.touch_checks import advice, check_angle, check_references, quarter_response
@@ -18,8 +19,8 @@ from uniforce_robots.sensors import UniforceUskin, UniforceUskinConfig
 from uniforce_robots.sensors.config_uniforce import TURNS, Orientation
 from uniforce_robots.standins.process import StandIn
 from uniforce_robots.standins.scene import Scene, frame_cycle, taxel_cycle
-from uniforce_vtla.contact import ContactOptions, TactileSimulator, flat_face_gap
-from uniforce_vtla.contracts import QUARTERS, ContactState
+from uniforce_vtla.contact import ContactOptions, TactileSimulator
+from uniforce_vtla.contracts import QUARTERS
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.markers import Canonicalizer
 
@@ -194,10 +195,9 @@ class Dragged:
     def __init__(self, mounted_deg, set_deg):
         self.config = TouchConfig("tactip", rotation_deg=set_deg)
         simulator = TactileSimulator("tactip", options=ContactOptions().quiet())
-        face = flat_face_gap(np.zeros((6, 2)), np.full((6, 2), 20.0), np.zeros(6), np.zeros((6, 2)))
         pull = np.array([0, 1, 2, 3, 2, 0], np.float32)
-        force = np.column_stack([0 * pull, -pull, np.full(6, 5.0)]).astype(np.float32)
-        frames = simulator.raw_frames(ContactState(face, force, np.zeros(6, np.float32)))
+        force_N = np.column_stack([0 * pull, -pull, np.full(6, 5.0)])
+        frames = simulator.raw_frames(faces(force_N, side_mm=20.0))
         upright = Orientation(set_deg)
         mounted = [
             Orientation(-mounted_deg % 360).of_frame(f)
