@@ -48,11 +48,14 @@ def refuses(capsys):
 
 
 @pytest.fixture
-def short_scenes(monkeypatch):
-    """Cut scenes of level easy after two seconds."""
+def cut_scenes(monkeypatch):
+    """Return a function: scenes of level easy end after so many seconds from now on."""
     from lerobot_env_uniforce_wiping.levels import LEVELS
 
-    monkeypatch.setitem(LEVELS, "easy", replace(LEVELS["easy"], time_limit_s=2.0))
+    def cut(time_limit_s):
+        monkeypatch.setitem(LEVELS, "easy", replace(LEVELS["easy"], time_limit_s=time_limit_s))
+
+    return cut
 
 
 @pytest.fixture(scope="session")
