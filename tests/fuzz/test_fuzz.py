@@ -61,7 +61,6 @@ def campaign(request, tmp_path_factory):
             command, stdout=subprocess.PIPE, stderr=stderr, text=True, env=environment
         ) as process,
     ):
-        assert process.stdout is not None
         for line in process.stdout:
             found.append(json.loads(line))
             keep(group, found)

@@ -120,7 +120,7 @@ def test_what_is_held_needs_no_look_at_other_channels(monkeypatch):
     lacking = raw.copy()
     lacking[:, :270] = np.median(raw, axis=(0, 1)).astype(np.uint8)
     stream.marker_image(lacking)
-    assert len(looks) == 1 and stream.match is not None and stream.match.lost == 0
+    assert len(looks) == 1 and stream.match.lost == 0
     assert np.mean(Canonicalizer("tactip").markers(raw)[:, 0] < 270) > marker_reference.RETRY_SHARE
 
 

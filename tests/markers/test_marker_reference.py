@@ -297,7 +297,6 @@ def test_specks_of_a_fuzzy_object_do_not_outvote_the_markers(specks, radius_px):
         cv2.circle(frame, (column, row), radius_px, (raw[row, column] // 3).tolist(), cv2.FILLED)
     canonicalizer = remembering("gelsight", raw)
     canonicalizer.marker_image(frame)
-    assert canonicalizer.match is not None
     assert canonicalizer.match.lost <= 2 and canonicalizer.match.dropped <= specks / 10
 
 

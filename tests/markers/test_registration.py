@@ -27,7 +27,6 @@ def test_markers_come_to_their_places_in_the_drawing(sensor):
     spec = get_sensor(sensor)
     seen = TactileSimulator(sensor, ASKEW, seed=0)._project(spec.layout_mm[None])[0]
     view = find_view(seen, spec)
-    assert view is not None
     assert np.abs(seen - drawn_px(spec)).max() > 20
     assert np.abs(placed(seen, view) - drawn_px(spec)).max() < 2.0  # px
 
@@ -38,7 +37,7 @@ def test_lost_and_strange_markers_do_not_matter(sensor):
     seen = TactileSimulator(sensor, ASKEW, seed=0)._project(spec.layout_mm[None])[0]
     strange = np.array([[30.0, 30.0], [610.0, 450.0]])
     view = find_view(np.concatenate([seen[3:], strange]), spec)
-    assert view is not None and np.abs(placed(seen, view) - drawn_px(spec)).max() < 3.0
+    assert np.abs(placed(seen, view) - drawn_px(spec)).max() < 3.0
 
 
 def test_a_camera_that_was_mounted_at_an_angle_stays_there():
@@ -85,7 +84,6 @@ def test_an_image_is_moved_as_its_points_are():
     spec = get_sensor("tactip")
     simulator = TactileSimulator("tactip", ASKEW, seed=0)
     view = find_view(simulator._project(spec.layout_mm[None])[0], spec)
-    assert view is not None
     moved = seen_from(simulator.reference(), view)
     assert set(np.unique(moved)) == {0, 255}
     rows, columns = np.nonzero(moved)

@@ -67,7 +67,7 @@ def test_a_page_holds_its_pictures(recorded, tmp_path):
         picture = cv2.imdecode(
             np.frombuffer(base64.b64decode(encoded, validate=True), np.uint8), cv2.IMREAD_COLOR
         )
-        assert picture is not None and picture.std() > 10
+        assert picture.std() > 10
     assert "wipe the dots" in page and "tactip" in page and "Estimated" in page
     content = json.loads((tmp_path / "episode_1.json").read_text())
     assert content["facts"]["left sensor"] == "gelsight" and "force_mae_N" in content
@@ -337,7 +337,6 @@ def raw_recorded(tmp_path_factory):
 def test_frames_and_counts_are_the_episodes_own(raw_recorded):
     source = read_source(raw_recorded)
     left, right = (raw_touch(source, source.episodes[1], finger) for finger in ("left", "right"))
-    assert left is not None and right is not None
     brightness = [frame.mean() for frame in left]
     assert np.allclose(brightness, 20 * np.arange(RAW_FRAMES), atol=4)
     # since the first frame: 1,000 counts more there say nothing
@@ -353,7 +352,6 @@ def test_what_was_not_kept_is_not_shown_and_what_is_truncated_is_an_error(raw_re
     assert raw_touch(source, source.episodes[0], "left") is None
     file.write_bytes(whole[: len(whole) // 2])
     read = raw_touch(source, source.episodes[0], "left")
-    assert read is not None
     with pytest.raises(DatasetError, match="episode_000000"):
         list(read)
     file.write_bytes(whole)

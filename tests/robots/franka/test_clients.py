@@ -279,7 +279,7 @@ def test_ctrl_c_at_the_terminal_leaves_a_child_to_its_parent():
     pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
     command = [sys.executable, "-c", program]
     child = subprocess.Popen(command, text=True, cwd=CHILDREN, **pipes)
-    assert child.stdout is not None and '"loaded"' in child.stdout.readline()
+    assert '"loaded"' in child.stdout.readline()
     child.send_signal(signal.SIGINT)
     assert (*child.communicate(timeout=20), child.returncode) == (
         '{"say": "ended", "orders": null}\n',

@@ -123,7 +123,7 @@ def test_a_tilted_hand_is_refused_at_the_start_and_in_motion(arm, stream, eventu
         arm.pose = tilted(START, by_rad)  # slowly: a fast one is a jump
         time.sleep(0.02)
     eventually(lambda: stream.fault is not None)
-    assert stream.fault is not None and stream.fault.fault == "tilt"
+    assert stream.fault.fault == "tilt"
     with refused("tilt", match=r"within 9° of straight down, got 9°"):
         ArmStream(arm).read_first()
 

@@ -41,7 +41,7 @@ def test_braking_is_no_more_following():
                 end + slide * (1 - math.exp((1.4 - line["time_s"]) / 0.1))
             ).tolist()
     hold = find_hold(lines, fault_s=1.0)
-    assert hold is not None and hold["hold_s"] < 0.5 and 0.55 < hold["rest_s"] < 0.65
+    assert hold["hold_s"] < 0.5 and 0.55 < hold["rest_s"] < 0.65
 
 
 def test_an_arm_that_goes_on_was_not_held():
