@@ -1,17 +1,13 @@
 """Command lines that must be refused, made from the options a command declares: a new option is tried, too."""
 
-from __future__ import annotations
-
 import re
-from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin
+from typing import Literal, get_args, get_origin
 
 from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
 from uniforce_datasets.synthetic import record_synthetic
 from uniforce_datasets.training_view import build_view
-from uniforce_vtla.arguments import Option
 from uniforce_vtla.keys import VIEW_MARKER
 from uniforce_vtla.options import LONGEST, Existing, Names, Pattern, Range, Writable
 from uniforce_vtla.tokenizer.weights import ASSETS, DEFAULT_SIZE
@@ -43,7 +39,7 @@ class BadInput:
     words: tuple[str, ...]
     option: str
 
-    def is_named_in(self, line: str) -> bool:
+    def is_named_in(self, line):
         """Return whether a refusal is of this: said at its beginning, as what came, in backticks, as what was meant.
 
         A long word counts anywhere: ``out`` or ``1`` stand in many a line about something else.
@@ -63,7 +59,7 @@ class Room:
 
     folder: Path
 
-    def build(self) -> Room:
+    def build(self):
         record_synthetic(self.folder / "dataset", 1, 20)
         build_view(self.folder / "dataset", self.folder / "view")
         (self.folder / "some_folder").mkdir()
@@ -75,10 +71,10 @@ class Room:
                 file.write_bytes(content)
         return self
 
-    def damaged(self, name: str, marker: str) -> Path:
+    def damaged(self, name, marker):
         return self.folder / f"{name}_{marker.replace('/', '_')}"
 
-    def sound(self, marker: str, policy: str) -> str:
+    def sound(self, marker, policy):
         whole = {
             "meta/info.json": str(self.folder / "dataset"),
             VIEW_MARKER: str(self.folder / "view"),
@@ -86,14 +82,14 @@ class Room:
         return whole.get(marker, policy)
 
 
-def bad_inputs(options: Mapping[str, Option], room: Room) -> Iterator[BadInput]:
+def bad_inputs(options, room):
     for option in options.values():
         for kind, text in bad_values(option, room):
             yield BadInput(kind, (f"{option.name}={text}",), option.name)
     yield from bad_forms(options)
 
 
-def bad_forms(options: Iterable[str]) -> Iterator[BadInput]:
+def bad_forms(options):
     names = list(options)
     first, last = names[0], names[-1]
     yield BadInput("unknown", ("no_such_option=1",), "no_such_option")
@@ -106,7 +102,7 @@ def bad_forms(options: Iterable[str]) -> Iterator[BadInput]:
         yield BadInput("twice", (f"{name}=1", f"--{name}=1"), name)
 
 
-def bad_values(option: Option, room: Room) -> Iterator[tuple[str, str]]:
+def bad_values(option, room):
     kind = option.kind
     if not isinstance(option.default, str | None):
         yield "empty", ""
@@ -127,7 +123,7 @@ def bad_values(option: Option, room: Room) -> Iterator[tuple[str, str]]:
         yield "choice", "[nosuch]"
 
 
-def _outside(allowed: Range, kind: Any) -> Iterator[float]:
+def _outside(allowed, kind):
     step = 1 if kind is int else 0.001
     yield allowed.low if allowed.above else allowed.low - step
     yield from (
@@ -136,12 +132,12 @@ def _outside(allowed: Range, kind: Any) -> Iterator[float]:
     )
 
 
-def _listed(kind: Any, number: float) -> str:
+def _listed(kind, number):
     text = str(int(number)) if kind is int or get_args(kind)[:1] == (int,) else repr(float(number))
-    return {list: f"[{text}]", tuple: f"[{text}, {text}]"}.get(get_origin(kind), text)  # type: ignore[call-overload]
+    return {list: f"[{text}]", tuple: f"[{text}, {text}]"}.get(get_origin(kind), text)
 
 
-def _bad_texts(rule: Any, room: Room) -> Iterator[tuple[str, str]]:
+def _bad_texts(rule, room):
     if isinstance(rule, Names):
         yield from (
             ("choice", text)
@@ -158,7 +154,7 @@ def _bad_texts(rule: Any, room: Room) -> Iterator[tuple[str, str]]:
         yield from _bad_targets(rule, room)
 
 
-def _bad_sources(rule: Existing, room: Room) -> Iterator[tuple[str, str]]:
+def _bad_sources(rule, room):
     here = room.folder
     yield "missing", str(here / "nothing_here")
     yield "missing", str(here / ("n" * 300))
@@ -178,7 +174,7 @@ def _bad_sources(rule: Existing, room: Room) -> Iterator[tuple[str, str]]:
             yield "damaged", str(room.damaged(name, rule.marker) if rule.marker else here / name)
 
 
-def _bad_targets(rule: Writable, room: Room) -> Iterator[tuple[str, str]]:
+def _bad_targets(rule, room):
     name = "out" if rule.folder else "out.json"
     places = ("/proc/nothing", "/sys/nothing", str(room.folder / "garbage"), f"/tmp/{'n' * 300}")
     yield from (("unwritable", f"{place}/{name}") for place in places)

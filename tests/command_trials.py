@@ -3,17 +3,15 @@
 import hashlib
 import importlib
 import shutil
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from bad_words import BadInput, Room, bad_inputs
 
 from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
 from uniforce_cli.boundary import REFUSED
 from uniforce_cli.main import VERBS
-from uniforce_vtla.arguments import Option, options_of
+from uniforce_vtla.arguments import options_of
 from uniforce_vtla.options import Existing
 
 ROOT = Path(__file__).parents[1]
@@ -49,12 +47,12 @@ class Trial:
     sound: tuple[str, ...]
 
     @property
-    def words(self) -> tuple[str, ...]:
+    def words(self):
         given = {word.removeprefix("--").partition("=")[0] for word in self.bad.words}
         return (*(w for w in self.sound if w.partition("=")[0] not in given), *self.bad.words)
 
 
-def trials(command: str, room: Room) -> list[Trial]:
+def trials(command, room):
     if command == "train":
         return _train_trials(room)
     options = options_of(entry(command).config_class)
@@ -69,12 +67,12 @@ def trials(command: str, room: Room) -> list[Trial]:
     return found
 
 
-def entry(command: str) -> Any:
+def entry(command):
     """Return the function behind a command."""
     return importlib.import_module(MODULES[command]).main
 
 
-def exit_code(main: Callable[..., Any], words: Sequence[str]) -> int:
+def exit_code(main, words):
     """Run a command on words."""
     try:
         return int(main(words) or 0)
@@ -82,7 +80,7 @@ def exit_code(main: Callable[..., Any], words: Sequence[str]) -> int:
         return ended.code if isinstance(ended.code, int) else 1
 
 
-def _sound(options: Mapping[str, Option], room: Room) -> list[str]:
+def _sound(options, room):
     """Return words that name something whole for every input that must be there."""
     found = []
     for option in options.values():
@@ -92,7 +90,7 @@ def _sound(options: Mapping[str, Option], room: Room) -> list[str]:
     return found
 
 
-def _train_trials(room: Room) -> list[Trial]:
+def _train_trials(room):
     """Return bad inputs for a sample of LeRobot's and the policy's settings."""
     from uniforce_cli.lerobot_training import RANGES, settings_known
 
@@ -120,7 +118,7 @@ def _train_trials(room: Room) -> list[Trial]:
     return [Trial("train", one, sound) for one in bad]
 
 
-def _robot_trials(room: Room) -> list[Trial]:
+def _robot_trials(room):
     """Return bad inputs for the settings of the robot and of what steers it."""
     from uniforce_robots.franka.config import UniforceFrankaConfig
     from uniforce_robots.teleop import UniforceKeyboardConfig
@@ -132,7 +130,7 @@ def _robot_trials(room: Room) -> list[Trial]:
     return found
 
 
-def judge(trial: Trial, code: int, said: str) -> str:
+def judge(trial, code, said):
     """Return how a trial ended, "one_line" where it was refused as it must be."""
     if "Traceback" in said or code == 70:
         return "tracebacks"
@@ -144,12 +142,12 @@ def judge(trial: Trial, code: int, said: str) -> str:
     return "long_or_beside_the_point"
 
 
-def hashes(folder: Path) -> dict[str, str]:
+def hashes(folder):
     files = [file for file in sorted(folder.rglob("*")) if file.is_file()]
     return {str(file): hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
 
 
-def prepare(folder: Path) -> Room:
+def prepare(folder):
     """Make what commands are tried with; the working folder gets published files of its own."""
     shutil.copytree(ROOT / PUBLISHED, folder / "work" / PUBLISHED)
     (folder / "room").mkdir()

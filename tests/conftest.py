@@ -1,9 +1,11 @@
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from filelock import FileLock
 
 from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
@@ -19,12 +21,12 @@ TINY = TokenizerConfig(
 
 
 @pytest.fixture
-def tiny() -> TokenizerConfig:
+def tiny():
     return TINY
 
 
 @pytest.fixture
-def dots() -> np.ndarray:
+def dots():
     """(3, 96, 128) uint8: a free-air image, then the same dots moved 4 px right, then 4 px down."""
     images = np.zeros((3, 96, 128), np.uint8)
     for image, (dx, dy) in zip(images, ((0, 0), (4, 0), (0, 4)), strict=True):
@@ -32,6 +34,47 @@ def dots() -> np.ndarray:
             for column in range(16, 128, 24):
                 image[row + dy : row + dy + 8, column + dx : column + dx + 8] = 255
     return images
+
+
+@pytest.fixture
+def refuses(capsys):
+    """Return a function: a command ends with code 2 over some words, and its error holds a text."""
+
+    def check(main, words, said):
+        assert main(words) == 2
+        assert said in capsys.readouterr().err
+
+    return check
+
+
+@pytest.fixture
+def cut_scenes(monkeypatch):
+    """Return a function: scenes of level easy end after so many seconds from now on."""
+    from lerobot_env_uniforce_wiping.levels import LEVELS
+
+    def cut(time_limit_s):
+        monkeypatch.setitem(LEVELS, "easy", replace(LEVELS["easy"], time_limit_s=time_limit_s))
+
+    return cut
+
+
+@pytest.fixture(scope="session")
+def drawn_demo(tmp_path_factory, request):
+    """One demo of the expert at level easy, scene 3, recorded once for all processes of a run.
+
+    Sensors are as drawn, the only ones that the shipped heads of recordings know.
+    """
+    from uniforce_cli.record import RecordConfig, record
+
+    folder = tmp_path_factory.getbasetemp()
+    if hasattr(request.config, "workerinput"):
+        folder = folder.parent
+    root = folder / "drawn_demo"
+    drawn = {"left_sensor": "gelsight:drawing", "right_sensor": "tactip:drawing"}
+    with FileLock(f"{root}.lock"):
+        if not root.exists():
+            record(RecordConfig(episodes=1, level="easy", root=str(root), seed=3, **drawn))
+    return root
 
 
 # These hold no clock against what they test: whole programs, or calculations.
@@ -46,11 +89,11 @@ PATIENT += ("test_fci_model.py", "test_fci_protocol.py")
 REALTIME = ("sensors", "recorder", "franka", "standins", "teleop")  # folders of tests/robots
 
 
-def pytest_configure(config: pytest.Config) -> None:
+def pytest_configure(config):
     config.pluginmanager.register(FairClock(), "fair_clock")
 
 
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config, items):
     """Mark what runs against a clock; with several processes begin with the files that would end last."""
     for item in items:
         if (

@@ -7,10 +7,10 @@ from uniforce_vtla.evaluation.episode import STEP_FIELDS, EpisodeTrace
 N = 120  # steps at 30 Hz
 
 
-def good_trace(**changes: object) -> EpisodeTrace:
+def good_trace(**changes):
     phase = np.repeat([0.0, 1.0, 2.0, 3.0], N // 4)
     zeros = np.zeros(N)
-    fields: dict[str, object] = {name: zeros.copy() for name in STEP_FIELDS}
+    fields = {name: zeros.copy() for name in STEP_FIELDS}
     fields |= {
         "time_s": (np.arange(N) + 1) / 30,
         "press_N": np.where(phase == 2, 6.0, 0.0),
@@ -19,4 +19,4 @@ def good_trace(**changes: object) -> EpisodeTrace:
         "residual": np.where(phase == 3, 0.05, 1.0),
         "phase": phase,
     }
-    return EpisodeTrace(**(fields | changes), rated_depth_mm=(1.5, 5.0))  # type: ignore[arg-type]
+    return EpisodeTrace(**(fields | changes), rated_depth_mm=(1.5, 5.0))

@@ -16,7 +16,6 @@ import tempfile
 import time
 
 import psutil
-import pytest
 from _pytest.runner import runtestprotocol
 
 NAP_S = 0.005
@@ -47,7 +46,7 @@ while os.getppid() == parent:
 """
 
 
-def stolen_s() -> float:
+def stolen_s():
     """Return for how long a hypervisor ran others on our cores, all added up, as the kernel counts (Linux)."""
     return float(getattr(psutil.cpu_times(), "steal", 0.0))
 
@@ -55,7 +54,7 @@ def stolen_s() -> float:
 class Witnesses:
     """One sleeping process for each core we may use."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else [-1]
         with tempfile.NamedTemporaryFile(delete=False) as file:
             file.write(bytes(8 * len(cores)))
@@ -80,17 +79,17 @@ class Witnesses:
         ]
         self._path = file.name
 
-    def lost_s(self) -> float:
+    def lost_s(self):
         """Return for how long cores were away, all added up; what both tell of counts twice."""
         return sum(struct.unpack(f"{len(self.processes)}d", self._lost)) + stolen_s()
 
-    def wait_for_calm(self) -> None:
+    def wait_for_calm(self):
         end_s = time.monotonic() + PATIENCE_S
         before_s = -1.0
         while before_s != (before_s := self.lost_s()) and time.monotonic() < end_s:
             time.sleep(CALM_S)
 
-    def close(self) -> None:
+    def close(self):
         for process in self.processes:
             process.kill()
             process.wait()
@@ -98,13 +97,11 @@ class Witnesses:
 
 
 class FairClock:
-    def __init__(self, witnesses: Witnesses | None = None) -> None:
+    def __init__(self, witnesses=None):
         self.witnesses = witnesses
-        self.again: list[str] = []
+        self.again = []
 
-    def pytest_runtest_protocol(
-        self, item: pytest.Item, nextitem: pytest.Item | None
-    ) -> bool | None:
+    def pytest_runtest_protocol(self, item, nextitem):
         if not item.get_closest_marker("realtime"):
             return None
         self.witnesses = self.witnesses or Witnesses()
@@ -114,7 +111,7 @@ class FairClock:
         item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
         return True
 
-    def _reports(self, item: pytest.Item, nextitem: pytest.Item | None) -> list[pytest.TestReport]:
+    def _reports(self, item, nextitem):
         for attempt in range(TRIES):
             if attempt:
                 self.witnesses.wait_for_calm()
@@ -128,10 +125,10 @@ class FairClock:
             self.again.append(f"{item.nodeid}: failed while cores were away for {lost_s:.2f} s")
         return reports
 
-    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
+    def pytest_terminal_summary(self, terminalreporter):
         for line in self.again:
             terminalreporter.write_line(f"on a starved machine: {line}", yellow=True)
 
-    def pytest_unconfigure(self) -> None:
+    def pytest_unconfigure(self):
         if self.witnesses:
             self.witnesses.close()

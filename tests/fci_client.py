@@ -3,9 +3,7 @@
 import socket
 import struct
 import time
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Self
 
 import numpy as np
 
@@ -16,12 +14,12 @@ from uniforce_robots.standins.fci.arm import TORQUE_STEP_Nm
 TIMEOUT_s = 30.0  # a busy machine is slow, a hung server is for ever
 
 
-def move(controller: int = p.EXTERNAL, generator: int = p.NO_GENERATOR) -> bytes:
+def move(controller=p.EXTERNAL, generator=p.NO_GENERATOR):
     """Return a Move's payload; deviations and speeds, which the stand-in does not use, as libfranka's."""
     return p.MOVE.pack(controller, generator, *(10.0, 3.12, 2 * np.pi) * 2, False, *[2.0] * 7)
 
 
-def decode_state(datagram: bytes) -> p.RobotState:
+def decode_state(datagram):
     number, body, generator, controller, *flags, mode, rate = p.unpack(
         p.STATE, datagram, "RobotState"
     )
@@ -31,47 +29,47 @@ def decode_state(datagram: bytes) -> p.RobotState:
     )
 
 
-def decode_hand_state(datagram: bytes) -> p.HandState:
+def decode_hand_state(datagram):
     state = p.HandState(*p.unpack(p.HAND_STATE, datagram, "HandState"))
     return state._replace(is_grasped=bool(state.is_grasped))
 
 
-def encode_command(command: p.RobotCommand) -> bytes:
+def encode_command(command):
     return p.COMMAND.pack(command.message_id, False, False, *command.tau_J_d, command.finished)
 
 
-def hand_request(*numbers: float) -> bytes:
+def hand_request(*numbers):
     return np.array(numbers, "<f8").tobytes()
 
 
 class RawClient:
     """One TCP connection, one UDP socket, answers matched by command id."""
 
-    def __init__(self, address: str, port: int, header: p.Header) -> None:
+    def __init__(self, address, port, header):
         tcp = socket.create_connection((address, port), TIMEOUT_s)
         udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         udp.bind((tcp.getsockname()[0], 0))  # states go to the address the TCP connection came from
         udp.settimeout(TIMEOUT_s)
         self.tcp, self.udp, self.header = tcp, udp, header
-        self.server: tuple[str, int] | None = None
+        self.server = None
         self._buffer, self._next_id = b"", 1
 
-    def __enter__(self) -> Self:
+    def __enter__(self):
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *_):
         self.close()
 
-    def close(self) -> None:
+    def close(self):
         self.tcp.close()
         self.udp.close()
 
-    def send(self, command: int, payload: bytes = b"") -> int:
+    def send(self, command, payload=b""):
         command_id, self._next_id = self._next_id, self._next_id + 1
         self.tcp.sendall(self.header.encode(p.Message(command, command_id, payload)))
         return command_id
 
-    def receive(self) -> p.Message:
+    def receive(self):
         while True:
             message, self._buffer = self.header.decode(self._buffer)
             if message is not None:
@@ -81,17 +79,17 @@ class RawClient:
                 raise ConnectionError("the server hung up")
             self._buffer += data
 
-    def ask(self, command: int, payload: bytes = b"") -> bytes:
+    def ask(self, command, payload=b""):
         asked, answer = (command, self.send(command, payload)), self.receive()
         if (answer.command, answer.command_id) != asked:
             raise ConnectionError(f"answer to {asked} was ({answer.command}, {answer.command_id})")
         return answer.payload
 
-    def datagram(self) -> bytes:
+    def datagram(self):
         data, self.server = self.udp.recvfrom(65536)
         return data
 
-    def greet(self, version: int) -> None:
+    def greet(self, version):
         layout = struct.Struct("<BH" if self.header is p.ARM_HEADER else "<HH")
         answer = self.ask(p.ArmCommand.CONNECT, p.CONNECT.pack(version, self.udp.getsockname()[1]))
         self.status, self.version = p.unpack(layout, answer, "answer to Connect")
@@ -100,15 +98,15 @@ class RawClient:
 class RawArm(RawClient):
     _tau_Nm: np.ndarray = np.zeros(JOINTS)  # last sent
 
-    def __init__(self, address: str, version: int = p.ARM_VERSION) -> None:
+    def __init__(self, address, version=p.ARM_VERSION):
         super().__init__(address, p.ARM_PORT, p.ARM_HEADER)
         self.greet(version)
 
-    def state(self) -> p.RobotState:
+    def state(self):
         """Return the next state, in order: older ones may be queued."""
         return decode_state(self.datagram())
 
-    def newest(self) -> p.RobotState:
+    def newest(self):
         """Return the newest state, skipping what is queued."""
         state = self.state()
         self.udp.setblocking(False)
@@ -120,12 +118,12 @@ class RawArm(RawClient):
         finally:
             self.udp.settimeout(TIMEOUT_s)
 
-    def move(self, generator: int = p.NO_GENERATOR) -> int:
+    def move(self, generator=p.NO_GENERATOR):
         """Ask for a motion; return the request's id. The first answer is still to be received."""
         self._tau_Nm = np.zeros(JOINTS)
         return self.send(p.ArmCommand.MOVE, move(generator=generator))
 
-    def start(self) -> int:
+    def start(self):
         """Begin a torque motion, which the arm has to accept; return the request's id."""
         command_id, answer = self.move(), self.receive()
         assert (answer.command_id, answer.payload) == (
@@ -134,12 +132,12 @@ class RawArm(RawClient):
         )
         return command_id
 
-    def command(self, command: p.RobotCommand) -> None:
+    def command(self, command):
         if self.server is None:
             raise ConnectionError("no state has come yet: where commands go is not known")
         self.udp.sendto(encode_command(command), self.server)
 
-    def loop(self, law: Callable[[p.RobotState], p.RobotCommand], ticks: int) -> p.RobotState:
+    def loop(self, law, ticks):
         """Answer so many states with a control law, its torques limited in rate; return the last one."""
         for _ in range(ticks):
             state = self.newest()
@@ -151,19 +149,17 @@ class RawArm(RawClient):
 
 
 class RawHand(RawClient):
-    def __init__(self, address: str, version: int = p.HAND_VERSION) -> None:
+    def __init__(self, address, version=p.HAND_VERSION):
         super().__init__(address, p.HAND_PORT, p.HAND_HEADER)
         self.greet(version)
 
-    def status_of(self, command: int, payload: bytes = b"") -> int:
+    def status_of(self, command, payload=b""):
         return int(
             p.unpack(struct.Struct("<H"), self.ask(command, payload), "answer of the hand")[0]
         )
 
 
-def wait_until(
-    condition: Callable[[], bool], timeout_s: float = 10.0, what: str = "condition"
-) -> float:
+def wait_until(condition, timeout_s=10.0, what="condition"):
     """Poll a condition; return the seconds it took, or raise TimeoutError."""
     start = time.monotonic()
     while not condition():

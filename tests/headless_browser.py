@@ -5,13 +5,9 @@ import json
 import shutil
 import subprocess
 import time
-from base64 import b64decode
-from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Any
 
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import connect
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 START_s, ANSWER_s = 60.0, 60.0  # a busy machine takes long
@@ -32,7 +28,7 @@ SILENT = (
 SILENT += ("--disable-quic",)  # nothing but the page is fetched
 
 
-def find_browser() -> str | None:
+def find_browser():
     return next(filter(None, map(shutil.which, NAMES)), None)
 
 
@@ -44,8 +40,8 @@ class Page:
             failed or were refused.
     """
 
-    def __init__(self, socket: ClientConnection) -> None:
-        self.complaints: list[str] = []
+    def __init__(self, socket):
+        self.complaints = []
         self._socket, self._numbers, self._session = socket, itertools.count(1), {}
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
         session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
@@ -53,7 +49,7 @@ class Page:
         for domain in ("Page", "Runtime", "Log"):
             self.call(f"{domain}.enable")
 
-    def call(self, method: str, **params: Any) -> dict[str, Any]:
+    def call(self, method, **params):
         """Return the browser's answer to one method; complaints that come before it are kept."""
         number = next(self._numbers)
         self._socket.send(
@@ -66,7 +62,7 @@ class Page:
                 return said["result"]
             self._hear(said)
 
-    def _hear(self, said: dict[str, Any]) -> None:
+    def _hear(self, said):
         method, params = said["method"], said["params"]
         level = params.get("entry", params).get("level") or params.get("type")
         loud = method in ("Log.entryAdded", "Runtime.consoleAPICalled") and level in (
@@ -76,7 +72,7 @@ class Page:
         if loud or method == "Runtime.exceptionThrown":
             self.complaints.append(json.dumps(params))
 
-    def open(self, path: Path, width: int, height: int) -> None:
+    def open(self, path, width, height):
         """Show a file in a window of so many pixels, and wait until all of it is there."""
         self.complaints.clear()
         size = {"width": width, "height": height}
@@ -89,33 +85,27 @@ class Page:
             assert time.monotonic() < end, f"{path} doesn't load"
             time.sleep(0.05)
 
-    def read(self, expression: str) -> Any:
+    def read(self, expression):
         answer = self.call(
             "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
         )
         assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")
 
-    def press(self, key: str, times: int = 1) -> None:
+    def press(self, key, times=1):
         for kind in ("keyDown", "keyUp") * times:
             self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key)
 
-    def click(self, selector: str, share: float = 0.5) -> None:
+    def click(self, selector, share=0.5):
         box = f"document.querySelector('{selector}').getBoundingClientRect()"
         self.read(f"document.querySelector('{selector}').scrollIntoView({{block: 'center'}})")
         x, y = self.read(f"[{box}.left + {share} * {box}.width, {box}.top + {box}.height / 2]")
         for kind in ("mousePressed", "mouseReleased"):
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
-    def photograph(self, path: Path, whole: bool = False) -> Path:
-        path.write_bytes(
-            b64decode(self.call("Page.captureScreenshot", captureBeyondViewport=whole)["data"])
-        )
-        return path
-
 
 @contextmanager
-def open_browser(executable: str, profile: Path) -> Iterator[Page]:
+def open_browser(executable, profile):
     """Start a browser whose files all lie in ``profile``, an empty folder; end it afterwards."""
     words = [executable, *FLAGS, *SILENT, f"--user-data-dir={profile}", "about:blank"]
     with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
@@ -127,7 +117,7 @@ def open_browser(executable: str, profile: Path) -> Iterator[Page]:
             process.terminate()
 
 
-def _address(process: "subprocess.Popen[bytes]", file: Path) -> list[str]:
+def _address(process, file):
     """Return port and path of the protocol, which the browser writes when it is ready."""
     end = time.monotonic() + START_s
     while not file.is_file() or len(lines := file.read_text().split()) < 2:

@@ -5,7 +5,6 @@ import struct
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import torch
 from lerobot.configs import FeatureType, PolicyFeature
@@ -18,7 +17,7 @@ STATUS = Path("/proc/self/status")
 DTYPES = {torch.float32: "F32", torch.bfloat16: "BF16", torch.float64: "F64", torch.int64: "I64"}
 
 
-def write_sparse(folder: Path, **settings: Any) -> int:
+def write_sparse(folder, **settings):
     """Write config and zero weights of a policy with true-wrench touch; return the file's bytes."""
     config = PI05UniforceConfig(
         device="cpu",
@@ -45,7 +44,7 @@ def write_sparse(folder: Path, **settings: Any) -> int:
     return 8 + len(text) + end
 
 
-def peak_bytes(folder: Path) -> int:
+def peak_bytes(folder):
     """Return how many bytes a fresh process grows by while it loads the checkpoint.
 
     The file's zeros take no disk, yet as much memory as any weights once loaded. The peak is VmHWM
@@ -56,12 +55,12 @@ def peak_bytes(folder: Path) -> int:
     return int(said[-1])
 
 
-def _status(field: str) -> int:
+def _status(field):
     line = next(line for line in STATUS.read_text().splitlines() if line.startswith(field))
     return 1024 * int(line.split()[1])
 
 
-def main(folder: str) -> None:
+def main(folder):
     """Load the checkpoint, read every page of it, and print by how much the peak rose."""
     torch.set_num_threads(1)
     before = _status("VmRSS")

@@ -2,17 +2,16 @@
 
 import numpy as np
 
-from uniforce_vtla.contact.virtual import VirtualSensor
 from uniforce_vtla.sensors.material import PadMaterial
-from uniforce_vtla.tokenizer.family import FamilyBounds, Span
+from uniforce_vtla.tokenizer.family import FamilyBounds
 
 
-def half_extent_px(sensor: VirtualSensor) -> np.ndarray:
+def half_extent_px(sensor):
     """Return (2,) how far the layout reaches from the image's centre, in pixels."""
     return np.abs(sensor.spec.layout_mm).max(axis=0) * np.asarray(sensor.spec.px_per_mm)
 
 
-def outside(sensor: VirtualSensor, bounds: FamilyBounds | None = None) -> list[str]:
+def outside(sensor, bounds=None):
     """Return in which ways a camera sensor differs from everything the family can draw; empty if it could be one.
 
     ``visible: …`` entries show in a reference image, ``hidden: …`` do not.
@@ -38,9 +37,7 @@ def outside(sensor: VirtualSensor, bounds: FamilyBounds | None = None) -> list[s
     ]
 
 
-def _hidden_numbers(
-    material: PadMaterial, b: FamilyBounds, flat: bool
-) -> dict[str, tuple[float, Span]]:
+def _hidden_numbers(material, b, flat):
     """Return name → (the material's number, the family's range) of what no reference image shows."""
     skin = material.layers[0]
     young = skin.young_MPa * material.stiffness
@@ -59,7 +56,7 @@ def _hidden_numbers(
     }
 
 
-def _is_lattice(points_mm: np.ndarray) -> bool:
+def _is_lattice(points_mm):
     """Tell rectangular or hexagonal lattices: every marker's offset is a whole number of two basis steps."""
     steps = points_mm[None] - points_mm[:, None]  # (M, M, 2)
     length = np.linalg.norm(steps, axis=-1)

@@ -1,7 +1,6 @@
 """Shared by tests of the policy's network: its inputs, norms that do something, LeRobot's own loop beside ours."""
 
 from contextlib import contextmanager
-from typing import Any
 
 import torch
 from lerobot.configs import FeatureType, PolicyFeature
@@ -60,7 +59,7 @@ def alive(policy, gate=None, std=0.3):
 
 
 @contextmanager
-def lerobots_layers(network: Any) -> Any:
+def lerobots_layers(network):
     """Run LeRobot's own layers in the tiny network, whose training path is ours."""
     network.paligemma_with_expert.fused = False
     try:

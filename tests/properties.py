@@ -10,6 +10,6 @@ settings.register_profile(
 settings.load_profile("fixed")  # pytest's --hypothesis-profile comes later and wins
 
 
-def examples(count: int) -> settings:
+def examples(count):
     """Draw ``count`` examples in the fixed profile, in proportion in others."""
     return settings(max_examples=count * settings.default.max_examples // 100)

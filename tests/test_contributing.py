@@ -14,17 +14,15 @@ PAGE = (ROOT / "CONTRIBUTING.md").read_text()
 MOST_LINES = 40
 
 
-def test_every_named_file_exists() -> None:
+def test_every_named_file_exists():
     table = re.search(r"\| to change \|.*?\n\n", PAGE, re.DOTALL)
-    assert table is not None
     named = re.findall(r"`([\w/]+/\w*(?:\.py)?)`", table[0])
     assert len(named) >= 5 and not [name for name in named if not (ROOT / name).exists()]
 
 
-def changed() -> tuple[Path, str]:
+def changed():
     """Return the file of the example's diff, and its text after the change."""
     diff = re.search(r"```diff\n(.*?)```", PAGE, re.DOTALL)
-    assert diff is not None
     lines = diff[1].splitlines()
     assert len(lines) <= MOST_LINES
     file = ROOT / lines[1].removeprefix("+++ b/")
@@ -35,7 +33,7 @@ def changed() -> tuple[Path, str]:
     return file, text.replace("\n".join(before), "\n".join(after))
 
 
-def test_the_examples_change_reaches_the_tokens_from_one_file() -> None:
+def test_the_examples_change_reaches_the_tokens_from_one_file():
     file, text = changed()
     module = types.ModuleType("changed_tokens")
     exec(compile(text, str(file), "exec"), vars(module))

@@ -24,23 +24,23 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 MODULES = ("benchmarks", "uniforce_robots", "standins")  # of `python -m` in fenced code
-LEROBOT = Path(str(find_spec("lerobot").submodule_search_locations[0]))  # type: ignore[union-attr, index]
+LEROBOT = Path(str(find_spec("lerobot").submodule_search_locations[0]))
 POLICY = ROOT / "policies" / "lerobot_policy_pi05_uniforce"
 # of train: LeRobot's parser reads them
 NO_FIELDS = {"policy", "env", "verify", "config_path", "resume", "policy.path"}
 
 
-def name_of(page: Path) -> str:
+def name_of(page):
     return str(page.relative_to(ROOT))
 
 
-def fenced(page: Path) -> str:
+def fenced(page):
     """Return the fenced code of a page, lines that end in a backslash joined to the next."""
     blocks = re.findall(r"^( *)```\w*\n(.*?)^\1```", page.read_text(), re.MULTILINE | re.DOTALL)
     return "\n".join(dedent(code) for _, code in blocks).replace("\\\n", " ")
 
 
-def command_lines(page: Path) -> list[list[str]]:
+def command_lines(page):
     """Return the words of every `uniforce …` in fenced code and between back ticks, but for those with an ellipsis."""
     lines = [line for line in fenced(page).splitlines() if line.startswith("uniforce ")]
     lines += [f"{code} " for code in re.findall(r"(?<!`)`(uniforce [^`]+)`(?!`)", page.read_text())]
@@ -49,7 +49,7 @@ def command_lines(page: Path) -> list[list[str]]:
 
 
 @cache
-def fields(*places: Path) -> frozenset[str]:
+def fields(*places):
     """Return the names of all fields of classes in files or folders; nothing is imported, LeRobot takes seconds."""
     files = [
         file for place in places for file in ([place] if place.is_file() else place.rglob("*.py"))
@@ -68,17 +68,17 @@ def fields(*places: Path) -> frozenset[str]:
     )
 
 
-def unknown(name: str, known: frozenset[str]) -> bool:
+def unknown(name, known):
     """Return whether a part of a dotted name is no field; names of cameras are free."""
     return "cameras" not in name and bool(set(name.split(".")[1:] or [name]) - known)
 
 
-def check_train(names: list[str]) -> list[str]:
+def check_train(names):
     ours = fields(POLICY, LEROBOT / "policies" / "pi05", LEROBOT / "configs")
     return [name for name in names if name not in NO_FIELDS and unknown(name, ours)]
 
 
-def check_words(verb: str, words: list[str]) -> list[str]:
+def check_words(verb, words):
     """Return what is wrong with the words behind a verb."""
     given = [word for word in words if not word.startswith("--help")]
     names = [word.removeprefix("--").partition("=")[0] for word in given]
@@ -96,7 +96,7 @@ def check_words(verb: str, words: list[str]) -> list[str]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_every_command_line_names_a_verb_and_options_that_it_has(page: Path) -> None:
+def test_every_command_line_names_a_verb_and_options_that_it_has(page):
     for words in command_lines(page):
         verbs = words[0].split("|") if words else []
         assert not set(verbs) - {*VERBS, "--help"}, f"{name_of(page)}: uniforce {' '.join(words)}"
@@ -108,7 +108,7 @@ def test_every_command_line_names_a_verb_and_options_that_it_has(page: Path) -> 
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_every_module_and_target_named_exists(page: Path) -> None:
+def test_every_module_and_target_named_exists(page):
     roots = (ROOT, ROOT / "robots", ROOT / "tests")
     for module in re.findall(r"python -m ([\w.]+)", fenced(page)):
         if module.partition(".")[0] in MODULES:
@@ -121,7 +121,7 @@ def test_every_module_and_target_named_exists(page: Path) -> None:
 
 
 @cache
-def defined(path: Path) -> frozenset[str]:
+def defined(path):
     """Return the names of a module, `Class.method` among them."""
     body = ast.parse(path.read_text()).body
     kinds = (ast.FunctionDef, ast.ClassDef)
@@ -137,7 +137,7 @@ def defined(path: Path) -> frozenset[str]:
 
 
 @pytest.mark.parametrize("page", [DOCS / "method.md", DOCS / "definitions.md"], ids=name_of)
-def test_files_and_functions_beside_the_equations_exist(page: Path) -> None:
+def test_files_and_functions_beside_the_equations_exist(page):
     text = page.read_text()
     paths = set(re.findall(r"`([\w/]+/\w+\.py)`", text))
     assert paths and not [path for path in paths if not (ROOT / path).is_file()]
@@ -147,31 +147,31 @@ def test_files_and_functions_beside_the_equations_exist(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_links_to_files_lead_somewhere(page: Path) -> None:
+def test_links_to_files_lead_somewhere(page):
     links = re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text())
     local = [link for link in links if "://" not in link and not link.startswith("mailto:")]
     assert not [link for link in local if not (page.parent / link).exists()]
 
 
-def test_the_site_lists_every_page() -> None:
+def test_the_site_lists_every_page():
     listed = set(re.findall(r"[\w/]+\.md", (ROOT / "mkdocs.yml").read_text()))
     assert listed == {str(page.relative_to(DOCS)) for page in PAGES if page.is_relative_to(DOCS)}
 
 
-def test_the_tutorial_names_every_fault() -> None:
+def test_the_tutorial_names_every_fault():
     rows = re.findall(
         r"^\| `(\w+)` \| (?:[^|]*) \| [^|]* \|$", (DOCS / "tutorial.md").read_text(), re.MULTILINE
     )
     assert set(FAULTS) <= set(rows)
 
 
-def test_readmes_python_runs_and_reads_the_press() -> None:
+def test_readmes_python_runs_and_reads_the_press():
     code, names = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL), {}
     exec(code[1], names)
     assert np.allclose(names["reading"].force_N, [1, 0, 6], atol=0.5)
 
 
-def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
+def test_the_site_builds_without_a_warning(tmp_path):
     """Every link and anchor is checked; nothing is fetched."""
     command = [
         sys.executable,
@@ -194,7 +194,7 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     assert (tmp_path / "tutorial.html").is_file()
 
 
-def sentences(text: str) -> list[str]:
+def sentences(text):
     """Return the sentences of a page, without code, tables, headings and link targets."""
     text = re.sub(r"```.*?```", "", text, flags=re.DOTALL)
     kept = [line for line in text.splitlines() if not line.startswith(("|", "#", "!", "`"))]
@@ -204,7 +204,7 @@ def sentences(text: str) -> list[str]:
     return [part.strip() for part in parts if part.strip()]
 
 
-def test_the_first_page_is_short_and_plain() -> None:
+def test_the_first_page_is_short_and_plain():
     page = (ROOT / "README.md").read_text()
     lengths = [len(sentence.split()) for sentence in sentences(page)]
     numbers = re.findall(r"(?<![\w.])\d[\d.,]*", " ".join(sentences(page)))

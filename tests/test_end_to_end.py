@@ -1,9 +1,9 @@
 """The whole line in miniature: record, view, train, evaluate with LeRobot's command, score with a swap."""
 
 import json
+import shutil
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from lerobot.scripts import lerobot_eval
@@ -24,19 +24,10 @@ TINY = ["policy.tiny.width=64", "policy.tiny.depth=2", "policy.tiny.mlp_dim=32"]
 
 
 @pytest.fixture(scope="module")
-def demos(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One recorded demo, scene 3; sensors as drawn, the only ones that the shipped heads of recordings know."""
-    root = tmp_path_factory.mktemp("line") / "demos"
-    drawn = {"left_sensor": "gelsight:drawing", "right_sensor": "tactip:drawing"}
-    record(RecordConfig(episodes=1, level="easy", root=str(root), seed=3, **drawn))
-    return root
-
-
-@pytest.fixture(scope="module")
-def checkpoint(demos: Path) -> Path:
+def checkpoint(drawn_demo, tmp_path_factory):
     """A policy trained for two steps on one recorded demo, through the same commands a user types."""
-    folder = demos.parent
-    make_view(ViewConfig(roots=str(demos), out=str(folder / "view"), keep_failures=True))
+    folder = tmp_path_factory.mktemp("line")
+    make_view(ViewConfig(roots=str(drawn_demo), out=str(folder / "view"), keep_failures=True))
     policy = ["policy=pi05_uniforce", "policy.size=tiny", "policy.device=cpu", *TINY]
     data = [
         "dataset.repo_id=local/view",
@@ -48,14 +39,15 @@ def checkpoint(demos: Path) -> Path:
     return folder / "train" / "checkpoints" / "last" / "pretrained_model"
 
 
-def test_a_checkpoint_knows_what_grip_its_demonstrations_carried(checkpoint: Path) -> None:
+def test_a_checkpoint_knows_what_grip_its_demonstrations_carried(checkpoint):
     touch = json.loads((checkpoint / "config.json").read_text())["touch"]
     assert set(touch["carried_N"]) == {"touch0"} and 4 < touch["carried_N"]["touch0"] < 14
 
 
-def test_scores_with_the_trained_and_a_swapped_sensor(checkpoint: Path, tmp_path: Path) -> None:
+def test_scores_with_the_trained_and_a_swapped_sensor(checkpoint, tmp_path, cut_scenes):
+    cut_scenes(2.0)
     for left, swap in (("gelsight", ""), ("uskin", "touch0:left")):
-        once = {"rollouts": 1, "workers": 1, "out": str(tmp_path)}
+        once = {"level": "easy", "rollouts": 1, "workers": 1, "out": str(tmp_path)}
         config = ScoreConfig(str(checkpoint), "e2e", left_sensor=left, swap=swap, **once)
         report = score(config)
         assert report.n == 1
@@ -63,9 +55,7 @@ def test_scores_with_the_trained_and_a_swapped_sensor(checkpoint: Path, tmp_path
     assert len(list(tmp_path.glob("*/seed_10000.mp4"))) == 2
 
 
-def lerobot_evaluated(
-    monkeypatch: pytest.MonkeyPatch, out: Path, policy: Path, level: str, seed: int
-) -> bool:
+def lerobot_evaluated(monkeypatch, out, policy, level, seed):
     flags = [
         f"policy.path={policy}",
         "policy.device=cpu",
@@ -82,9 +72,7 @@ def lerobot_evaluated(
     return bool(success)
 
 
-def test_lerobot_eval_agrees_with_our_score(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_lerobot_eval_agrees_with_our_score(tmp_path, monkeypatch):
     """The shipped policy wipes the board of the first scene in both commands."""
     config = ScoreConfig(
         level="touch", rollouts=1, workers=1, videos=0, out=str(tmp_path / "score")
@@ -96,7 +84,8 @@ def test_lerobot_eval_agrees_with_our_score(
     assert row.outcome == "success"
 
 
-def test_a_dataset_that_is_full_says_that_nothing_was_recorded(demos: Path) -> None:
+def test_a_dataset_that_is_full_says_that_nothing_was_recorded(drawn_demo, tmp_path):
+    demos = shutil.copytree(drawn_demo, tmp_path / "demos")
     settings = RecordConfig(episodes=1, level="easy", root=str(demos), left_sensor="uskin:drawing")
     with pytest.raises(
         ContractError, match=r"scene\.left_sensor 'gelsight:drawing' → 'uskin:drawing'"
@@ -106,11 +95,11 @@ def test_a_dataset_that_is_full_says_that_nothing_was_recorded(demos: Path) -> N
     assert end.exit_code == 0 and end.message.startswith(f"nothing new, {demos} holds 1 or more")
 
 
-def test_a_recording_is_scored_from_its_fingers_alone(demos: Path, tmp_path: Path) -> None:
+def test_a_recording_is_scored_from_its_fingers_alone(drawn_demo, tmp_path):
     """Marker images → newtons → events, and true forces beside them because this recording is simulated."""
     friction = draw_scene(3, "easy").pad_friction
     config = ScoreRecordingConfig(
-        root=str(demos),
+        root=str(drawn_demo),
         pad_friction=",".join(map(str, friction)),
         board_corners="10,10,300,12,310,200,8,190",
         out=str(tmp_path),
@@ -122,8 +111,9 @@ def test_a_recording_is_scored_from_its_fingers_alone(demos: Path, tmp_path: Pat
 
 
 @pytest.mark.parametrize("friction", ["", "0.6", "a,b", "0,0.5"])
-def test_a_recording_without_known_friction_is_refused(friction, demos, tmp_path, capsys) -> None:
+def test_a_recording_without_known_friction_is_refused(friction, drawn_demo, tmp_path, capsys):
     assert (
-        score_recording_main([f"root={demos}", f"pad_friction={friction}", f"out={tmp_path}"]) == 2
+        score_recording_main([f"root={drawn_demo}", f"pad_friction={friction}", f"out={tmp_path}"])
+        == 2
     )
     assert "pad_friction" in capsys.readouterr().err

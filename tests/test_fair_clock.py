@@ -39,12 +39,7 @@ def pytest_configure(config):
 """
 
 
-def run(
-    pytester: pytest.Pytester,
-    lost: list[float],
-    passes_at: int,
-    mark: str = "@pytest.mark.realtime",
-):
+def run(pytester, lost, passes_at, mark="@pytest.mark.realtime"):
     pytester.makeconftest(CONFTEST.format(lost=lost))
     flaky = pytester.makepyfile(FLAKY.format(mark=mark, passes_at=passes_at))
     return pytester.inline_run(flaky, "-p", "no:cacheprovider")
@@ -64,7 +59,7 @@ def test_a_witness_sees_a_core_taken_away():
 
 
 @pytest.mark.parametrize(
-    ("lost", "passes_at", "outcome"),
+    "lost, passes_at, outcome",
     [
         ([0.0, 0.01], 2, "failed"),  # in calm: at once
         ([0.0, 0.5, 0.5, 0.5], 2, "passed"),  # while starved: runs again, with new fixtures
@@ -74,12 +69,10 @@ def test_a_witness_sees_a_core_taken_away():
         ([0.3 * k for k in range(2 * TRIES)], TRIES, "passed"),
     ],
 )
-def test_a_failure_counts_unless_the_machine_was_starved(
-    pytester, lost, passes_at, outcome
-) -> None:
+def test_a_failure_counts_unless_the_machine_was_starved(pytester, lost, passes_at, outcome):
     run(pytester, lost, passes_at).assertoutcome(**{outcome: 1})
 
 
-def test_a_pass_needs_no_calm_and_other_tests_no_witness(pytester: pytest.Pytester):
+def test_a_pass_needs_no_calm_and_other_tests_no_witness(pytester):
     run(pytester, [0.0, 9.0], passes_at=1).assertoutcome(passed=1)
     run(pytester, [], passes_at=2, mark="").assertoutcome(failed=1)

@@ -1,7 +1,5 @@
 import json
 import logging
-from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
@@ -12,7 +10,7 @@ HEADER = "---\nlicense: apache-2.0\n---\n"
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     (tmp_path / "config.json").write_text('{"a": 1}')
     (tmp_path / "model.safetensors").write_bytes(bytes(100))
     (tmp_path / "README.md").write_text(HEADER + "# a title")
@@ -20,13 +18,11 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def rewritten(name: str, change: Callable[[str], str]) -> Callable[[Path], object]:
+def rewritten(name, change):
     return lambda folder: (folder / name).write_text(change((folder / name).read_text()))
 
 
-def test_what_was_written_is_accepted_in_silence(
-    folder: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_what_was_written_is_accepted_in_silence(folder, caplog):
     check_hashes(folder, CheckpointError)
     assert not caplog.records and (folder / HASHES).stat().st_mode & 0o777 == 0o644
     (folder / "README.md").write_text(HEADER + "# another text, for people")
@@ -35,7 +31,7 @@ def test_what_was_written_is_accepted_in_silence(
 
 
 @pytest.mark.parametrize(
-    ("damage", "says"),
+    "damage, says",
     [
         (
             rewritten("config.json", lambda text: text.replace("1", "2")),
@@ -62,27 +58,21 @@ def test_what_was_written_is_accepted_in_silence(
         (rewritten(HASHES, lambda text: json.dumps([text])), "a JSON object"),
     ],
 )
-def test_what_was_changed_is_named(
-    folder: Path, damage: Callable[[Path], object], says: str
-) -> None:
+def test_what_was_changed_is_named(folder, damage, says):
     damage(folder)
     with pytest.raises(CheckpointError, match=says):
         check_hashes(folder, CheckpointError)
 
 
-def test_a_checkpoint_without_hashes_gets_one_line(
-    folder: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_checkpoint_without_hashes_gets_one_line(folder, caplog):
     (folder / HASHES).unlink()
     with caplog.at_level(logging.WARNING):
         check_hashes(folder, CheckpointError)
     assert [record.levelname for record in caplog.records] == ["WARNING"] and HASHES in caplog.text
 
 
-@pytest.mark.parametrize(("verify", "refused"), [("full", True), ("quick", False), ("off", False)])
-def test_quick_trusts_large_files_of_the_right_size(
-    folder: Path, verify: str, refused: bool
-) -> None:
+@pytest.mark.parametrize("verify, refused", [("full", True), ("quick", False), ("off", False)])
+def test_quick_trusts_large_files_of_the_right_size(folder, verify, refused):
     weights = folder / "model.safetensors"
     weights.write_bytes(bytes(QUICK_BELOW))
     write_hashes(folder)

@@ -10,7 +10,7 @@ from uniforce_vtla import Canonicalizer, ForceHead, ForceSensor, Tokenizer
 from uniforce_vtla.contact import free_air
 from uniforce_vtla.contact.worn import WornView
 from uniforce_vtla.contact.worn_in_words import wear
-from uniforce_vtla.contracts import FINGERS, ContactState, Finger
+from uniforce_vtla.contracts import FINGERS, ContactState
 from uniforce_vtla.errors import CheckpointError, ContractError, SensorError
 from uniforce_vtla.tokenizer import pool_latent
 from uniforce_vtla.tokenizer.calibration import Calibration
@@ -26,22 +26,22 @@ KINDS = ("tactip", "uskin", "gelsight")
 
 
 @pytest.fixture(scope="module")
-def tokenizer() -> Tokenizer:
+def tokenizer():
     return Tokenizer.from_pretrained("nano")
 
 
 @pytest.fixture(scope="module")
-def head() -> ForceHead:
+def head():
     return ForceHead.from_pretrained(path="nano")
 
 
 @pytest.fixture(scope="module")
-def raw() -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def raw():
     """Raw frames of unit 1 of each kind: in free air, and pressed with 4 N and sheared with 1 N."""
     return {kind: frames_of(kind) for kind in KINDS}
 
 
-def frames_of(kind: str) -> tuple[np.ndarray, np.ndarray]:
+def frames_of(kind):
     simulator = WornView(wear(f"{kind}:1")(0)).simulator
     free = free_air(1)
     flat_mm = np.zeros_like(free.gap_mm)
@@ -50,7 +50,7 @@ def frames_of(kind: str) -> tuple[np.ndarray, np.ndarray]:
     return simulator.raw_frames(free)[0], simulator.raw_frames(pressed)[0]
 
 
-def test_a_frame_gives_what_the_parts_give_one_after_another(raw, tokenizer, head) -> None:
+def test_a_frame_gives_what_the_parts_give_one_after_another(raw, tokenizer, head):
     for kind, (free, pressed) in raw.items():
         sensor = ForceSensor(kind, "left", tokenizer=tokenizer, head=head)
         reference = sensor.tare(free)
@@ -65,7 +65,7 @@ def test_a_frame_gives_what_the_parts_give_one_after_another(raw, tokenizer, hea
         assert np.isnan(reading.health), "nothing is watched"
 
 
-def test_newtons_are_of_the_fingers_own_frame(raw, tokenizer, head) -> None:
+def test_newtons_are_of_the_fingers_own_frame(raw, tokenizer, head):
     free, pressed = raw["tactip"]
     read_N = {}
     for finger, before, after in (
@@ -80,7 +80,7 @@ def test_newtons_are_of_the_fingers_own_frame(raw, tokenizer, head) -> None:
     assert read_N["left"][2] > 2
 
 
-def test_several_frames_in_a_row_make_a_reference(raw, tokenizer, head) -> None:
+def test_several_frames_in_a_row_make_a_reference(raw, tokenizer, head):
     for kind, (free, pressed) in raw.items():
         one = ForceSensor(kind, tokenizer=tokenizer, head=head)
         several = ForceSensor(kind, tokenizer=tokenizer, head=head)
@@ -92,14 +92,14 @@ def test_several_frames_in_a_row_make_a_reference(raw, tokenizer, head) -> None:
         ForceSensor("tactip", tokenizer=tokenizer, head=head).tare([free, pressed, pressed])
 
 
-def made_up(tokenizer: Tokenizer, head: ForceHead, **more: float) -> Calibration:
+def made_up(tokenizer, head, **more):
     latent_map = LatentMap(16, tokenizer.config.latent)
     latent_map.shift.fill_(0.1)
     names = tokenizer.hash, head.hash, "tactip:3", "tactip:1", 0.0, 0.0
     return Calibration(latent_map, *names, {}, **more)
 
 
-def test_a_calibration_maps_the_latent_and_scales_newtons(raw, tokenizer, head, tmp_path) -> None:
+def test_a_calibration_maps_the_latent_and_scales_newtons(raw, tokenizer, head, tmp_path):
     free, pressed = raw["tactip"]
     plain = ForceSensor("tactip", tokenizer=tokenizer, head=head)
     folder = made_up(tokenizer, head, gain=1.5).save(tmp_path)
@@ -115,7 +115,7 @@ def test_a_calibration_maps_the_latent_and_scales_newtons(raw, tokenizer, head, 
         ForceSensor("tactip", tokenizer="small", calibration=folder)
 
 
-def test_a_sensor_that_is_not_healthy_stops_and_free_air_is_told_apart(raw, tokenizer) -> None:
+def test_a_sensor_that_is_not_healthy_stops_and_free_air_is_told_apart(raw, tokenizer):
     free, pressed = raw["tactip"]
     with pytest.raises(CheckpointError):  # of nano no ranges are shipped
         ForceSensor("tactip", tokenizer=tokenizer, head=None, watch=FREE_LOOKS)
@@ -130,14 +130,14 @@ def test_a_sensor_that_is_not_healthy_stops_and_free_air_is_told_apart(raw, toke
             sensor.read(pressed)
 
 
-def test_without_a_head_there_are_no_newtons(raw, tokenizer) -> None:
+def test_without_a_head_there_are_no_newtons(raw, tokenizer):
     free, pressed = raw["uskin"]
     sensor = ForceSensor("uskin", tokenizer=tokenizer, head=None)
     sensor.tare(free)
     assert np.isnan(sensor.read(pressed).force_N).all()
 
 
-def test_bad_input_is_refused(raw, tokenizer, head) -> None:
+def test_bad_input_is_refused(raw, tokenizer, head):
     free, pressed = raw["tactip"]
     sensor = ForceSensor("tactip", tokenizer=tokenizer, head=head)
     with pytest.raises(ContractError, match="tare"):
@@ -151,15 +151,15 @@ def test_bad_input_is_refused(raw, tokenizer, head) -> None:
     with pytest.raises(SensorError, match="tactip"):
         ForceSensor("nose", tokenizer=tokenizer, head=head)
     with pytest.raises(ContractError, match="finger"):
-        ForceSensor("tactip", "thumb", tokenizer=tokenizer, head=head)  # type: ignore[arg-type]
+        ForceSensor("tactip", "thumb", tokenizer=tokenizer, head=head)
     with pytest.raises(ContractError, match="kind"):
         ForceSensor("", tokenizer=tokenizer, head=head).tare(free)
 
 
-def test_two_threads_may_read_with_one_tokenizer(raw, tokenizer, head) -> None:
+def test_two_threads_may_read_with_one_tokenizer(raw, tokenizer, head):
     free, pressed = raw["gelsight"]
 
-    def forces(finger: Finger) -> np.ndarray:
+    def forces(finger):
         sensor = ForceSensor("gelsight", finger, tokenizer=tokenizer, head=head)
         sensor.tare(free)
         return np.array([sensor.read(pressed).force_N for _ in range(10)])

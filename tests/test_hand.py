@@ -12,13 +12,13 @@ TICK_s = 0.01
 
 
 class Bench:
-    def __init__(self, takes_s: float = 0.1, succeeds: bool = True, moves: bool = False) -> None:
+    def __init__(self, takes_s=0.1, succeeds=True, moves=False):
         self.now_s = 100.0
         self.client = FakeHand(takes_s, succeeds, lambda: self.now_s, moves)
-        self.hand = Hand(self.client, SETTINGS, lambda: self.now_s)  # type: ignore[arg-type]
+        self.hand = Hand(self.client, SETTINGS, lambda: self.now_s)
         self.hand.start()
 
-    def run(self, for_s: float) -> str:
+    def run(self, for_s):
         for _ in range(round(for_s / TICK_s)):
             self.now_s += TICK_s
             try:
@@ -27,14 +27,18 @@ class Bench:
                 return error.fault
         return ""
 
-    def grasp(self) -> None:
+    def wish(self, width_m, for_s):
+        """Wish a width and run on without a fault."""
+        self.hand.submit(width_m)
+        assert self.run(for_s) == ""
+
+    def grasp(self):
         self.client.is_grasped = True
-        self.hand.submit(0.02)
-        assert self.run(0.5) == ""
+        self.wish(0.02, 0.5)
 
 
 @pytest.fixture
-def bench() -> Bench:
+def bench():
     return Bench()
 
 
@@ -57,27 +61,22 @@ GRASP = SETTINGS.speed_m_s, SETTINGS.grip_force_N
         (0.04, HELD, HandCommand(0.04, SETTINGS.speed_m_s)),
     ],
 )
-def test_what_a_width_asks_for(
-    wish: float, reading: HandReading, wanted: HandCommand | None
-) -> None:
+def test_what_a_width_asks_for(wish, reading, wanted):
     assert next_command(wish, reading.width_m, reading.is_grasped, SETTINGS) == wanted
 
 
 @pytest.mark.parametrize("object_m", [0.0, 0.055, 0.07])
-def test_fingers_that_close_stop_where_wished_and_bound_their_force_from_the_widest_on(
-    object_m: float,
-) -> None:
+def test_fingers_that_close_stop_where_wished_and_bound_their_force_from_the_widest_on(object_m):
     bench = Bench(moves=True)
     bench.client.object_m = object_m
-    bench.hand.submit(0.05)
-    assert bench.run(2.0) == ""
+    bench.wish(0.05, 2.0)
     assert [c.force_N for c in bench.client.commands] == [SETTINGS.grip_force_N]
     assert bench.client.width_m == pytest.approx(object_m or 0.05, abs=0.001)
-    bench.hand.submit(0.06 if object_m < 0.06 else 0.075)
-    assert bench.run(2.0) == "" and bench.client.commands[-1].force_N == 0
+    bench.wish(0.06 if object_m < 0.06 else 0.075, 2.0)
+    assert bench.client.commands[-1].force_N == 0
 
 
-def test_a_wish_that_changes_on_the_way_is_obeyed_where_it_is_reached() -> None:
+def test_a_wish_that_changes_on_the_way_is_obeyed_where_it_is_reached():
     bench = Bench(moves=True)
     bench.hand.submit(0.0)
     bench.run(0.4)
@@ -94,7 +93,7 @@ def test_a_wish_that_changes_on_the_way_is_obeyed_where_it_is_reached() -> None:
 
 
 @pytest.mark.parametrize("how", ["stop", "halt"])
-def test_a_stop_ends_the_fingers_way_and_forgets_what_was_wished(how: str) -> None:
+def test_a_stop_ends_the_fingers_way_and_forgets_what_was_wished(how):
     bench = Bench(moves=True)
     bench.hand.submit(0.06)
     bench.run(0.1)
@@ -104,46 +103,42 @@ def test_a_stop_ends_the_fingers_way_and_forgets_what_was_wished(how: str) -> No
     assert bench.run(2.0) == "" and abs(bench.client.width_m - before_m) < 0.001
     bench.hand.recover()
     assert bench.run(2.0) == "" and len(bench.client.commands) == 1, "recovery begins nothing"
-    bench.hand.submit(before_m)
-    assert bench.run(1.0) == "" and len(bench.client.commands) == 1, "nor does a wish to stay"
-    bench.hand.submit(0.06)
-    assert bench.run(2.0) == "" and bench.client.width_m == pytest.approx(0.06, abs=0.001), (
-        "a new wish does"
-    )
+    bench.wish(before_m, 1.0)
+    assert len(bench.client.commands) == 1, "nor does a wish to stay"
+    bench.wish(0.06, 2.0)
+    assert bench.client.width_m == pytest.approx(0.06, abs=0.001), "a new wish does"
 
 
-def test_what_is_held_stays_held_over_a_stop() -> None:
+def test_what_is_held_stays_held_over_a_stop():
     bench = Bench(moves=True)
     bench.client.object_m = 0.03
-    bench.hand.submit(0.02)
-    assert bench.run(2.0) == "" and bench.client.is_grasped
+    bench.wish(0.02, 2.0)
+    assert bench.client.is_grasped
     bench.hand.stop()
     bench.run(0.1)
     bench.hand.halt()
     bench.hand.recover()
-    bench.hand.submit(0.03)
-    assert bench.run(1.0) == "" and bench.client.is_grasped
+    bench.wish(0.03, 1.0)
+    assert bench.client.is_grasped
     assert bench.client.stops == 0 and len(bench.client.commands) == 1
 
 
-def test_a_grip_that_wanders_by_more_than_the_hysteresis_stays_a_grasp() -> None:
+def test_a_grip_that_wanders_by_more_than_the_hysteresis_stays_a_grasp():
     bench = Bench(moves=True)
     bench.client.object_m = 0.035
     for width_m in (0.020, 0.0235) * 3:
-        bench.hand.submit(width_m)
-        assert bench.run(1.5) == ""
+        bench.wish(width_m, 1.5)
     assert [c.force_N for c in bench.client.commands] == [SETTINGS.grip_force_N]
 
 
 @pytest.mark.parametrize("says", [False, True])
-def test_what_slips_out_is_known_though_the_wish_went_on_after_the_grasp_began(says: bool) -> None:
+def test_what_slips_out_is_known_though_the_wish_went_on_after_the_grasp_began(says):
     """Guards raise a wish step by step: the grasp was asked for at another width than is wished when it is lost."""
     bench = Bench(moves=True)
     bench.client.object_m = 0.035
-    bench.hand.submit(0.07)
-    assert bench.run(0.05) == ""
-    bench.hand.submit(0.02)
-    assert bench.run(1.5) == "" and bench.client.is_grasped
+    bench.wish(0.07, 0.05)
+    bench.wish(0.02, 1.5)
+    assert bench.client.is_grasped
     bench.client.width_m = 0.003  # on the way to nothing, the hand still says that it holds
     assert bench.run(0.1) == ""
     bench.client.is_grasped, bench.client.width_m = says, 0.0
@@ -151,27 +146,26 @@ def test_what_slips_out_is_known_though_the_wish_went_on_after_the_grasp_began(s
     assert len(bench.client.commands) == 1, "opening fingers would hide it"
 
 
-def test_a_hand_that_opens_less_opens_as_far_as_it_goes_and_one_never_homed_is_named() -> None:
+def test_a_hand_that_opens_less_opens_as_far_as_it_goes_and_one_never_homed_is_named():
     bench = Bench(moves=True)
     bench.client.width_m, bench.client.max_width_m = 0.02, 0.0785
-    bench.hand.submit(0.08)
-    assert bench.run(3.0) == "" and bench.client.width_m == 0.0785
+    bench.wish(0.08, 3.0)
+    assert bench.client.width_m == 0.0785
     bench.client.max_width_m = 0.0
     with pytest.raises(RobotError, match="Home the hand in Desk"):
         bench.hand.start()
 
 
-def test_a_grasp_of_nothing_lies_outside_its_tolerance() -> None:
+def test_a_grasp_of_nothing_lies_outside_its_tolerance():
     for width in (0.0, 0.001, 0.01, 0.03):
         command = HandCommand(width, 0.05, 10.0)
         assert command.grasp_width_m - command.inner_m > 0.001 and command.inner_m >= 0
 
 
-def test_commands_never_overlap_and_the_newest_target_wins(bench: Bench) -> None:
+def test_commands_never_overlap_and_the_newest_target_wins(bench):
     bench.client.width_m = 0.02
     for width in (0.03, 0.04, 0.05, 0.055, 0.07):
-        bench.hand.submit(width)
-        assert bench.run(0.02) == ""
+        bench.wish(width, 0.02)
     assert bench.run(0.3) == "" and not bench.hand.is_busy
     assert [c.width_m for c in bench.client.commands] == [0.03, 0.07], (
         "the ones in between were skipped"
@@ -179,21 +173,18 @@ def test_commands_never_overlap_and_the_newest_target_wins(bench: Bench) -> None
     assert bench.client.overlaps == 0
 
 
-def test_a_command_that_fails_is_tried_again_counted_and_not_fatal() -> None:
+def test_a_command_that_fails_is_tried_again_counted_and_not_fatal():
     bench = Bench(succeeds=False)
     bench.client.width_m = 0.02
-    bench.client.begin = bench.client.commands.append  # type: ignore[method-assign]  # the fingers don't move
-    bench.client.poll = lambda: False  # type: ignore[method-assign]
+    bench.client.begin = bench.client.commands.append  # the fingers don't move
+    bench.client.poll = lambda: False
     for tried, width_m in enumerate((0.07, 0.05), 1):
-        bench.hand.submit(width_m)
-        assert bench.run(1.0) == ""
+        bench.wish(width_m, 1.0)
         assert len(bench.client.commands) == bench.hand.failed_commands == TRIES * tried
 
 
 @pytest.mark.parametrize("width", [None, float("nan"), float("inf"), -0.1, 0.5])
-def test_a_lost_hand_and_a_width_that_cannot_be_are_faults_for_good(
-    bench: Bench, width: float | None
-):
+def test_a_lost_hand_and_a_width_that_cannot_be_are_faults_for_good(bench, width):
     if width is None:
         bench.client.fault = RobotError("gone", "hand_connection")
     else:
@@ -208,7 +199,7 @@ def test_a_lost_hand_and_a_width_that_cannot_be_are_faults_for_good(
         assert caught.value.fault == fault
 
 
-def test_a_command_without_an_answer_is_a_fault_after_its_travel_and_half_a_second() -> None:
+def test_a_command_without_an_answer_is_a_fault_after_its_travel_and_half_a_second():
     bench = Bench(takes_s=60.0)
     bench.hand.submit(0.06)  # a grasp may close fully: 80 mm at 50 mm/s
     assert bench.run(1.6 + GRACE_s) == ""
@@ -218,25 +209,25 @@ def test_a_command_without_an_answer_is_a_fault_after_its_travel_and_half_a_seco
 
 
 @pytest.mark.parametrize("width", [float("nan"), float("inf"), -0.01, 0.5])
-def test_a_width_that_must_not_be_sent(bench: Bench, width: float) -> None:
+def test_a_width_that_must_not_be_sent(bench, width):
     with pytest.raises(RobotError, match="width to send") as caught:
         bench.hand.submit(width)
     assert caught.value.fault == "guard" and not bench.client.commands
 
 
-def test_old_readings_are_a_fault_while_they_are_old(bench: Bench) -> None:
+def test_old_readings_are_a_fault_while_they_are_old(bench):
     bench.client.silent_since_s = bench.now_s
     assert bench.run(0.49) == "" and bench.run(0.1) == "hand_stale"
     bench.client.silent_since_s = None
     bench.hand.recover()
 
 
-def test_a_hand_that_hangs_up_is_noticed_though_its_client_waits_on(bench: Bench) -> None:
+def test_a_hand_that_hangs_up_is_noticed_though_its_client_waits_on(bench):
     bench.client.closed_by_hand = True
     assert bench.run(TICK_s) == "hand_connection"
 
 
-def test_what_slips_out_is_a_fault_until_the_operators_word(bench: Bench) -> None:
+def test_what_slips_out_is_a_fault_until_the_operators_word(bench):
     bench.grasp()
     bench.client.is_grasped = False
     assert bench.run(0.29) == "" and bench.run(0.03) == "grasp_lost"
@@ -244,14 +235,12 @@ def test_what_slips_out_is_a_fault_until_the_operators_word(bench: Bench) -> Non
     bench.hand.recover()
     assert bench.run(1.0) == "" and len(bench.client.commands) == commands, "nothing is begun"
     bench.client.width_m = 0.08  # a person opened it and put the object back
-    bench.hand.submit(0.02)
-    assert bench.run(1.0) == "" and len(bench.client.commands) == commands + 1, (
-        "the same wish, asked for anew"
-    )
+    bench.wish(0.02, 1.0)
+    assert len(bench.client.commands) == commands + 1, "the same wish, asked for anew"
 
 
-def test_opening_on_purpose_loses_nothing(bench: Bench) -> None:
+def test_opening_on_purpose_loses_nothing(bench):
     bench.grasp()
     bench.client.is_grasped = False
-    bench.hand.submit(0.07)
-    assert bench.run(1.0) == "" and len(bench.client.commands) == 2
+    bench.wish(0.07, 1.0)
+    assert len(bench.client.commands) == 2

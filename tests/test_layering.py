@@ -1,7 +1,6 @@
 """Data flows one way: a package, and in the library a stage, imports only from those below it."""
 
 import ast
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -30,7 +29,7 @@ PACKAGES = {  # folder, and the packages it may import
 REGISTERS = ROOT / "policies" / POLICIES / "__init__.py"
 
 
-def modules_of(file: Path) -> Iterator[str]:
+def modules_of(file):
     for node in ast.walk(ast.parse(file.read_text())):
         if isinstance(node, ast.ImportFrom):
             yield node.module or ""
@@ -38,7 +37,7 @@ def modules_of(file: Path) -> Iterator[str]:
             yield from (alias.name for alias in node.names)
 
 
-def foreign_imports(folder: Path, forbidden: set[str]) -> list[str]:
+def foreign_imports(folder, forbidden):
     """Return "file: module" for each import of a package, or of a module in one, that is forbidden."""
     return [
         f"{file.relative_to(ROOT)}: {module}"
@@ -49,7 +48,7 @@ def foreign_imports(folder: Path, forbidden: set[str]) -> list[str]:
     ]
 
 
-def test_every_package_has_its_place() -> None:
+def test_every_package_has_its_place():
     packages = [
         file.parent for pattern in ("*", "*/*") for file in ROOT.glob(f"{pattern}/__init__.py")
     ]
@@ -59,22 +58,22 @@ def test_every_package_has_its_place() -> None:
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_arrows_point_down(package: str) -> None:
+def test_arrows_point_down(package):
     folder, may = PACKAGES[package]
     assert not foreign_imports(folder, set(PACKAGES) - {package} - may)
 
 
 @pytest.mark.parametrize("stage", STAGES)
-def test_stage_imports_only_from_its_left(stage: str) -> None:
+def test_stage_imports_only_from_its_left(stage):
     others = {f"{LIBRARY}.{name}" for name in set(STAGES) - {stage} - STAGES[stage]}
     assert not foreign_imports(ROOT / LIBRARY / stage, others)
 
 
-def test_the_library_knows_no_lerobot() -> None:
+def test_the_library_knows_no_lerobot():
     assert not foreign_imports(ROOT / LIBRARY, {"lerobot"})
 
 
-def test_the_arms_stand_in_knows_nothing_of_the_project() -> None:
+def test_the_arms_stand_in_knows_nothing_of_the_project():
     """It stands for a device, shares the arm's published numbers alone, and starts without torch."""
     standins = f"{ROBOTS}.standins.fci"
     ours = {m for m in PACKAGES if m != ROBOTS} | {"lerobot", "torch"}
@@ -86,14 +85,14 @@ def test_the_arms_stand_in_knows_nothing_of_the_project() -> None:
     ), robots
 
 
-def test_the_arms_children_import_nothing_of_ours() -> None:
+def test_the_arms_children_import_nothing_of_ours():
     assert not foreign_imports(
         ROOT / "robots" / ROBOTS / "franka" / "children", {*PACKAGES, "lerobot"}
     )
 
 
 @pytest.mark.parametrize(
-    ("room", "forbidden"),
+    "room, forbidden",
     [
         ("franka", {"teleop", "recorder", "pairs", "standins"}),
         ("sensors", {"franka", "teleop", "recorder", "pairs", "standins"}),
@@ -102,17 +101,17 @@ def test_the_arms_children_import_nothing_of_ours() -> None:
         ("pairs", {"standins"}),
     ],
 )
-def test_rooms_of_the_robot_stay_apart(room: str, forbidden: set[str]) -> None:
+def test_rooms_of_the_robot_stay_apart(room, forbidden):
     folder = ROOT / "robots" / ROBOTS / room
     assert not foreign_imports(folder, {f"{ROBOTS}.{name}" for name in forbidden})
 
 
-def test_devices_know_sensors_and_markers_only() -> None:
+def test_devices_know_sensors_and_markers_only():
     others = {f"{LIBRARY}.{name}" for name in ("contact", "tokenizer", "evaluation")}
     assert not foreign_imports(ROOT / "robots" / ROBOTS / "sensors", others)
 
 
-def test_the_vendors_client_is_loaded_where_it_is_needed_only() -> None:
+def test_the_vendors_client_is_loaded_where_it_is_needed_only():
     """It is no core dependency: no module imports it at its top."""
     for file in (ROOT / "robots" / ROBOTS / "franka").rglob("*.py"):
         top = ast.parse(file.read_text()).body
@@ -121,7 +120,7 @@ def test_the_vendors_client_is_loaded_where_it_is_needed_only() -> None:
         assert "franky" not in names, f"{file.relative_to(ROOT)} imports a client"
 
 
-def test_no_folder_shadows_the_datasets_library() -> None:
+def test_no_folder_shadows_the_datasets_library():
     assert not (ROOT / "datasets" / "__init__.py").exists()
     import lerobot.datasets
 
@@ -130,7 +129,7 @@ def test_no_folder_shadows_the_datasets_library() -> None:
     assert "site-packages" in str(datasets.__file__) and lerobot.datasets
 
 
-def test_a_command_of_the_benchmarks_does_its_work_when_it_is_run() -> None:
+def test_a_command_of_the_benchmarks_does_its_work_when_it_is_run():
     """``python -m`` of a file that only defines its command ends with 0 and has done nothing."""
     texts = {file: file.read_text() for file in (ROOT / BENCHMARKS).rglob("*.py")}
     commands = {

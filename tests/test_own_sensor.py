@@ -4,13 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from contact_samples import sphere
 from standins import mygel
 
 from lerobot_env_uniforce_wiping import WipeEnv
 from uniforce_datasets.features import sensor_index
 from uniforce_vtla import Canonicalizer, ForceHead, Tokenizer
-from uniforce_vtla.contact import ContactOptions, TactileSimulator, gap_map
-from uniforce_vtla.contracts import ContactState
+from uniforce_vtla.contact import ContactOptions, TactileSimulator
 from uniforce_vtla.keys import tactile_name
 from uniforce_vtla.markers.identity import why_not
 from uniforce_vtla.markers.registration import drawn_px
@@ -23,31 +23,26 @@ FORCE_N = (1.5, -1.0, 6.0)
 
 
 @pytest.fixture
-def known(monkeypatch: pytest.MonkeyPatch) -> None:
+def known(monkeypatch):
     """Do what the page asks for: add the sensor behind the others."""
     monkeypatch.setitem(registry._SENSORS, "mygel", mygel.MYGEL)
 
 
-def pressed(*force_N: float) -> ContactState:
-    gap_mm = gap_map("sphere", center_mm=(0.0, 0.0), angle_rad=0.0)[None]
-    return ContactState(gap_mm, np.array([force_N], np.float32), np.zeros(1, np.float32))
-
-
-def test_the_page_shows_the_file_and_it_is_short() -> None:
+def test_the_page_shows_the_file_and_it_is_short():
     text = FILE.read_text()
     assert text in PAGE.read_text() and len(text.splitlines()) <= MOST_LINES
 
 
-def test_datasets_store_it_behind_the_others(known: None) -> None:
+def test_datasets_store_it_behind_the_others(known):
     others = list_sensors()[:-1]
     assert "mygel" not in others and [sensor_index(name) for name in (*others, "mygel")] == [
         *range(len(others) + 1)
     ]
 
 
-def test_its_frames_come_back_as_its_drawing_and_force_is_read(known: None) -> None:
+def test_its_frames_come_back_as_its_drawing_and_force_is_read(known):
     simulator, canonicalizer = TactileSimulator("mygel"), Canonicalizer("mygel")
-    free, touched = simulator.raw_reference(), simulator.raw_frames(pressed(*FORCE_N))[0]
+    free, touched = simulator.raw_reference(), simulator.raw_frames(sphere(*FORCE_N))[0]
     spec, centres_px = get_sensor("mygel"), Canonicalizer("mygel").markers(free)
     assert why_not(spec, centres_px, "it") is None
     places = drawn_px(spec)
@@ -61,15 +56,15 @@ def test_its_frames_come_back_as_its_drawing_and_force_is_read(known: None) -> N
     assert (np.sign(read_N) == np.sign(FORCE_N)).all() and 2 < read_N[2] < 12
 
 
-def test_the_contact_model_moves_its_markers_with_the_force(known: None) -> None:
+def test_the_contact_model_moves_its_markers_with_the_force(known):
     simulator = TactileSimulator("mygel", options=ContactOptions().quiet())
-    (moved_px, _), (rest_px, _) = (simulator.markers_px(pressed(fx, 0, 6)) for fx in (2.0, 0.0))
+    (moved_px, _), (rest_px, _) = (simulator.markers_px(sphere(fx, 0, 6)) for fx in (2.0, 0.0))
     assert (moved_px - rest_px)[0, :, 0].mean() > 0.5 and abs(
         (moved_px - rest_px)[0, :, 1].mean()
     ) < 0.1
 
 
-def test_a_scene_wears_units_of_it(known: None) -> None:
+def test_a_scene_wears_units_of_it(known):
     env = WipeEnv("touch", right_sensor="mygel:any")
     shown = env.reset(seed=3)[0]["pixels"][tactile_name("right")]
     assert env.sensors["right"] == "mygel" and shown.any()

@@ -22,11 +22,11 @@ COMPREHENSIONS = (ast.GeneratorExp, ast.ListComp, ast.DictComp, ast.SetComp)
 MOST = {"unpack": 0.8, "comprehension": 2.2, "inline condition": 1.2}
 
 
-def files() -> list[Path]:
+def files():
     return [file for room in SHIPPED for file in sorted((ROOT / room).rglob("*.py"))]
 
 
-def code_tokens(file: Path) -> int:
+def code_tokens(file):
     """Count the tokens that are neither layout nor comments nor docstrings."""
     count = 0
     starts_statement = True
@@ -40,7 +40,7 @@ def code_tokens(file: Path) -> int:
     return count
 
 
-def found_in(tree: ast.AST) -> dict[str, int]:
+def found_in(tree):
     counts = dict.fromkeys((*MOST, "nested"), 0)
     for node in ast.walk(tree):
         if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Tuple):
@@ -54,7 +54,7 @@ def found_in(tree: ast.AST) -> dict[str, int]:
     return counts
 
 
-def test_what_is_counted() -> None:
+def test_what_is_counted():
     code = "a, b = 1, 2\nc, d = (x for x in f)\ne = 1 if (2 if p else q) else 3\ng, h = both()\n"
     assert found_in(ast.parse(code)) == {
         "unpack": 2, "comprehension": 1, "inline condition": 2, "nested": 1
@@ -62,7 +62,7 @@ def test_what_is_counted() -> None:
 
 
 @pytest.fixture(scope="module")
-def totals() -> dict[str, int]:
+def totals():
     total = dict.fromkeys((*MOST, "nested"), 0)
     for file in files():
         for name, count in found_in(ast.parse(file.read_text())).items():
@@ -70,7 +70,7 @@ def totals() -> dict[str, int]:
     return total
 
 
-def test_few_things_have_to_be_unpacked(totals: dict[str, int]) -> None:
+def test_few_things_have_to_be_unpacked(totals):
     tokens = sum(map(code_tokens, files()))
     for name, most in MOST.items():
         assert totals[name] <= most * tokens / 1000, name

@@ -15,12 +15,12 @@ from uniforce_vtla.results_file import provenance, write_json
 PRINTS = "import json\nfrom uniforce_vtla.results_file import provenance\nprint(json.dumps(provenance()))\n"
 
 
-def test_a_module_is_named_as_it_is_run_and_a_script_by_its_file(tmp_path: Path) -> None:
+def test_a_module_is_named_as_it_is_run_and_a_script_by_its_file(tmp_path):
     for name in ("made/__main__.py", "made/by.py", "script.py"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(PRINTS)
 
-    def command(*words: str) -> str:
+    def command(*words):
         ran = subprocess.run(
             [sys.executable, *words, "seeds=3"], cwd=tmp_path, capture_output=True, check=True
         )
@@ -31,7 +31,7 @@ def test_a_module_is_named_as_it_is_run_and_a_script_by_its_file(tmp_path: Path)
     assert command("script.py") == "script.py seeds=3"
 
 
-def test_what_json_does_not_know_becomes_null(tmp_path: Path) -> None:
+def test_what_json_does_not_know_becomes_null(tmp_path):
     content = {
         "alarm_s": float("inf"),
         "rows": [{"recall": float("nan")}, (1.5, np.float64("-inf"))],
@@ -43,9 +43,7 @@ def test_what_json_does_not_know_becomes_null(tmp_path: Path) -> None:
     }  # fmt: skip
 
 
-def test_a_result_names_commit_device_and_whether_the_sources_were_changed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_result_names_commit_device_and_whether_the_sources_were_changed(monkeypatch):
     answers = {"rev-parse": "a" * 40, "status": " M uniforce_vtla/errors.py"}
     monkeypatch.setattr(results_file, "_git", lambda word, *_: answers[word])
     monkeypatch.setattr(results_file, "SOURCES", Path(__file__).parents[1])

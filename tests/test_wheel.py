@@ -27,7 +27,7 @@ print(tuple(latent.shape), tuple(force_N.shape))
 """
 
 
-def said(*command: str | Path, folder: Path) -> str:
+def said(*command, folder):
     """Run a command that knows nothing of the checkout; return what it said."""
     env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     done = subprocess.run(
@@ -37,7 +37,7 @@ def said(*command: str | Path, folder: Path) -> str:
     return done.stdout
 
 
-def build(target: str, source: Path, out: Path) -> Path:
+def build(target, source, out):
     """Build a wheel or sdist with the backend itself: a front end would download it anew."""
     subprocess.run(
         [sys.executable, "-m", "hatchling", "build", "-t", target, "-d", out],
@@ -48,7 +48,7 @@ def build(target: str, source: Path, out: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def wheel(tmp_path_factory):
     pytest.importorskip(
         "hatchling", reason="the build backend isn't installed: make setup brings it"
     )
@@ -60,7 +60,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_the_wheel_holds_every_file_of_its_packages_and_nothing_else(wheel: Path) -> None:
+def test_the_wheel_holds_every_file_of_its_packages_and_nothing_else(wheel):
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"][
         "targets"
     ]["wheel"]
@@ -85,7 +85,7 @@ def test_the_wheel_holds_every_file_of_its_packages_and_nothing_else(wheel: Path
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_it_runs_from_an_empty_environment_elsewhere(wheel: Path, tmp_path: Path) -> None:
+def test_it_runs_from_an_empty_environment_elsewhere(wheel, tmp_path):
     said(sys.executable, "-m", "venv", "env", folder=tmp_path)
     python = tmp_path / "env" / "bin" / "python"
     said(

@@ -18,21 +18,21 @@ pytestmark = [
 ]
 
 
-def recorded() -> np.ndarray:
+def recorded():
     """Return (2, T, 16, 3) raw counts of both fingers."""
     scans = [np.loadtxt(DROPPED / f"xela_sensor{i}.csv", delimiter=",", skiprows=1) for i in (1, 2)]
     T = min(map(len, scans))
     return np.stack([scan[:T].reshape(T, 16, 3) for scan in scans])
 
 
-def test_baseline_and_noise_are_like_the_recorded_ones() -> None:
+def test_baseline_and_noise_are_like_the_recorded_ones():
     free = recorded()[:, -10:]
     for axis in range(3):
         simulated = TactileSimulator("uskin").raw_reference()[:, axis]
         assert abs(np.median(simulated) / np.median(free[..., axis]) - 1) < 0.1
 
 
-def test_counts_in_contact_have_the_recorded_order_of_magnitude() -> None:
+def test_counts_in_contact_have_the_recorded_order_of_magnitude():
     scans = recorded()
     real = scans[:, :100] - np.median(scans[:, -10:], axis=1, keepdims=True)
     rng = np.random.default_rng(0)

@@ -1,6 +1,5 @@
 """Finite elements of pads: mirrored, reciprocal, as stiff as theory says, kept in a cache."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from unittest.mock import MagicMock
 
@@ -22,14 +21,14 @@ DOME = Gel(
 
 
 @pytest.mark.parametrize("gel", [SMALL, DOME])
-def test_compliance_is_reciprocal_and_positive(gel: Gel) -> None:
+def test_compliance_is_reciprocal_and_positive(gel):
     skin = compute_influence(gel, progress=False).skin
     square = skin.reshape(3 * skin.shape[1], -1).astype(float)
     np.testing.assert_allclose(square, square.T, atol=2e-6 * np.abs(square).max())
     assert np.linalg.eigvalsh(square).min() > -1e-6 * np.abs(square).max()
 
 
-def test_a_load_in_the_middle_moves_both_sides_alike() -> None:
+def test_a_load_in_the_middle_moves_both_sides_alike():
     moved = compute_influence(SMALL, progress=False)
     u = moved.inside[:, :, :, 2].sum(axis=-1)  # under an even pressure, (3, rows, columns)
     np.testing.assert_allclose(u[0], -u[0][:, ::-1], atol=1e-6)
@@ -37,7 +36,7 @@ def test_a_load_in_the_middle_moves_both_sides_alike() -> None:
     np.testing.assert_allclose(u[2], u[2][::-1, ::-1], atol=1e-6)
 
 
-def test_twice_the_modulus_moves_half_as_far() -> None:
+def test_twice_the_modulus_moves_half_as_far():
     soft, stiff = (
         compute_influence(replace(SMALL, layers=(Layer(2.0, E),)), progress=False).skin
         for E in (1.0, 2.0)
@@ -45,7 +44,7 @@ def test_twice_the_modulus_moves_half_as_far() -> None:
     np.testing.assert_allclose(soft, 2 * stiff, rtol=1e-3, atol=1e-6)
 
 
-def test_a_thin_wide_layer_is_as_stiff_as_uniaxial_strain() -> None:
+def test_a_thin_wide_layer_is_as_stiff_as_uniaxial_strain():
     poisson, thickness = 0.3, 0.5
     gel = Gel((10.0, 10.0), (Layer(thickness, 1.0, poisson),), readout_mm=0.25)
     skin = compute_influence(gel, progress=False).skin
@@ -55,7 +54,7 @@ def test_a_thin_wide_layer_is_as_stiff_as_uniaxial_strain() -> None:
     assert moved == pytest.approx(thickness / modulus, rel=0.03)
 
 
-def test_cells_cover_the_length_and_what_is_left_stands_at_both_ends() -> None:
+def test_cells_cover_the_length_and_what_is_left_stands_at_both_ends():
     edges = cell_edges(24.6, 1.25)
     assert edges[0] == -12.3 and edges[-1] == 12.3
     widths = np.diff(edges)
@@ -65,14 +64,14 @@ def test_cells_cover_the_length_and_what_is_left_stands_at_both_ends() -> None:
 
 
 @pytest.fixture
-def nothing_remembered() -> Iterator[None]:
+def nothing_remembered():
     influence.cache_clear()
     yield
     influence.cache_clear()
 
 
 @pytest.mark.usefixtures("nothing_remembered")
-def test_matrices_are_computed_once_and_read_afterwards(tmp_path, monkeypatch) -> None:
+def test_matrices_are_computed_once_and_read_afterwards(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     first = influence(SMALL)
     influence.cache_clear()
@@ -84,9 +83,7 @@ def test_matrices_are_computed_once_and_read_afterwards(tmp_path, monkeypatch) -
 
 @pytest.mark.usefixtures("nothing_remembered")
 @pytest.mark.parametrize("why", ["no home", "damaged", "not ours"])
-def test_a_cache_that_cannot_be_used_costs_time_only(
-    why: str, tmp_path, monkeypatch, caplog
-) -> None:
+def test_a_cache_that_cannot_be_used_costs_time_only(why, tmp_path, monkeypatch, caplog):
     monkeypatch.setenv("XDG_CACHE_HOME", "/proc/nothing" if why == "no home" else str(tmp_path))
     first = influence(SMALL)
     influence.cache_clear()

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import cache
 
+import contact_samples
 import numpy as np
 import pytest
 from hypothesis import example, given
@@ -12,7 +13,6 @@ from properties import examples
 from uniforce_vtla.contact import (
     ContactOptions,
     TactileSimulator,
-    flat_face_gap,
     gap_maps,
     pressure,
 )
@@ -28,17 +28,11 @@ place = st.tuples(st.floats(-5, 5), st.floats(-5, 5))
 
 
 @cache
-def simulator(sensor: str) -> TactileSimulator:
+def simulator(sensor):
     return TactileSimulator(sensor, options=ContactOptions().quiet())
 
 
-def pressed(
-    name: str,
-    force: np.ndarray,
-    torsion: float = 0.0,
-    center: tuple[float, float] = (0, 0),
-    angle: float = 0.0,
-) -> ContactState:
+def pressed(name, force, torsion=0.0, center=(0, 0), angle=0.0):
     B = len(force)
     gap = gap_maps([name], np.array([center]), np.array([angle]), np.ones(1))
     return ContactState(
@@ -46,13 +40,9 @@ def pressed(
     )
 
 
-def faces(*fz_N: float) -> ContactState:
+def faces(*fz_N):
     """Return presses of a flat face larger than any pad."""
-    n = len(fz_N)
-    gap = flat_face_gap(np.zeros((n, 2)), np.full((n, 2), 60.0), np.zeros(n), np.zeros((n, 2)))
-    force = np.zeros((n, 3), np.float32)
-    force[:, 2] = fz_N
-    return ContactState(gap, force, np.zeros(n, np.float32))
+    return contact_samples.faces([(0, 0, fz) for fz in fz_N], side_mm=60.0)
 
 
 @examples(60)
@@ -65,15 +55,7 @@ def faces(*fz_N: float) -> ContactState:
     st.floats(0, 0.9),
     st.floats(-3.14, 3.14),
 )
-def test_force_is_conserved(
-    sensor: str,
-    name: str,
-    center: tuple[float, float],
-    angle: float,
-    fz: float,
-    share: float,
-    way: float,
-) -> None:
+def test_force_is_conserved(sensor, name, center, angle, fz, share, way):
     force = np.array([[share * fz * np.cos(way), share * fz * np.sin(way), fz]])
     carried, moment = simulator(sensor).carried(pressed(name, force, 0.0, center, angle))
     np.testing.assert_allclose(carried, force, atol=0.004 * fz)
@@ -86,9 +68,7 @@ def test_force_is_conserved(
 @example("tactip", "torus", (0.0, 0.0), [3.9e-10, 1.6e-9])
 @example("uskin", "pacman", (0.0, 0.0), [4.0e-10, 1.8e-9])
 @example("uskin", "moon", (0.0, 0.0), [0.0, 5e-324, 1e-44, 1e-38, 1e-30, 16.0])
-def test_depth_grows_with_force(
-    sensor: str, name: str, center: tuple[float, float], loads: list[float]
-) -> None:
+def test_depth_grows_with_force(sensor, name, center, loads):
     fz = np.sort(np.array(loads))
     depth = simulator(sensor).depth_mm(
         pressed(name, np.stack([0 * fz, 0 * fz, fz], axis=1), center=center)
@@ -100,9 +80,7 @@ def test_depth_grows_with_force(
 
 @examples(40)
 @given(sensors, names, st.floats(0, 30), st.floats(-200, 200), st.floats(0.5, 16))
-def test_no_cell_exceeds_friction(
-    sensor: str, name: str, shear: float, torsion: float, fz: float
-) -> None:
+def test_no_cell_exceeds_friction(sensor, name, shear, torsion, fz):
     contact = pressed(name, np.array([[shear, 0, fz]]), torsion)
     traction = simulator(sensor).traction(contact)
     assert (np.hypot(*traction.shear_N[0]) <= traction.press_N[0] * 1.001 + 1e-7).all()
@@ -110,7 +88,7 @@ def test_no_cell_exceeds_friction(
     assert np.hypot(*carried[0, :2]) <= fz * 1.002
 
 
-def test_partial_slip_hands_load_to_sticking_cells() -> None:
+def test_partial_slip_hands_load_to_sticking_cells():
     """Torsion and shear that slip on one side only are still carried as a whole."""
     pad = simulator("gelsight").pad
     position = pad.position_mm
@@ -125,14 +103,14 @@ def test_partial_slip_hands_load_to_sticking_cells() -> None:
     assert moment == pytest.approx(torsion[0], rel=0.05)
 
 
-def test_gross_slip_carries_friction_times_pressure() -> None:
+def test_gross_slip_carries_friction_times_pressure():
     force = np.array([[9.0, 0, 4.0]])
     assert simulator("gelsight").carried(pressed("sphere", force))[0][0, 0] == pytest.approx(
         4.0, rel=1e-2
     )
 
 
-def test_flat_tools_press_pads_as_stiffly_as_measured_ones() -> None:
+def test_flat_tools_press_pads_as_stiffly_as_measured_ones():
     """Real TacTips give 3.3 to 4.7 N/mm; a bonded gel under a whole face hardly yields."""
     dome = simulator("tactip").depth_mm(faces(3, 6))
     gel = simulator("gelsight").depth_mm(faces(3, 6))
@@ -141,18 +119,18 @@ def test_flat_tools_press_pads_as_stiffly_as_measured_ones() -> None:
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
-def test_typical_indenters_stay_within_twice_the_rated_depth(sensor: str) -> None:
+def test_typical_indenters_stay_within_twice_the_rated_depth(sensor):
     force = np.array([[0, 0, 12.0]])
     depth = [float(simulator(sensor).depth_mm(pressed(name, force))[0]) for name in HEIGHTS]
     rated = get_sensor(sensor).rated_depth_mm
     assert 0.4 * rated < np.median(depth) < 2 * rated
 
 
-def test_friction_holds_the_gel_that_a_press_would_push_aside() -> None:
+def test_friction_holds_the_gel_that_a_press_would_push_aside():
     state = pressed("cylinder", np.array([[0, 0, 8.0]]))
     under = np.hypot(*get_sensor("gelsight").layout_mm.T) < 4
 
-    def motion_px(friction: float) -> float:
+    def motion_px(friction):
         options = replace(ContactOptions().quiet(), friction=friction)
         gel = TactileSimulator("gelsight", options=options)
         moved = gel.markers_px(state)[0][0] - gel.markers_px(free_air(1))[0][0]
@@ -161,9 +139,7 @@ def test_friction_holds_the_gel_that_a_press_would_push_aside() -> None:
     assert motion_px(1.0) < 0.7 * motion_px(1e-6)
 
 
-def test_a_solved_contact_stays_solved_while_its_batch_goes_on(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_solved_contact_stays_solved_while_its_batch_goes_on(monkeypatch):
     monkeypatch.setattr(pressure, "_TOLERANCE", -1.0)
     rng = np.random.default_rng(0)
     for cells in [2, 3, 4, 5, 6] * 40:
@@ -175,6 +151,6 @@ def test_a_solved_contact_stays_solved_while_its_batch_goes_on(
         assert share.min() >= 0 and share.sum() == pytest.approx(1, abs=1e-5)
 
 
-def test_dome_widens_its_contact_with_load() -> None:
+def test_dome_widens_its_contact_with_load():
     cells = (simulator("tactip").traction(faces(1, 8)).press_N > 0).sum(axis=1)
     assert cells[1] > 2 * cells[0]

@@ -15,7 +15,6 @@ from uniforce_vtla.contact import (
     SEEN,
     ContactOptions,
     ForceRange,
-    PairBatch,
     PairSettings,
     equilibrium_pairs,
 )
@@ -33,13 +32,13 @@ from uniforce_vtla.sensors import list_sensors
 DRAWING = PairSettings(unit_strength=0.0, options=ContactOptions().quiet())
 
 
-def small(images: np.ndarray) -> np.ndarray:
+def small(images):
     return np.stack(
         [cv2.resize(image, (112, 84), interpolation=cv2.INTER_AREA) for image in images]
     )
 
 
-def test_pairs_have_their_shapes_and_names() -> None:
+def test_pairs_have_their_shapes_and_names():
     pairs = equilibrium_pairs(np.random.default_rng(0), 5, "gelsight", "tactip")
     for images in (
         pairs.left_reference,
@@ -52,14 +51,14 @@ def test_pairs_have_their_shapes_and_names() -> None:
     assert set(pairs.indenters) <= {*PRETRAIN, FLAT}
 
 
-def test_both_fingers_feel_the_mirrored_contact() -> None:
+def test_both_fingers_feel_the_mirrored_contact():
     pairs = equilibrium_pairs(np.random.default_rng(1), 6, "gelsight", "gelsight", settings=DRAWING)
     # mirrored contacts sum in another order: a marker's edge may move by a pixel
     assert (pairs.right_current != pairs.left_current[:, :, ::-1]).mean() < 1e-3
     assert not np.array_equal(pairs.right_current, pairs.left_current)
 
 
-def test_pairs_repeat_with_the_seed() -> None:
+def test_pairs_repeat_with_the_seed():
     first, again = (
         equilibrium_pairs(np.random.default_rng(2), 3, "uskin", "tactip") for _ in range(2)
     )
@@ -67,7 +66,7 @@ def test_pairs_repeat_with_the_seed() -> None:
     np.testing.assert_array_equal(first.right_reference, again.right_reference)
 
 
-def test_units_change_within_a_call() -> None:
+def test_units_change_within_a_call():
     settings = replace(DRAWING, unit_strength=1.0, pairs_per_unit=2)
     references = equilibrium_pairs(
         np.random.default_rng(3), 4, "gelsight", "uskin", settings=settings
@@ -77,12 +76,12 @@ def test_units_change_within_a_call() -> None:
     )
 
 
-def test_a_transform_is_applied_to_every_image() -> None:
+def test_a_transform_is_applied_to_every_image():
     pairs = equilibrium_pairs(np.random.default_rng(4), 3, "uskin", "tactip", transform=small)
     assert pairs.left_current.shape == pairs.right_reference.shape == (3, 84, 112)
 
 
-def test_loads_are_balanced_and_within_friction() -> None:
+def test_loads_are_balanced_and_within_friction():
     limits = ForceRange()
     force, torsion = sample_loads(np.random.default_rng(5), 20_000, limits)
     shear = np.hypot(force[:, 0], force[:, 1])
@@ -95,7 +94,7 @@ def test_loads_are_balanced_and_within_friction() -> None:
     assert (shear > 0.8 * force[:, 2]).mean() > 0.03  # incipient slip
 
 
-def test_flat_faces_alone_may_be_twisted_further() -> None:
+def test_flat_faces_alone_may_be_twisted_further():
     """A held tool twists a flat pad by 9 mm of arm; the same draw without that option is what it always was."""
     names = (FLAT, "ball") * 500
     plain, wide = ForceRange(), ForceRange(flat_torsion_arm_mm=9.0)
@@ -110,7 +109,7 @@ def test_flat_faces_alone_may_be_twisted_further() -> None:
     np.testing.assert_array_equal(before, sample_loads(np.random.default_rng(5), 1000, plain)[1])
 
 
-def test_large_flat_faces_cover_the_pad() -> None:
+def test_large_flat_faces_cover_the_pad():
     """A face that ends on the pad leaves cells beside it; one of 60 mm and more leaves none."""
     usual, large = (
         sample_objects(
@@ -122,7 +121,7 @@ def test_large_flat_faces_cover_the_pad() -> None:
     assert beside[0].mean() > 0.3 and not beside[1].any()
 
 
-def test_faces_lean_as_far_as_asked() -> None:
+def test_faces_lean_as_far_as_asked():
     """The gap of a face over the whole grid differs by its lean times the grid between two opposite edges."""
     across_mm = np.ptp(cell_positions_mm()[:, 0])
     for lean in (0.0, 0.01, 0.03):
@@ -133,7 +132,7 @@ def test_faces_lean_as_far_as_asked() -> None:
 
 
 @pytest.mark.parametrize("sensor", list_sensors())
-def test_sequences_start_and_end_in_free_air(sensor: str) -> None:
+def test_sequences_start_and_end_in_free_air(sensor):
     batch = force_sequences(np.random.default_rng(6), sensor, n=3, length=12, transform=small)
     assert batch.frames.shape == (3, 12, 84, 112) and batch.reference.shape == (3, 84, 112)
     assert batch.force_N.shape == (3, 12, 3) and set(batch.indenters) <= set(SEEN)
@@ -142,7 +141,7 @@ def test_sequences_start_and_end_in_free_air(sensor: str) -> None:
     assert (moving.max(axis=1) > moving[:, 0]).all()
 
 
-def test_sequences_cover_their_range_within_friction() -> None:
+def test_sequences_cover_their_range_within_friction():
     rng = np.random.default_rng(7)
     force = np.concatenate([press_shear_release(rng, 20, PAPER_RANGE) for _ in range(400)])
     assert 9 < force[:, 2].max() < 13.5 and force[:, 2].min() >= 0
@@ -150,7 +149,7 @@ def test_sequences_cover_their_range_within_friction() -> None:
     assert (np.hypot(force[:, 0], force[:, 1]) <= force[:, 2] + 1e-4).all()
 
 
-def test_sequence_labels_explain_the_image() -> None:
+def test_sequence_labels_explain_the_image():
     """Shear in the label and marker motion in the image agree in sign (left finger = canonical frame)."""
     batch = force_sequences(
         np.random.default_rng(8),
@@ -171,7 +170,7 @@ def test_sequence_labels_explain_the_image() -> None:
 
 
 @given(st.floats(0.0, 0.3), st.floats(0.2, 2.0))
-def test_creep_lags_and_settles(share: float, tau: float) -> None:
+def test_creep_lags_and_settles(share, tau):
     force = np.concatenate([np.zeros((5, 3)), np.ones((200, 3))]).astype(np.float32)
     lagging = lagging_force(force, Creep(share, tau), rate_hz=10.0)
     assert np.all(lagging <= 1 + 1e-6) and np.all(np.diff(lagging, axis=0) >= -1e-6)
@@ -179,20 +178,20 @@ def test_creep_lags_and_settles(share: float, tau: float) -> None:
     assert np.allclose(lagging[-1], 1, atol=1e-3)
 
 
-def test_no_late_share_is_no_creep() -> None:
+def test_no_late_share_is_no_creep():
     force = np.random.default_rng(0).random((12, 3)).astype(np.float32)
     assert np.allclose(lagging_force(force, Creep(0.0, 1.0), 10.0), force)
 
 
-def test_light_scales_channels_and_leans_to_one_side() -> None:
+def test_light_scales_channels_and_leans_to_one_side():
     frames = np.full((1, 480, 640, 3), 100, np.uint8)
     lit = Light((1.0, 0.5, 1.0), (0.2, 0.0)).on(frames)[0].astype(float)
     assert abs(lit[240, 320, 0] - 100) <= 1 and abs(lit[240, 320, 1] - 50) <= 1
     assert lit[240, -1, 0] > lit[240, 0, 0] + 30
 
 
-def test_perfect_pairs_by_default_and_disturbed_ones_on_request() -> None:
-    def draw(**disturbed: float) -> PairBatch:
+def test_perfect_pairs_by_default_and_disturbed_ones_on_request():
+    def draw(**disturbed):
         settings = PairSettings(unit_strength=0.0, flat_share=0.0, **disturbed)
         return equilibrium_pairs(
             np.random.default_rng(5), 6, "gelsight", "tactip", settings=settings

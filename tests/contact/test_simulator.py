@@ -5,12 +5,12 @@ from functools import cache
 
 import numpy as np
 import pytest
+from contact_samples import faces
 
 from uniforce_vtla.contact import (
     ContactOptions,
     TactileSimulator,
     UnitVariation,
-    flat_face_gap,
     free_air,
     gap_map,
     mirrored,
@@ -24,22 +24,16 @@ QUIET = ContactOptions().quiet()
 
 
 @cache
-def quiet(sensor: str) -> TactileSimulator:
+def quiet(sensor):
     return TactileSimulator(sensor, options=QUIET)
 
 
-def contact(
-    force: tuple[float, float, float],
-    torsion: float = 0.0,
-    name: str = "sphere",
-    center: tuple[float, float] = (0, 0),
-    angle: float = 0.0,
-) -> ContactState:
+def contact(force, torsion=0.0, name="sphere", center=(0, 0), angle=0.0):
     gap = gap_map(name, center, angle)[None]
     return ContactState(gap, np.array([force], np.float32), np.array([torsion], np.float32))
 
 
-def stacked(*contacts: ContactState) -> ContactState:
+def stacked(*contacts):
     return ContactState(
         np.concatenate([c.gap_mm for c in contacts]),
         np.concatenate([c.force_N for c in contacts]),
@@ -47,19 +41,13 @@ def stacked(*contacts: ContactState) -> ContactState:
     )
 
 
-def face_gap(side_mm: float) -> np.ndarray:
-    """Return the (1, G, G) gap of a square flat face at the middle."""
-    middle = np.zeros((1, 2))
-    return flat_face_gap(middle, np.full((1, 2), side_mm), np.zeros(1), middle)
-
-
-def mean_shift(sensor: str, loaded: ContactState, unloaded: ContactState) -> np.ndarray:
+def mean_shift(sensor, loaded, unloaded):
     simulator = quiet(sensor)
     return (simulator.markers_px(loaded)[0] - simulator.markers_px(unloaded)[0])[0].mean(axis=0)
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
-def test_images_keep_the_contract(sensor: str) -> None:
+def test_images_keep_the_contract(sensor):
     simulator = TactileSimulator(sensor)
     images = simulator.marker_images(
         stacked(contact((1, 2, 8)), contact((0, 0, 0)), contact((-2, 1, 16)))
@@ -74,10 +62,9 @@ def test_images_keep_the_contract(sensor: str) -> None:
 
 @pytest.mark.parametrize("sensor", SENSORS)
 @pytest.mark.parametrize("flat", [False, True])
-def test_positive_shear_moves_markers_right_and_down(sensor: str, flat: bool) -> None:
-    def load(fx: float, fy: float) -> ContactState:
-        state = contact((fx, fy, 8))
-        return replace(state, gap_mm=face_gap(20.0)) if flat else state
+def test_positive_shear_moves_markers_right_and_down(sensor, flat):
+    def load(fx, fy):
+        return faces([(fx, fy, 8)], side_mm=20.0) if flat else contact((fx, fy, 8))
 
     right = mean_shift(sensor, load(3, 0), load(0, 0))
     down = mean_shift(sensor, load(0, 3), load(0, 0))
@@ -86,7 +73,7 @@ def test_positive_shear_moves_markers_right_and_down(sensor: str, flat: bool) ->
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
-def test_positive_torsion_turns_x_towards_y(sensor: str) -> None:
+def test_positive_torsion_turns_x_towards_y(sensor):
     simulator = quiet(sensor)
     rest = simulator.markers_px(free_air(1))[0][0] - (319.5, 239.5)
     moved = simulator.markers_px(contact((0, 0, 12), torsion=20))[0][0]
@@ -96,7 +83,7 @@ def test_positive_torsion_turns_x_towards_y(sensor: str) -> None:
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
-def test_compression_pushes_outward_and_grows(sensor: str) -> None:
+def test_compression_pushes_outward_and_grows(sensor):
     simulator = quiet(sensor)
     rest, rest_size = simulator.markers_px(free_air(1))
     centre, size = simulator.markers_px(contact((0, 0, 10)))
@@ -107,7 +94,7 @@ def test_compression_pushes_outward_and_grows(sensor: str) -> None:
 
 
 @pytest.mark.parametrize("sensor", ["gelsight", "tactip"])
-def test_right_finger_sees_exactly_the_mirrored_image(sensor: str) -> None:
+def test_right_finger_sees_exactly_the_mirrored_image(sensor):
     left = stacked(
         contact((2, 1, 9), 12.0, "prism", (2.1, -1.3), 0.7),
         contact((-3, 2, 7), -5.0, "pacman", (-1, 3), 2.0),
@@ -119,7 +106,7 @@ def test_right_finger_sees_exactly_the_mirrored_image(sensor: str) -> None:
     np.testing.assert_array_equal(quiet(sensor).reference(), quiet(sensor).reference()[:, ::-1])
 
 
-def test_right_uskin_sees_the_mirrored_taxels() -> None:
+def test_right_uskin_sees_the_mirrored_taxels():
     left = contact((2, 1, 9), 12.0, "prism", (2.1, -1.3), 0.7)
     counts = quiet("uskin").counts(left).reshape(4, 4, 3)
     opposite = quiet("uskin").counts(mirrored(left)).reshape(4, 4, 3)
@@ -131,14 +118,14 @@ def test_right_uskin_sees_the_mirrored_taxels() -> None:
 
 
 @pytest.mark.parametrize("sensor", ["gelsight", "tactip"])
-def test_symmetric_press_gives_a_symmetric_image(sensor: str) -> None:
+def test_symmetric_press_gives_a_symmetric_image(sensor):
     image = quiet(sensor).marker_images(contact((0, 0, 10)))[0]
     np.testing.assert_array_equal(image, image[:, ::-1])
     np.testing.assert_array_equal(image, image[::-1])
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
-def test_batch_equals_singles(sensor: str) -> None:
+def test_batch_equals_singles(sensor):
     contacts = [
         contact((i - 2, 1, 3.0 * i), 2.0 * i, name)
         for i, name in enumerate(("wave", "dots", "cone", "line"))
@@ -151,7 +138,7 @@ def test_batch_equals_singles(sensor: str) -> None:
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
-def test_same_seed_same_output_other_seed_other_noise(sensor: str) -> None:
+def test_same_seed_same_output_other_seed_other_noise(sensor):
     press = contact((1, 0, 6))
     first, again = (TactileSimulator(sensor, seed=5).marker_images(press) for _ in range(2))
     other = TactileSimulator(sensor, seed=6).markers_px(press)[0]
@@ -160,14 +147,14 @@ def test_same_seed_same_output_other_seed_other_noise(sensor: str) -> None:
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
-def test_no_contact_looks_like_the_reference(sensor: str) -> None:
+def test_no_contact_looks_like_the_reference(sensor):
     for untouched in (free_air(2), contact((0, 0, 0))):
         image = quiet(sensor).marker_images(untouched)[-1]
         np.testing.assert_array_equal(image, quiet(sensor).reference())
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
-def test_units_differ_and_stay_near_the_drawing(sensor: str) -> None:
+def test_units_differ_and_stay_near_the_drawing(sensor):
     rng = np.random.default_rng(0)
     units = [UnitVariation.draw(rng, sensor) for _ in range(4)]
     shown = [
@@ -180,7 +167,7 @@ def test_units_differ_and_stay_near_the_drawing(sensor: str) -> None:
     assert UnitVariation.draw(rng, sensor, 0.0).view_scale == 1.0
 
 
-def test_marker_loss_drops_markers_from_the_image() -> None:
+def test_marker_loss_drops_markers_from_the_image():
     lossy = TactileSimulator(
         "tactip", options=replace(QUIET, marker_loss=True, loss_probability=0.3)
     )
@@ -192,7 +179,7 @@ def test_marker_loss_drops_markers_from_the_image() -> None:
 
 
 @pytest.mark.parametrize("sensor", ["gelsight", "tactip"])
-def test_raw_camera_frames_show_markers_with_the_right_polarity(sensor: str) -> None:
+def test_raw_camera_frames_show_markers_with_the_right_polarity(sensor):
     simulator = quiet(sensor)
     frame, mask = simulator.raw_reference(), simulator.reference() > 0
     assert frame.shape == (*MARKER_IMAGE_SHAPE, 3) and frame.dtype == np.uint8
@@ -203,23 +190,23 @@ def test_raw_camera_frames_show_markers_with_the_right_polarity(sensor: str) -> 
     assert simulator.raw_frames(contact((0, 0, 5))).shape == (1, *MARKER_IMAGE_SHAPE, 3)
 
 
-def test_raw_counts_stand_on_a_baseline() -> None:
+def test_raw_counts_stand_on_a_baseline():
     simulator = quiet("uskin")
     reference, pressed = simulator.raw_reference(), simulator.raw_frames(contact((0, 0, 12)))[0]
     assert reference.shape == (16, 3) and reference.dtype == np.int32 and reference.min() > 1000
     np.testing.assert_array_equal(pressed - reference, simulator.counts(contact((0, 0, 12)))[0])
 
 
-def test_strong_grasp_reaches_counts_of_real_grasps() -> None:
+def test_strong_grasp_reaches_counts_of_real_grasps():
     """Real uSkins: median 1,007, 99 % 7,071, 99.9 % 10,277 counts of z in contact (facts, section C)."""
     on_taxel = contact((0, 0, 12), name="sphere_s", center=(3.07, 2.83))
     assert 4_000 < quiet("uskin").counts(on_taxel)[0, :, 2].max() < 10_300
-    on_all = replace(on_taxel, gap_mm=face_gap(40.0))
+    on_all = faces(on_taxel.force_N, side_mm=40.0)
     assert 300 < np.median(quiet("uskin").counts(on_all)[0, :, 2]) < 2_500
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
-def test_bad_gaps_are_refused(sensor: str) -> None:
+def test_bad_gaps_are_refused(sensor):
     press = contact((0, 0, 1))
     for gap_mm, said in (
         (np.full_like(press.gap_mm, np.inf), "an object over the pad"),
@@ -230,6 +217,6 @@ def test_bad_gaps_are_refused(sensor: str) -> None:
             quiet(sensor).marker_images(replace(press, gap_mm=gap_mm))
 
 
-def test_counts_of_a_camera_are_refused() -> None:
+def test_counts_of_a_camera_are_refused():
     with pytest.raises(ContractError, match="taxel"):
         quiet("gelsight").counts(free_air(1))

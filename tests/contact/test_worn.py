@@ -9,7 +9,7 @@ from uniforce_vtla.contact.worn_in_words import wear
 from uniforce_vtla.errors import SensorError
 
 
-def test_words_say_which_unit_is_worn() -> None:
+def test_words_say_which_unit_is_worn():
     assert wear("tactip")(3) == wear("tactip:1")(8) != wear("tactip:2")(3)
     assert wear("uskin:any")(3) == wear("uskin:any")(3) != wear("uskin:any")(4)
     bare = wear("gelsight:drawing")(0)
@@ -20,7 +20,7 @@ def test_words_say_which_unit_is_worn() -> None:
 
 
 @pytest.mark.parametrize("words", ["gelsight:3", "tactip:drawing", "uskin:3", "uskin_keen"])
-def test_a_unit_in_free_air_shows_its_reference_but_for_noise(words: str) -> None:
+def test_a_unit_in_free_air_shows_its_reference_but_for_noise(words):
     view = WornView(wear(words)(0), seed=4)
     (image,) = view.images(free_air(1))
     assert image.shape == (480, 640) and set(np.unique(image)) == {0, 255}

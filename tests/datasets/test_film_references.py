@@ -1,12 +1,10 @@
 """Sessions of films made here: whose free frame is found, who has none, who may borrow, and what can't be read."""
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
 
-from uniforce_datasets.film_references import FilmReference, film_references
+from uniforce_datasets.film_references import film_references
 from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.markers.film_markers import SETTLE, STEP
 
@@ -16,14 +14,14 @@ LOOKED_AT = 4  # frames of a film
 PLACES = {"ball": (90, 80), "mug": (220, 100), "lemon": (100, 170), "walnut": (230, 180)}
 
 
-def printed() -> np.ndarray:
+def printed():
     """Markers (M, 2) px of a pad, each a little off its grid, as printers put them."""
     x, y = np.meshgrid(np.arange(25, 310, PITCH_px), np.arange(25, 230, PITCH_px))
     grid = np.column_stack([x.ravel(), y.ravel()]).astype(float)
     return grid + np.random.default_rng(0).normal(0, 1.5, grid.shape)
 
 
-def frame(centres_px: np.ndarray, scale: float = 1.0) -> np.ndarray:
+def frame(centres_px, scale=1.0):
     width, height = (round(side * scale) for side in SIZE_px)
     picture = np.full((height, width, 3), (120, 150, 140), np.uint8)
     for x, y in centres_px * scale:
@@ -39,7 +37,7 @@ def frame(centres_px: np.ndarray, scale: float = 1.0) -> np.ndarray:
     return cv2.GaussianBlur(picture, (0, 0), 1.0)
 
 
-def frames_of(held: str, free_at: int | None, scale: float = 1.0) -> np.ndarray:
+def frames_of(held, free_at, scale=1.0):
     """A film (T, H, W, 3) of an object that presses from frame to frame, but for one of those looked at."""
     shown = []
     for number in range(LOOKED_AT):
@@ -50,7 +48,7 @@ def frames_of(held: str, free_at: int | None, scale: float = 1.0) -> np.ndarray:
     return np.stack([*[shown[0]] * SETTLE, *shown])
 
 
-def write(path: Path, frames: np.ndarray) -> None:
+def write(path, frames):
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix == ".npy":
         np.save(path, frames)
@@ -62,7 +60,7 @@ def write(path: Path, frames: np.ndarray) -> None:
 
 
 @pytest.fixture(scope="module")
-def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def session(tmp_path_factory):
     root = tmp_path_factory.mktemp("session")
     write(root / "ball" / "take_1" / "left.avi", frames_of("ball", 0))
     write(root / "mug" / "film.npy", frames_of("mug", 2))
@@ -71,11 +69,11 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def by_film(found: list[FilmReference]) -> dict[str, FilmReference]:
+def by_film(found):
     return {one.film: one for one in found}
 
 
-def test_each_film_has_its_own_free_frame_or_says_that_it_has_none(session: Path) -> None:
+def test_each_film_has_its_own_free_frame_or_says_that_it_has_none(session):
     found = by_film(film_references(session, "gelsight"))
     own = {name: one.frame for name, one in found.items() if not one.why}
     assert own == {
@@ -93,7 +91,7 @@ def test_each_film_has_its_own_free_frame_or_says_that_it_has_none(session: Path
     assert not none.of and none.read == LOOKED_AT and not none.refused
 
 
-def test_a_frame_is_borrowed_when_asked_for_alone_and_says_whose_it_is(session: Path) -> None:
+def test_a_frame_is_borrowed_when_asked_for_alone_and_says_whose_it_is(session):
     found = by_film(film_references(session, "gelsight", borrow=True))
     lent = found["walnut/film.npy"]
     assert (
@@ -105,9 +103,7 @@ def test_a_frame_is_borrowed_when_asked_for_alone_and_says_whose_it_is(session: 
     assert not any(one.is_borrowed for name, one in found.items() if name != "walnut/film.npy")
 
 
-def test_films_that_can_not_be_used_are_named_and_the_others_go_on(
-    session: Path, tmp_path: Path
-) -> None:
+def test_films_that_can_not_be_used_are_named_and_the_others_go_on(session, tmp_path):
     for path in session.rglob("*.*"):
         write_to = tmp_path / path.relative_to(session)
         write_to.parent.mkdir(parents=True, exist_ok=True)
@@ -131,9 +127,7 @@ def test_films_that_can_not_be_used_are_named_and_the_others_go_on(
         assert reason in found[name].why and name in found[name].why and "\n" not in found[name].why
 
 
-def test_a_folder_without_films_and_a_sensor_that_is_no_camera_are_refused(
-    session: Path, tmp_path: Path
-) -> None:
+def test_a_folder_without_films_and_a_sensor_that_is_no_camera_are_refused(session, tmp_path):
     with pytest.raises(DatasetError, match="folder of one session"):
         film_references(tmp_path, "gelsight")
     with pytest.raises(ContractError, match="camera sensor"):

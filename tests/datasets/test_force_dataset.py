@@ -34,7 +34,7 @@ def written(demos):
     return out
 
 
-def test_the_state_holds_what_the_force_sensor_reads(demos, written) -> None:
+def test_the_state_holds_what_the_force_sensor_reads(demos, written):
     dataset = LeRobotDataset("local/forces", root=written)
     feature = dataset.meta.features[STATE]
     assert list(feature["names"]) == [*AXES, "right_fx", "right_fy", "right_fz"]
@@ -56,13 +56,13 @@ def test_the_state_holds_what_the_force_sensor_reads(demos, written) -> None:
         assert row["task"] == "wipe the dots"
 
 
-def test_marker_images_are_left_out(written) -> None:
+def test_marker_images_are_left_out(written):
     dataset = LeRobotDataset("local/forces", root=written)
     assert set(dataset.meta.camera_keys) == {camera_key(camera) for camera in CAMERAS}
     assert not set(dataset.meta.features) & set(TACTILE_KEYS)
 
 
-def test_stock_act_takes_it(written) -> None:
+def test_stock_act_takes_it(written):
     dataset = LeRobotDataset("local/forces", root=written, delta_timestamps={ACTION: [0.0, 1 / 30]})
     features = dataset_to_policy_features(dataset.meta.features)
     actions = {key: one for key, one in features.items() if one.type is FeatureType.ACTION}
@@ -83,15 +83,14 @@ def test_stock_act_takes_it(written) -> None:
     assert bool(loss.isfinite())
 
 
-def test_nothing_is_overwritten_and_an_empty_choice_is_refused(demos, written, capsys) -> None:
+def test_nothing_is_overwritten_and_an_empty_choice_is_refused(demos, written, refuses):
     again = [f"roots={demos}", f"out={written}", "touch_in_state=true"]
-    assert view.main(again) == 2
-    assert "Choose another out" in capsys.readouterr().err
+    refuses(view.main, again, "Choose another out")
     renamed = [*again[:1], f"out={written.parent / 'other'}", again[2], "cameras=front:cam_high"]
     assert view.main(renamed) == 2
 
 
-def test_a_policy_that_feels_by_itself_refuses_it(written) -> None:
+def test_a_policy_that_feels_by_itself_refuses_it(written):
     meta = LeRobotDataset("local/forces", root=written).meta
     features = dataset_to_policy_features(meta.features)
     config = PI05UniforceConfig(

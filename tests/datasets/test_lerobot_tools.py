@@ -3,37 +3,38 @@
 import importlib
 import re
 import sys
-from pathlib import Path
 
 import pytest
 
 from uniforce_cli.verify import main as verify
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.synthetic import record_synthetic
+from uniforce_vtla.errors import DatasetError
+from uniforce_vtla.file_hashes import read_hashes
 
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recording(tmp_path_factory):
     """Two episodes of four frames; read only."""
     return record_synthetic(tmp_path_factory.mktemp("tools") / "demos", 2, 4)
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch):
-    def called(name: str, *words: str) -> None:
+def run(monkeypatch):
+    def called(name, *words):
         monkeypatch.setattr(sys, "argv", [f"lerobot-{name.replace('_', '-')}", *words])
         importlib.import_module(f"lerobot.scripts.lerobot_{name}").main()
 
     return called
 
 
-def edit(root: Path, kind: str, *words: str) -> list[str]:
+def edit(root, kind, *words):
     return ["--repo_id=local/demos", f"--root={root}", f"--operation.type={kind}", *words]
 
 
-def test_what_delete_and_split_leave_is_whole(recording: Path, run, tmp_path: Path) -> None:
+def test_what_delete_and_split_leave_is_whole(recording, run, tmp_path):
     to = [f"--new_root={tmp_path / 'fewer'}", "--new_repo_id=local/fewer"]
     run("edit_dataset", *edit(recording, "delete_episodes", "--operation.episode_indices=[0]", *to))
     parts = ['--operation.splits={"a": [0], "b": [1]}', f"--new_root={tmp_path}"]
@@ -44,9 +45,7 @@ def test_what_delete_and_split_leave_is_whole(recording: Path, run, tmp_path: Pa
         assert episode.length == 4
 
 
-def test_merge_feature_removal_and_new_tasks_keep_it_whole(
-    recording: Path, run, tmp_path: Path
-) -> None:
+def test_merge_feature_removal_and_new_tasks_keep_it_whole(recording, run, tmp_path):
     both, fewer = tmp_path / "both", tmp_path / "fewer"
     merge = ["--operation.type=merge", '--operation.repo_ids=["local/a", "local/b"]']
     roots = f'--operation.roots=["{recording}", "{recording}"]'
@@ -60,16 +59,23 @@ def test_merge_feature_removal_and_new_tasks_keep_it_whole(
     assert [episode.task for episode in source.episodes] == ["another"] * 4
     assert set(source.instructions()) == {"another"}
     assert "truth.wrench.left" not in source.features
+    assert verify([f"root={both}", "rehash=true"]) == 0
+    stored = read_hashes(both, DatasetError)
+    assert stored and not any("episode" in entry for entry in stored.values())  # packed files
+    episodes = check_dataset(both, "full").episodes
+    assert len({e.videos[k].file for e in episodes for k in e.videos}) == 6
+    record_synthetic(both, 1, 4)
+    assert len(check_dataset(both, "full").episodes) == 5
 
 
-def test_info_tells_of_dataset_and_machine(recording: Path, run, capsys, caplog) -> None:
+def test_info_tells_of_dataset_and_machine(recording, run, capsys, caplog):
     run("edit_dataset", *edit(recording, "info", "--operation.show_features=true"))
     run("info")
     said = capsys.readouterr().out + caplog.text
     assert "observation.images.tactile_left" in said and re.search(r"LeRobot version: 0\.6", said)
 
 
-def test_the_viewer_writes_an_episode(recording: Path, run, tmp_path: Path) -> None:
+def test_the_viewer_writes_an_episode(recording, run, tmp_path):
     pytest.importorskip("rerun", reason="the extra rerun isn't installed")
     where = ["--repo-id=local/demos", f"--root={recording}", f"--output-dir={tmp_path}"]
     run("dataset_viz", *where, "--episode-index=1", "--save=1", "--num-workers=0", "--batch-size=4")

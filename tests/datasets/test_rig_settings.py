@@ -27,7 +27,7 @@ ROBOT = {
 }
 
 
-def test_settings_are_stored_without_person_machine_or_network() -> None:
+def test_settings_are_stored_without_person_machine_or_network():
     plain = plain_settings("robot", ROBOT)
     text = json.dumps(plain)
     assert not [
@@ -42,13 +42,13 @@ def test_settings_are_stored_without_person_machine_or_network() -> None:
     assert plain_settings("robot", other)[key] != plain[key] == plain_settings("robot", ROBOT)[key]
 
 
-def add_two(recorder: EpisodeRecorder) -> None:
+def add_two(recorder):
     rng = np.random.default_rng(0)
     for step in range(2):
         recorder.add(synthetic_frame(step, rng), "wipe")
 
 
-def test_a_session_with_other_settings_is_refused_by_name_unless_accepted(tmp_path: Path) -> None:
+def test_a_session_with_other_settings_is_refused_by_name_unless_accepted(tmp_path):
     root, first = tmp_path / "data", {"turn": 0, "gains": [800.0], "left": "tactip"}
     now = {"turn": 180, "gains": [1200.0], "new": True}
     assert not agreed_changes(root, first, accept=False)

@@ -13,11 +13,11 @@ from uniforce_vtla.errors import DatasetError
 from uniforce_vtla.keys import CAMERAS, TACTILE_KEYS, camera_key
 
 
-def inverted(image: torch.Tensor) -> torch.Tensor:
+def inverted(image):
     return 255 - image
 
 
-def settings(**given: object) -> SimpleNamespace:
+def settings(**given):
     usual = {"streaming": False, "eval_split": 0.0}
     return SimpleNamespace(image_transforms=SimpleNamespace(enable=True), **usual | given)
 
@@ -27,13 +27,13 @@ def root(tmp_path_factory):
     return record_synthetic(tmp_path_factory.mktemp("transforms") / "demos", episodes=1, frames=4)
 
 
-def opened(root, transforms=inverted) -> LeRobotDataset:
+def opened(root, transforms=inverted):
     return LeRobotDataset(
         "local/synthetic", root=root, image_transforms=transforms, return_uint8=True
     )
 
 
-def test_scene_cameras_are_transformed_and_marker_images_are_not(root) -> None:
+def test_scene_cameras_are_transformed_and_marker_images_are_not(root):
     plain = opened(root, transforms=None)[2]
     dataset = opened(root)
     spare_marker_images(dataset, settings())
@@ -46,12 +46,12 @@ def test_scene_cameras_are_transformed_and_marker_images_are_not(root) -> None:
 
 
 @pytest.mark.parametrize("given", [{"streaming": True}, {"eval_split": 0.2}])
-def test_where_lerobot_reads_the_frames_itself_transforms_are_refused(root, given) -> None:
+def test_where_lerobot_reads_the_frames_itself_transforms_are_refused(root, given):
     with pytest.raises(DatasetError, match="make a view"):
         spare_marker_images(opened(root), settings(**given))
 
 
-def test_without_transforms_nothing_changes(root) -> None:
+def test_without_transforms_nothing_changes(root):
     dataset = opened(root, transforms=None)
     off = settings(eval_split=0.2)
     off.image_transforms.enable = False

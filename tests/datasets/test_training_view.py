@@ -2,13 +2,12 @@ import json
 import pickle
 import shutil
 import time
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
-from torch.utils.data import DataLoader, Dataset, RandomSampler
+from torch.utils.data import DataLoader, RandomSampler
 
 from benchmarks.trust.injuries import edit_json
 from uniforce_datasets.lossless import open_dataset
@@ -22,8 +21,6 @@ from uniforce_datasets.synthetic import (
 )
 from uniforce_datasets.training_view import TrainingView, build_view, make_training_dataset
 from uniforce_datasets.view_build import PROGRESS, resize
-from uniforce_datasets.view_plan import EpisodeFacts
-from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.keys import (
     ACTION,
@@ -40,7 +37,11 @@ EPISODES, FRAMES = 3, 20
 DELTAS = [-1, 0, 1, 2, 3]
 
 
-def test_samples_equal_stock_lerobot(demos: Path, view: Path) -> None:
+def built(roots, out, encoder=None, **more):
+    return build_view(roots, out, encoder=encoder or BlockMeans(), **more)
+
+
+def test_samples_equal_stock_lerobot(demos, view):
     stock = open_dataset(
         demos, delta_timestamps={ACTION: [d / FPS for d in DELTAS]}, return_uint8=True
     )
@@ -60,7 +61,7 @@ def test_samples_equal_stock_lerobot(demos: Path, view: Path) -> None:
             assert np.array_equal(small, resize(picture, 56))
 
 
-def test_latents_are_those_of_each_slots_finger(view: Path) -> None:
+def test_latents_are_those_of_each_slots_finger(view):
     encode = BlockMeans()
     straight = TrainingView(view, slots={"touch0": "right", "touch1": "left"})
     only_left = TrainingView(view, slots={"touch0": "left"})
@@ -71,21 +72,19 @@ def test_latents_are_those_of_each_slots_finger(view: Path) -> None:
     assert latent_key("touch1") not in {*only_left[0], *only_left.features}
 
 
-def test_fingers_are_not_confused(demos: Path, tmp_path: Path) -> None:
+def test_fingers_are_not_confused(demos, tmp_path):
     class Sign:
         hash = "sign"
 
-        def __call__(
-            self, reference: np.ndarray, current: np.ndarray, finger: Finger
-        ) -> np.ndarray:
+        def __call__(self, reference, current, finger):
             return np.full((len(current), 96), 1.0 if finger == "left" else -1.0, np.float32)
 
-    sample = TrainingView(build_view(demos, tmp_path / "view", encoder=Sign()))[0]
+    sample = TrainingView(built(demos, tmp_path / "view", encoder=Sign()))[0]
     assert sample[latent_key("touch0")].unique() == -1
     assert sample[latent_key("touch1")].unique() == 1
 
 
-def test_wrench_input_is_the_recorded_truth(demos: Path, view: Path) -> None:
+def test_wrench_input_is_the_recorded_truth(demos, view):
     stock, fast = open_dataset(demos), TrainingView(view, slots={"touch0": "right"}, touch="wrench")
     assert torch.equal(stock[33][truth_wrench_key("right")], fast[33][wrench_key("touch0")])
     assert latent_key("touch0") not in fast[33]
@@ -94,7 +93,7 @@ def test_wrench_input_is_the_recorded_truth(demos: Path, view: Path) -> None:
     }  # fmt: skip
 
 
-def test_metadata_serves_sampler_and_policy(demos: Path, view: Path) -> None:
+def test_metadata_serves_sampler_and_policy(demos, view):
     from lerobot.datasets.sampler import EpisodeAwareSampler
     from lerobot.utils.feature_utils import dataset_to_policy_features
 
@@ -113,7 +112,7 @@ def test_metadata_serves_sampler_and_policy(demos: Path, view: Path) -> None:
         np.testing.assert_allclose(whole[STATE][name], stored[STATE][name], rtol=1e-9)
 
 
-def test_view_travels_to_loader_workers(view: Path) -> None:
+def test_view_travels_to_loader_workers(view):
     made = TrainingView(view, DELTAS)
     packed = pickle.dumps(made)
     assert len(packed) < 50_000
@@ -121,13 +120,11 @@ def test_view_travels_to_loader_workers(view: Path) -> None:
     assert torch.equal(again[5][camera_key("front")], made[5][camera_key("front")])
 
 
-def test_interrupted_build_goes_on(demos: Path, tmp_path: Path, view: Path) -> None:
+def test_interrupted_build_goes_on(demos, tmp_path, view):
     class Fragile(BlockMeans):
         left = 3
 
-        def __call__(
-            self, reference: np.ndarray, current: np.ndarray, finger: Finger
-        ) -> np.ndarray:
+        def __call__(self, reference, current, finger):
             self.left -= 1
             if self.left < 0:
                 raise KeyboardInterrupt
@@ -135,28 +132,28 @@ def test_interrupted_build_goes_on(demos: Path, tmp_path: Path, view: Path) -> N
 
     out = tmp_path / "view"
     with pytest.raises(KeyboardInterrupt):
-        build_view(demos, out, encoder=Fragile())
+        built(demos, out, encoder=Fragile())
     assert not out.exists()
     assert json.loads((tmp_path / "view.building" / PROGRESS).read_text())["done"] == 1
     counter = Fragile()
     counter.left = 4  # two episodes of two fingers remain
-    build_view(demos, out, encoder=counter)
+    built(demos, out, encoder=counter)
     for name in ("front", "latent_left", "latent_right", STATE):
         assert np.array_equal(np.load(out / f"{name}.npy"), np.load(view / f"{name}.npy"))
     counter.left = 0
-    build_view(demos, out, encoder=counter)  # nothing to do
+    built(demos, out, encoder=counter)  # nothing to do
 
 
-def test_one_process_builds_a_view_at_a_time(demos: Path, tmp_path: Path) -> None:
+def test_one_process_builds_a_view_at_a_time(demos, tmp_path):
     with (
         only_writer(tmp_path / "view.building"),
         pytest.raises(ContractError, match="another one too"),
     ):
-        build_view(demos, tmp_path / "view", encoder=BlockMeans())
-    assert TrainingView(build_view(demos, tmp_path / "view", encoder=BlockMeans()))
+        built(demos, tmp_path / "view")
+    assert TrainingView(built(demos, tmp_path / "view"))
 
 
-def test_cameras_of_other_names_are_renamed_in_a_view(tmp_path: Path) -> None:
+def test_cameras_of_other_names_are_renamed_in_a_view(tmp_path):
     root = tmp_path / "demos"
     pictures = {"front": 40, "wrist": 200}
     recorded = {"front": "cam_high", "wrist": "cam_wrist"}
@@ -171,19 +168,19 @@ def test_cameras_of_other_names_are_renamed_in_a_view(tmp_path: Path) -> None:
         recorder.save(success=True, outcome="success", seed=0)
     refused = r"without .*images\.front.* Rename its cameras \(cam_high, cam_wrist\) with cameras="
     with pytest.raises(DatasetError, match=refused):
-        build_view(root, tmp_path / "none", encoder=BlockMeans())
+        built(root, tmp_path / "none")
     with pytest.raises(ContractError, match=r"camera: expected front \| wrist"):
-        build_view(root, tmp_path / "none", encoder=BlockMeans(), cameras={"cam_high": "front"})
-    built = build_view(root, tmp_path / "view", encoder=BlockMeans(), cameras=recorded)
-    sample = TrainingView(built)[2]
+        built(root, tmp_path / "none", cameras={"cam_high": "front"})
+    view = built(root, tmp_path / "view", cameras=recorded)
+    sample = TrainingView(view)[2]
     for camera, grey in pictures.items():
         assert abs(sample[camera_key(camera)].float().mean() - grey) < 3
     swapped = {"front": "cam_wrist", "wrist": "cam_high"}
-    build_view(root, tmp_path / "view", encoder=BlockMeans(), cameras=swapped)  # built anew
-    assert TrainingView(built)[2][camera_key("front")].float().mean() > 190
+    built(root, tmp_path / "view", cameras=swapped)  # built anew
+    assert TrainingView(view)[2][camera_key("front")].float().mean() > 190
 
 
-def test_each_frame_keeps_its_own_instruction(tmp_path: Path) -> None:
+def test_each_frame_keeps_its_own_instruction(tmp_path):
     said = ["grasp the eraser"] * 3 + ["wipe the board"] * 4
     root, rng = tmp_path / "demos", np.random.default_rng(0)
     with EpisodeRecorder(root, "local/x", "gelsight", "tactip", FPS) as recorder:
@@ -191,7 +188,7 @@ def test_each_frame_keeps_its_own_instruction(tmp_path: Path) -> None:
             for step, task in enumerate(words):
                 recorder.add(synthetic_frame(step, rng), task)
             recorder.save(success=True, outcome="success", seed=0)
-    made = TrainingView(build_view(root, tmp_path / "view", encoder=BlockMeans()))
+    made = TrainingView(built(root, tmp_path / "view"))
     assert [made[i]["task"] for i in range(len(made))] == [*said, *said[:3], *said[::-1]]
     numbers = [int(made[i]["task_index"]) for i in range(len(made))]
     assert numbers == [0] * 3 + [1] * 4 + [0] * 3 + [1] * 4 + [0] * 3
@@ -202,7 +199,7 @@ def test_each_frame_keeps_its_own_instruction(tmp_path: Path) -> None:
         TrainingView(tmp_path / "view", verify="off")
 
 
-def test_sensors_are_those_of_the_episodes_sampled_from(view: Path, tmp_path: Path) -> None:
+def test_sensors_are_those_of_the_episodes_sampled_from(view, tmp_path):
     mixed = tmp_path / "mixed"
     shutil.copytree(view, mixed)
     edit_json(mixed / VIEW_MARKER, lambda view: view["episodes"][1].update(left_sensor="uskin"))
@@ -211,20 +208,20 @@ def test_sensors_are_those_of_the_episodes_sampled_from(view: Path, tmp_path: Pa
     assert TrainingView(mixed, episodes=[1], verify="off").meta.sensors["left"] == ["uskin"]
 
 
-def test_refusals(demos: Path, view: Path, tmp_path: Path) -> None:
+def test_refusals(demos, view, tmp_path):
     with pytest.raises(DatasetError, match="chosen episode"):
-        build_view(demos, tmp_path / "none", encoder=BlockMeans(), keep=lambda facts: False)
+        built(demos, tmp_path / "none", keep=lambda facts: False)
     with pytest.raises(ContractError, match="slot"):
-        build_view(demos, tmp_path / "none", encoder=BlockMeans(), slots={"touch9": "left"})
+        built(demos, tmp_path / "none", slots={"touch9": "left"})
     with pytest.raises(DatasetError, match="other files"):
-        build_view(demos, demos, encoder=BlockMeans())
+        built(demos, demos)
     with pytest.raises(DatasetError, match=r"uniforce_view\.json"):
         TrainingView(tmp_path)
     with pytest.raises(ContractError, match="touch"):
         TrainingView(view, touch="smell")
 
 
-def trainer_config(root: Path | None, **policy: object) -> SimpleNamespace:
+def trainer_config(root, **policy):
     defaults = {"action_delta_indices": DELTAS, "observation_delta_indices": None}
     transforms = SimpleNamespace(enable=False)
     dataset = SimpleNamespace(
@@ -233,7 +230,7 @@ def trainer_config(root: Path | None, **policy: object) -> SimpleNamespace:
     return SimpleNamespace(dataset=dataset, trainable_config=SimpleNamespace(**(defaults | policy)))
 
 
-def test_trainer_gets_what_its_policy_asks_for(demos: Path, view: Path) -> None:
+def test_trainer_gets_what_its_policy_asks_for(demos, view):
     fingers = {"slots": ("touch0",), "finger_by_slot": lambda: {"touch0": "left"}}
     touch = {"touch_in_view": "latent", "latent_grid": 4, **fingers}
     made = make_training_dataset(trainer_config(view, **touch), pytest.fail)
@@ -245,9 +242,7 @@ def test_trainer_gets_what_its_policy_asks_for(demos: Path, view: Path) -> None:
     assert make_training_dataset(trainer_config(demos), lambda cfg: "stock") == "stock"
 
 
-def test_a_dataset_from_the_hub_is_checked_in_full_where_it_was_downloaded(
-    demos: Path, tmp_path: Path
-) -> None:
+def test_a_dataset_from_the_hub_is_checked_in_full_where_it_was_downloaded(demos, tmp_path):
     blobs, snapshot = tmp_path / "cache" / "blobs", tmp_path / "cache" / "snapshots" / "0"
     shutil.copytree(demos, blobs, ignore=shutil.ignore_patterns(".*"))
     # as the hub's cache keeps files
@@ -266,29 +261,29 @@ def test_a_dataset_from_the_hub_is_checked_in_full_where_it_was_downloaded(
     assert make_training_dataset(cfg, lambda cfg: downloaded, "quick") is downloaded
 
 
-def test_a_damaged_view_is_built_anew(demos: Path, tmp_path: Path) -> None:
-    out = build_view(demos, tmp_path / "view", encoder=BlockMeans())
+def test_a_damaged_view_is_built_anew(demos, tmp_path):
+    out = built(demos, tmp_path / "view")
     kept = (out / "latent_left.npy").read_bytes()
     (out / "latent_left.npy").write_bytes(kept[:-1] + b"x")
     with pytest.raises(DatasetError, match=r"latent_left.*uniforce view"):
         TrainingView(out)
-    build_view(demos, out, encoder=BlockMeans())
+    built(demos, out)
     assert (out / "latent_left.npy").read_bytes() == kept
     assert len(TrainingView(out)) == EPISODES * FRAMES
 
 
 @pytest.mark.slow
-def test_view_feeds_the_trainer_fast_enough(tmp_path: Path) -> None:
-    """The whole chunk of the tiny policy, 16 actions, and episodes of 3 s, so that random access is real."""
-    data = record_synthetic(tmp_path / "data", episodes=3, frames=90)
+def test_view_feeds_the_trainer_fast_enough(tmp_path):
+    """The whole chunk of the tiny policy, 16 actions, and an episode of 3 s, so that random access is real."""
+    data = record_synthetic(tmp_path / "data", episodes=1, frames=90)
     chunk = {"action": [step / FPS for step in range(16)]}
     stock = samples_per_s(open_dataset(data, delta_timestamps=chunk, return_uint8=True))
-    view = build_view(data, tmp_path / "view", encoder=BlockMeans(), keep=lambda facts: True)
+    view = built(data, tmp_path / "view", keep=lambda facts: True)
     fast = samples_per_s(TrainingView(view, range(16)))
     assert fast >= 200 and fast > 3 * stock, (fast, stock)
 
 
-def samples_per_s(dataset: Dataset) -> float:
+def samples_per_s(dataset):
     """Return what one process gives through a shuffling DataLoader in batches of 8, its first batch left out."""
     sampler = RandomSampler(dataset, replacement=True, num_samples=10**6)
     batches = iter(DataLoader(dataset, batch_size=8, sampler=sampler))
@@ -301,11 +296,9 @@ def samples_per_s(dataset: Dataset) -> float:
     return 8 * calls / spent
 
 
-def test_two_datasets_make_one_view_however_many_processes_build_it(
-    demos: Path, tmp_path: Path
-) -> None:
-    given = {"encoder": BlockMeans(), "keep": first_and_last}
-    one, two = (build_view([demos, demos], tmp_path / str(n), workers=n, **given) for n in (1, 2))
+def test_two_datasets_make_one_view_however_many_processes_build_it(demos, tmp_path):
+    given = {"keep": first_and_last}
+    one, two = (built([demos, demos], tmp_path / str(n), workers=n, **given) for n in (1, 2))
     files = sorted(path.name for path in one.iterdir())
     assert files == sorted(path.name for path in two.iterdir())
     assert all((one / name).read_bytes() == (two / name).read_bytes() for name in files)
@@ -315,5 +308,5 @@ def test_two_datasets_make_one_view_however_many_processes_build_it(
     assert both.meta.sensors == {"left": ["gelsight"], "right": ["tactip"]}
 
 
-def first_and_last(facts: EpisodeFacts) -> bool:
+def first_and_last(facts):
     return facts.episode != 1

@@ -22,7 +22,7 @@ HELD = np.array([0.5, 0.0, 0.08, 0.0, 0.05], np.float32)
 @pytest.mark.parametrize("steps", [0, 3])
 def test_an_episode_is_truncated_where_its_sensor_fails_and_the_next_one_goes_on(
     steps, monkeypatch
-) -> None:
+):
     env = make_scene(right_sensor="tactip:1" if steps else DARK)
     observation, info = env.reset(seed=11)
     assert env.observation_space.contains(observation) and ("aborted" in info) == (not steps)
@@ -42,11 +42,11 @@ def test_an_episode_is_truncated_where_its_sensor_fails_and_the_next_one_goes_on
         assert not env.step(HELD)[3]
 
 
-def _refuse(*_: object) -> None:
+def _refuse(*_):
     raise SensorError(LOST)
 
 
-def test_lerobots_evaluation_survives_a_sensor_that_fails_at_the_first_look() -> None:
+def test_lerobots_evaluation_survives_a_sensor_that_fails_at_the_first_look():
     settings = UniforceWipingConfig(level="touch", right_sensor=DARK, episode_length=3)
     scenes = make_env(settings, n_envs=2)["uniforce_wiping"][0]
     config = stored_config(shipped_checkpoint())

@@ -1,8 +1,5 @@
 """A scripted episode ends by itself, also where the hand loses the tool."""
 
-from __future__ import annotations
-
-import numpy as np
 import pytest
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
@@ -15,7 +12,7 @@ SEED = 29_200
 class LosesTheTool(WipeExpert):
     """The expert, whose tool is taken out of the hand while it carries it."""
 
-    def act(self, env: WipeEnv) -> np.ndarray:
+    def act(self, env):
         if self.phase == "carry":
             address = int(env.sim.model.joint("eraser").qposadr[0])
             env.sim.data.qpos[address : address + 3] = (0.2, 0.4, 0.1)
@@ -25,16 +22,16 @@ class LosesTheTool(WipeExpert):
 class BreaksTheHand(WipeExpert):
     """The expert, at whose first step the hand reports another fault."""
 
-    def act(self, env: WipeEnv) -> np.ndarray:
+    def act(self, env):
         raise RobotError("hand: no answer", "hand_connection")
 
 
-def test_a_lost_tool_aborts_the_episode() -> None:
+def test_a_lost_tool_aborts_the_episode():
     result = run_script(WipeEnv("touch", drawn=(), gripper="hand"), LosesTheTool(), SEED)
     assert result.outcome == "aborted" and not result.clean
     assert "in_band_share" in result.metrics  # scored as far as it went
 
 
-def test_another_fault_of_the_hand_is_raised() -> None:
+def test_another_fault_of_the_hand_is_raised():
     with pytest.raises(RobotError, match="no answer"):
         run_script(WipeEnv("touch", drawn=(), gripper="hand"), BreaksTheHand(), SEED)

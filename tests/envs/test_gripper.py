@@ -12,13 +12,13 @@ SEED = 20_001
 RULES = HandRules()
 
 
-def started(seed: int = SEED) -> WipeEnv:
+def started(seed=SEED):
     env = WipeEnv("touch", drawn=(), gripper="hand")
     env.start(seed)
     return env
 
 
-def stay(env: WipeEnv, width_m: float, steps: int) -> list[np.ndarray]:
+def stay(env, width_m, steps):
     """Wish a width where the hand is; return both pads' load and the measured width by step."""
     felt = []
     wish = env.state.astype(np.float64)
@@ -31,7 +31,7 @@ def stay(env: WipeEnv, width_m: float, steps: int) -> list[np.ndarray]:
 
 
 @pytest.fixture
-def grasping() -> WipeEnv:
+def grasping():
     """One whose expert has just lifted the eraser."""
     env = started()
     expert = WipeExpert()
@@ -41,7 +41,7 @@ def grasping() -> WipeEnv:
     return env
 
 
-def test_a_grasp_holds_by_force_whatever_the_wish_inside_is(grasping: WipeEnv) -> None:
+def test_a_grasp_holds_by_force_whatever_the_wish_inside_is(grasping):
     wanted_N = RULES.grip_force_N * force_share(SEED)
     for width_m in (0.005, 0.015, 0.022):
         for left_N, right_N, _ in stay(grasping, width_m, 20)[-5:]:
@@ -50,24 +50,24 @@ def test_a_grasp_holds_by_force_whatever_the_wish_inside_is(grasping: WipeEnv) -
             )
 
 
-def test_a_wider_wish_opens(grasping: WipeEnv) -> None:
+def test_a_wider_wish_opens(grasping):
     assert stay(grasping, 0.05, 40)[-1][2] == pytest.approx(0.05, abs=0.002)
 
 
-def test_the_force_of_an_episode_is_its_own_and_within_the_hands_specification() -> None:
+def test_the_force_of_an_episode_is_its_own_and_within_the_hands_specification():
     shares = np.array([force_share(seed) for seed in range(200)])
     assert np.abs(shares - 1).max() <= FORCE_ERROR and shares.std() > FORCE_ERROR / 3
     assert force_share(7) == force_share(7)
 
 
-def test_the_width_is_read_ten_times_a_second() -> None:
+def test_the_width_is_read_ten_times_a_second():
     env = started()
     widths = [width_m for *_, width_m in stay(env, 0.02, 30)]
     changes = np.flatnonzero(np.diff(widths))
     assert len(changes) > 3 and np.diff(changes).min() >= round(STATE_PERIOD_s * 30) - 1
 
 
-def test_a_small_change_of_the_wish_moves_nothing() -> None:
+def test_a_small_change_of_the_wish_moves_nothing():
     env = started()
     stay(env, 0.05, 10)
     width_m = env.sim.measured[4]
@@ -75,14 +75,14 @@ def test_a_small_change_of_the_wish_moves_nothing() -> None:
     assert env.sim.measured[4] == pytest.approx(width_m, abs=2e-4)
 
 
-def test_a_dropped_tool_is_noticed_by_the_hand_itself(grasping: WipeEnv) -> None:
+def test_a_dropped_tool_is_noticed_by_the_hand_itself(grasping):
     eraser = grasping.sim.model.joint("eraser").qposadr[0]
     grasping.sim.data.qpos[eraser : eraser + 3] = (0.3, 0.3, 0.1)  # somebody pulls it out
     with pytest.raises(RobotError, match="what was grasped"):
         stay(grasping, 0.01, 60)
 
 
-def test_the_servo_stays_the_levels_gripper() -> None:
+def test_the_servo_stays_the_levels_gripper():
     assert WipeEnv("touch", drawn=()).gripper == "servo"
     with pytest.raises(ContractError, match=r"servo \| hand"):
         WipeEnv("touch", drawn=(), gripper="claw")

@@ -1,6 +1,5 @@
 """The scene as EnvHub loads it: LeRobot's own loader reads env.py out of a hub cache."""
 
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,7 +16,7 @@ COMMIT = "c" * 40
 
 
 @pytest.fixture
-def hub_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def hub_cache(tmp_path, monkeypatch):
     """A hub cache that holds the shared scene at one commit."""
     hub = SimpleNamespace(
         create_repo=lambda repo_id, **_: SimpleNamespace(repo_id=repo_id),
@@ -33,7 +32,7 @@ def hub_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_lerobot_makes_the_scene_from_a_hub_repository(hub_cache: Path) -> None:
+def test_lerobot_makes_the_scene_from_a_hub_repository(hub_cache):
     made = make_env(REPOSITORY, n_envs=2, hub_cache_dir=str(hub_cache), trust_remote_code=True)
     scenes = made["uniforce_wiping"][0]
     observation, _ = scenes.reset(seed=[3, 4])
@@ -47,12 +46,12 @@ def test_lerobot_makes_the_scene_from_a_hub_repository(hub_cache: Path) -> None:
     scenes.close()
 
 
-def test_nothing_is_run_without_consent(hub_cache: Path) -> None:
+def test_nothing_is_run_without_consent(hub_cache):
     with pytest.raises(RuntimeError, match="trust_remote_code"):
         make_env(REPOSITORY, hub_cache_dir=str(hub_cache))
 
 
-def test_its_card_parses_and_names_its_repository(hub_cache: Path) -> None:
+def test_its_card_parses_and_names_its_repository(hub_cache):
     card = ModelCard.load(next(hub_cache.rglob("README.md")))
     assert card.data.license == "apache-2.0" and card.data.library_name == "lerobot"
     assert REPOSITORY in card.text and ACTION in card.text

@@ -1,7 +1,5 @@
 """Ink wears by pressure and sliding; scripts look after a sweep and wipe again if ink is left."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -25,13 +23,13 @@ EVERYWHERE = RewriteSettings(share=1.0, **SPANS)
 
 
 @pytest.fixture
-def env() -> WipeEnv:
+def env():
     env = WipeEnv("touch")
     env.start(SEED)
     return env
 
 
-def run(env: WipeEnv, disturb: Callable[[InkField, bool], None]) -> list[str]:
+def run(env, disturb):
     expert = WipeExpert()
     phases = []
     done = False
@@ -46,7 +44,7 @@ def run(env: WipeEnv, disturb: Callable[[InkField, bool], None]) -> list[str]:
 
 
 @pytest.mark.parametrize("row", [0, 1, 2])
-def test_wiping_begins_again_at_the_first_row_with_ink(env: WipeEnv, row: int) -> None:
+def test_wiping_begins_again_at_the_first_row_with_ink(env, row):
     ink = env.sim.ink
     sweep = Sweep(env.level)
     x_m = (
@@ -57,18 +55,18 @@ def test_wiping_begins_again_at_the_first_row_with_ink(env: WipeEnv, row: int) -
     assert np.array_equal(sweep.point(sweep.row_at(look_back(env))), sweep.corners[2 * row])
 
 
-def test_the_expert_goes_back_once_and_leaves_a_clean_board(env: WipeEnv) -> None:
+def test_the_expert_goes_back_once_and_leaves_a_clean_board(env):
     phases = run(env, Rewrite(0, EVERYWHERE).apply)
     once = ["lift", "carry", "lower", "wipe"]
     assert phases == ["descend", "close", *once, *once, "leave"]
     assert env.result().success
 
 
-def test_a_board_that_is_clean_is_wiped_once(env: WipeEnv) -> None:
+def test_a_board_that_is_clean_is_wiped_once(env):
     assert run(env, lambda ink, wiping: None).count("wipe") == 1
 
 
-def test_ink_that_never_goes_is_given_up() -> None:
+def test_ink_that_never_goes_is_given_up():
     env = WipeEnv("easy", max_steps=round(40 * CONTROL_HZ))
     env.start(SEED)
     phases = run(env, lambda ink, wiping: ink.rewrite(np.zeros(2), np.array([0.2, 0.3]), 1.0))
@@ -76,7 +74,7 @@ def test_ink_that_never_goes_is_given_up() -> None:
     assert env.result().outcome == "residual"
 
 
-def test_ink_comes_back_where_it_was_and_not_darker() -> None:
+def test_ink_comes_back_where_it_was_and_not_darker():
     ink = InkField(draw_scene(SEED, "touch"))
     first = ink.ink.copy()
     ink.rewrite(np.zeros(2), np.array([0.2, 0.3]), 0.5)
@@ -93,8 +91,8 @@ def test_ink_comes_back_where_it_was_and_not_darker() -> None:
     assert np.allclose([x.max(), y.max()], center_m + extent_m / 2)
 
 
-def test_ink_comes_back_once_while_wiping_and_the_same_each_time() -> None:
-    def boards(seed: int) -> list[bytes]:
+def test_ink_comes_back_once_while_wiping_and_the_same_each_time():
+    def boards(seed):
         ink = InkField(draw_scene(SEED, "touch"))
         ink.ink[:] = 0
         rewrite = Rewrite(seed, RewriteSettings(share=1.0))
@@ -109,7 +107,7 @@ def test_ink_comes_back_once_while_wiping_and_the_same_each_time() -> None:
     assert boards(early[0]) == boards(early[0])
 
 
-def test_the_share_of_episodes_is_the_one_asked_for() -> None:
+def test_the_share_of_episodes_is_the_one_asked_for():
     ink = InkField(draw_scene(SEED, "touch"))
     written = 0
     for seed in range(300):
@@ -125,7 +123,7 @@ FELT_m = np.array([0.2, 0.3])  # covers the whole board
 FROM_N = LEVELS["touch"].wear_from_N
 
 
-def left_after(press_N: float, slide_m: float = 0.06, off_center_m: float = 0.0) -> np.ndarray:
+def left_after(press_N, slide_m=0.06, off_center_m=0.0):
     """Return the ink under one felt as large as the board, scaled to an eraser's pressure."""
     ink = InkField(draw_scene(3, "touch"))
     eraser_m2 = 0.030 * 0.060
@@ -136,23 +134,21 @@ def left_after(press_N: float, slide_m: float = 0.06, off_center_m: float = 0.0)
 
 @examples(20)
 @given(st.floats(0, FROM_N), st.floats(-0.05, 0.05))
-def test_felt_that_presses_too_lightly_glides_over_the_ink(
-    press_N: float, off_center_m: float
-) -> None:
+def test_felt_that_presses_too_lightly_glides_over_the_ink(press_N, off_center_m):
     first = InkField(draw_scene(3, "touch")).ink
     assert np.array_equal(left_after(press_N, off_center_m=off_center_m), first)
 
 
 @examples(20)
 @given(st.floats(FROM_N + 0.1, 12), st.floats(1.05, 2))
-def test_who_presses_harder_or_slides_farther_leaves_less(press_N: float, more: float) -> None:
+def test_who_presses_harder_or_slides_farther_leaves_less(press_N, more):
     inked = InkField(draw_scene(3, "touch")).ink > 0
     once = left_after(press_N)[inked]
     assert (left_after(press_N * more)[inked] < once).all()
     assert (left_after(press_N, slide_m=0.06 * more)[inked] < once).all()
 
 
-def test_two_sweeps_wear_as_much_as_one_with_twice_the_force_above_the_threshold() -> None:
+def test_two_sweeps_wear_as_much_as_one_with_twice_the_force_above_the_threshold():
     inked = InkField(draw_scene(3, "touch")).ink > 0
     twice = left_after(5.0, slide_m=0.12)[inked]
     assert np.allclose(twice, left_after(FROM_N + 2 * (5.0 - FROM_N))[inked], rtol=1e-4)

@@ -1,7 +1,5 @@
 """An expert whose hand is pushed away comes back by its own commands, for demonstrations."""
 
-from collections.abc import Callable, Iterator
-
 import numpy as np
 import pytest
 
@@ -11,13 +9,11 @@ from lerobot_env_uniforce_wiping.sequence import Z
 
 
 @pytest.fixture
-def env() -> WipeEnv:
+def env():
     return WipeEnv("easy")
 
 
-def commands(
-    env: WipeEnv, push_in: Callable[[str], bool], by_m: float, fall_s: float = 4.0
-) -> Iterator[tuple[str, np.ndarray]]:
+def commands(env, push_in, by_m, fall_s=4.0):
     """Let the expert wipe scene 9001: yield phase and command, then push where ``push_in`` says."""
     expert = WipeExpert()
     done = False
@@ -36,8 +32,8 @@ def commands(
         done = env.advance(executed)
 
 
-def test_an_expert_that_loses_the_board_stays_there_and_goes_down_again(env: WipeEnv) -> None:
-    phases: list[str] = []
+def test_an_expert_that_loses_the_board_stays_there_and_goes_down_again(env):
+    phases = []
     lost = []
     for phase, target in commands(
         env, lambda phase: phase == "wipe" and phases.count("wipe") == 30, 0.03
@@ -51,9 +47,9 @@ def test_an_expert_that_loses_the_board_stays_there_and_goes_down_again(env: Wip
     assert env.result().success
 
 
-def test_an_expert_that_loses_a_clean_board_leaves_it(env: WipeEnv) -> None:
+def test_an_expert_that_loses_a_clean_board_leaves_it(env):
     """Otherwise demos show a hand that goes down on a clean board, and a policy never stops."""
-    phases: list[str] = []
+    phases = []
     for phase, _ in commands(
         env, lambda phase: phase == "wipe" and phases.count("wipe") == 30, 0.03
     ):
@@ -65,10 +61,8 @@ def test_an_expert_that_loses_a_clean_board_leaves_it(env: WipeEnv) -> None:
     assert phases.count("wipe") < 60 and env.result().success
 
 
-def test_a_hand_pushed_back_to_the_board_while_it_leaves_pulls_the_harder_the_lower_it_is(
-    env: WipeEnv,
-) -> None:
-    gap_m: list[float] = []
+def test_a_hand_pushed_back_to_the_board_while_it_leaves_pulls_the_harder_the_lower_it_is(env):
+    gap_m = []
     for phase, command in commands(
         env, lambda phase: phase == "leave" and len(gap_m) < 30, -0.03, fall_s=1.0
     ):
@@ -78,9 +72,9 @@ def test_a_hand_pushed_back_to_the_board_while_it_leaves_pulls_the_harder_the_lo
     assert env.result().success
 
 
-def test_a_hand_pushed_up_in_the_air_comes_down_by_its_own_command(env: WipeEnv) -> None:
+def test_a_hand_pushed_up_in_the_air_comes_down_by_its_own_command(env):
     carry_m = env.level.layout.carry_height_m
-    high: list[tuple[float, float]] = []  # commanded, measured
+    high = []  # commanded, measured
     for phase, command in commands(env, lambda phase: phase == "carry" and not high, 0.04):
         if phase == "carry" and env.state[Z] > carry_m + 0.015:
             high.append((float(command[Z]), float(env.state[Z])))
@@ -89,10 +83,10 @@ def test_a_hand_pushed_up_in_the_air_comes_down_by_its_own_command(env: WipeEnv)
     assert env.result().clean
 
 
-def test_a_hand_pushed_below_its_grasp_height_comes_up_and_grips(env: WipeEnv) -> None:
+def test_a_hand_pushed_below_its_grasp_height_comes_up_and_grips(env):
     """Without demos from there a policy that missed the grip stays below the eraser's middle."""
     grasp_m = env.level.layout.grasp_height_m
-    low: list[tuple[float, float]] = []  # commanded, measured
+    low = []  # commanded, measured
     for phase, command in commands(env, lambda phase: phase == "close" and not low, -0.025):
         if phase == "close" and env.state[Z] < grasp_m - 0.010:
             low.append((float(command[Z]), float(env.state[Z])))

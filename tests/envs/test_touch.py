@@ -1,7 +1,6 @@
 """Pad images of the scene where contact truth and geometry disagree for a moment."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -10,14 +9,14 @@ from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from uniforce_vtla.contact.units import UnitVariation
 from uniforce_vtla.contact.virtual import any_virtual, as_virtual
 from uniforce_vtla.contact.wear import Creep
-from uniforce_vtla.contact.worn import WornSensor, drawing
-from uniforce_vtla.contracts import FINGERS, Finger
+from uniforce_vtla.contact.worn import drawing
+from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.keys import tactile_name
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 
 
 @pytest.mark.parametrize("finger", FINGERS)
-def test_an_eraser_lost_within_a_step_leaves_the_pad_in_free_air(finger: Finger) -> None:
+def test_an_eraser_lost_within_a_step_leaves_the_pad_in_free_air(finger):
     """The wrench is the step's mean, the geometry its end: a slide may end on an empty pad."""
     env = WipeEnv("touch", "gelsight:drawing", "tactip:drawing")
     env.reset(seed=3)  # the eraser stands in its tray, the pads face nothing
@@ -29,7 +28,7 @@ def test_an_eraser_lost_within_a_step_leaves_the_pad_in_free_air(finger: Finger)
     assert np.mean(free != touched) < 0.01  # noise, no contact
 
 
-def test_rigs_differ_in_the_left_fingers_marker_image_alone() -> None:
+def test_rigs_differ_in_the_left_fingers_marker_image_alone():
     """The benchmark rolls such arms out on one rig only."""
     rigs = [WipeEnv("touch", f"{left}:drawing", "tactip:drawing") for left in ("gelsight", "uskin")]
     for env in rigs:
@@ -48,7 +47,7 @@ def test_rigs_differ_in_the_left_fingers_marker_image_alone() -> None:
     assert (seen[0]["pixels"]["tactile_left"] != seen[1]["pixels"]["tactile_left"]).any()
 
 
-def held(left: str | WornSensor, seed: int = 5, **options: Any) -> WipeEnv:
+def held(left, seed=5, **options):
     """Return a scene whose expert has held the eraser for half a second."""
     env = WipeEnv("touch", left, "tactip:drawing", **options)
     expert = WipeExpert()
@@ -61,7 +60,7 @@ def held(left: str | WornSensor, seed: int = 5, **options: Any) -> WipeEnv:
     return env
 
 
-def read(env: WipeEnv, looks: int = 8) -> np.ndarray:
+def read(env, looks=8):
     """Return the left finger's own reading, (3,) N, mean of several noisy images of one moment."""
     seen = [env.observe()["pixels"] for _ in range(looks)]
     pair = [
@@ -72,10 +71,8 @@ def read(env: WipeEnv, looks: int = 8) -> np.ndarray:
     return ForceHead.from_pretrained(env.sensors["left"])(latent).numpy().mean(axis=0)
 
 
-@pytest.mark.parametrize(("kind", "grip_N"), [("gelsight", 1.0), ("tactip", 0.5), ("uskin", 0.3)])
-def test_raw_frames_and_canonicalizer_read_as_the_direct_drawing_does(
-    kind: str, grip_N: float
-) -> None:
+@pytest.mark.parametrize("kind, grip_N", [("gelsight", 1.0), ("tactip", 0.5), ("uskin", 0.3)])
+def test_raw_frames_and_canonicalizer_read_as_the_direct_drawing_does(kind, grip_N):
     """The fast path gives the same; a flat gel under a face that covers it moves by .2 px."""
     plain = drawing(as_virtual(kind))
     fast = read(held(plain))
@@ -83,7 +80,7 @@ def test_raw_frames_and_canonicalizer_read_as_the_direct_drawing_does(
     assert abs(fast[2] - raw[2]) < grip_N and np.abs(fast[:2] - raw[:2]).max() < 0.3
 
 
-def test_a_stiff_unit_has_a_stiff_pad_and_a_picture_that_moves_less() -> None:
+def test_a_stiff_unit_has_a_stiff_pad_and_a_picture_that_moves_less():
     plain = drawing(as_virtual("tactip"))
     stiff = replace(plain, unit=UnitVariation(stiffness=1.5))
     nominal, other = (WipeEnv("touch", worn, "tactip:drawing") for worn in (plain, stiff))
@@ -97,7 +94,7 @@ def test_a_stiff_unit_has_a_stiff_pad_and_a_picture_that_moves_less() -> None:
     ).stiffness == pytest.approx(1.6)
 
 
-def test_a_picture_is_late_by_a_step_and_rubber_lags_behind() -> None:
+def test_a_picture_is_late_by_a_step_and_rubber_lags_behind():
     worn = replace(
         drawing(as_virtual("tactip")), lag_steps=1, creep=Creep(share=0.2, relaxation_s=0.5)
     )
@@ -114,7 +111,7 @@ def test_a_picture_is_late_by_a_step_and_rubber_lags_behind() -> None:
     assert np.all(np.diff(shown[1:]) > 0) and shown[-1] == pytest.approx(5.0, abs=0.05)
 
 
-def test_a_pad_that_nobody_reads_is_not_drawn() -> None:
+def test_a_pad_that_nobody_reads_is_not_drawn():
     env = held("gelsight:drawing", drawn=("right",))
     assert set(env.observe()["pixels"]) == {"front", "wrist", "tactile_right", "tactile_right_ref"}
-    assert "tactile_left" not in env.observation_space["pixels"].spaces  # type: ignore[index]
+    assert "tactile_left" not in env.observation_space["pixels"].spaces

@@ -12,7 +12,7 @@ from uniforce_vtla.keys import AXES, CAMERAS, STATE, TACTILE_KEYS
 from uniforce_vtla.markers import to_finger_frame
 
 
-def test_the_state_ends_with_what_the_right_finger_feels() -> None:
+def test_the_state_ends_with_what_the_right_finger_feels():
     env = WipeEnv("touch", right_sensor="tactip", touch_in_state=True)
     errors_N = []
     for step, _ in enumerate(walk(env, WipeExpert("right"), 20_000)):
@@ -28,7 +28,7 @@ def test_the_state_ends_with_what_the_right_finger_feels() -> None:
     assert len(errors_N) > 3 and np.abs(np.median(errors_N, axis=0)).max() < 1.5
 
 
-def test_lerobots_settings_say_so() -> None:
+def test_lerobots_settings_say_so():
     config = UniforceWipingConfig(touch_in_state=True)
     assert config.features[STATE].shape == (len(AXES) + 3,)
     assert not set(config.features) & set(TACTILE_KEYS)
@@ -38,7 +38,7 @@ def test_lerobots_settings_say_so() -> None:
     assert UniforceWipingConfig().features.keys() >= set(TACTILE_KEYS)
 
 
-def test_a_calibration_that_nothing_is_read_with_is_refused(tmp_path) -> None:
+def test_a_calibration_that_nothing_is_read_with_is_refused(tmp_path):
     with pytest.raises(ContractError, match="touch_in_state"):
         WipeEnv(right_calibration=str(tmp_path))
     with pytest.raises(CheckpointError):

@@ -30,7 +30,7 @@ EASY_SEEDS = (1, 2, 4)
 
 
 @pytest.fixture(scope="module")
-def grasped() -> WipeEnv:
+def grasped():
     env = WipeEnv()
     expert = WipeExpert()
     env.start(SEED)
@@ -40,7 +40,7 @@ def grasped() -> WipeEnv:
     return env
 
 
-def steps_to_the_first_sweep(env: WipeEnv, expert: WipeExpert) -> int:
+def steps_to_the_first_sweep(env, expert):
     """Let an expert begin, up to where its first sweep does; return the control steps it took."""
     expert.reset(env)
     steps = 0
@@ -50,7 +50,7 @@ def steps_to_the_first_sweep(env: WipeEnv, expert: WipeExpert) -> int:
     return steps
 
 
-def test_observation_is_inside_its_space_and_finite(grasped: WipeEnv) -> None:
+def test_observation_is_inside_its_space_and_finite(grasped):
     env = WipeEnv(expose_wrench=True)
     observation, info = env.reset(seed=SEED)
     assert env.observation_space.contains(observation)
@@ -58,7 +58,7 @@ def test_observation_is_inside_its_space_and_finite(grasped: WipeEnv) -> None:
     assert WipeEnv().observation_space.contains(grasped.observe())
 
 
-def test_gymnasium_finds_no_fault_and_no_two_observations_share_memory() -> None:
+def test_gymnasium_finds_no_fault_and_no_two_observations_share_memory():
     stalled = replace(drawing(as_virtual("tactip")), stall_steps=2)
     env = WipeEnv(left_sensor=stalled, right_sensor="tactip:drawing", expose_wrench=True)
     check_env(env)
@@ -76,7 +76,7 @@ def test_gymnasium_finds_no_fault_and_no_two_observations_share_memory() -> None
     assert np.array_equal(env.observe()["pixels"]["tactile_left_ref"], reference)
 
 
-def test_marker_images_hold_only_black_and_white_on_three_equal_channels(grasped: WipeEnv) -> None:
+def test_marker_images_hold_only_black_and_white_on_three_equal_channels(grasped):
     pixels = grasped.observe()["pixels"]
     for finger in FINGERS:
         for reference in (False, True):
@@ -87,8 +87,8 @@ def test_marker_images_hold_only_black_and_white_on_three_equal_channels(grasped
         assert moved.mean() > 0.002, "a gripped pad must look different from its reference"
 
 
-def test_same_seed_same_episode_and_other_seed_another() -> None:
-    def start(seed: int) -> list[np.ndarray]:
+def test_same_seed_same_episode_and_other_seed_another():
+    def start(seed):
         observation, _ = WipeEnv().reset(seed=seed)
         return [observation["agent_pos"], *observation["pixels"].values()]
 
@@ -99,8 +99,8 @@ def test_same_seed_same_episode_and_other_seed_another() -> None:
     assert not np.array_equal(first[1], other[1]) and not np.array_equal(first[0], other[0])
 
 
-def test_pictures_show_ink_that_goes_away(grasped: WipeEnv) -> None:
-    def inked(picture: np.ndarray) -> int:
+def test_pictures_show_ink_that_goes_away(grasped):
+    def inked(picture):
         r, _, b = picture.astype(int).transpose(2, 0, 1)
         return int(((b - r > 60) & (r < 60) & (b < 140)).sum())
 
@@ -112,7 +112,7 @@ def test_pictures_show_ink_that_goes_away(grasped: WipeEnv) -> None:
 
 
 @pytest.mark.parametrize(
-    ("action", "error"),
+    "action, error",
     [
         (np.array([0.5, 0.0, np.nan, 0.0, 0.05]), RolloutError),
         (np.array([0.5, 0.0, np.inf, 0.0, 0.05]), RolloutError),
@@ -121,19 +121,17 @@ def test_pictures_show_ink_that_goes_away(grasped: WipeEnv) -> None:
         ("down", ContractError),
     ],
 )
-def test_bad_action_is_refused_and_the_target_held(
-    grasped: WipeEnv, action: object, error: type
-) -> None:
+def test_bad_action_is_refused_and_the_target_held(grasped, action, error):
     target = grasped.sim.target.copy()
     control = grasped.sim.data.ctrl.copy()
     with pytest.raises(error):
-        grasped.advance(action)  # type: ignore[arg-type]
+        grasped.advance(action)
     assert np.array_equal(grasped.sim.target, target) and np.array_equal(
         grasped.sim.data.ctrl, control
     )
 
 
-def test_bad_settings_are_refused() -> None:
+def test_bad_settings_are_refused():
     with pytest.raises(SensorError):
         WipeEnv(left_sensor="thumb")
     with pytest.raises(ContractError, match="easy"):
@@ -141,10 +139,10 @@ def test_bad_settings_are_refused() -> None:
     with pytest.raises(RolloutError, match="reset"):
         WipeEnv().advance(np.zeros(5))
     with pytest.raises(ContractError, match="both"):
-        WipeExpert("thumb")  # type: ignore[arg-type]
+        WipeExpert("thumb")
 
 
-def test_step_reports_success_and_metrics_every_time() -> None:
+def test_step_reports_success_and_metrics_every_time():
     env = WipeEnv(max_steps=3)
     observation, _ = env.reset(seed=SEED)
     hold = observation["agent_pos"]
@@ -157,14 +155,14 @@ def test_step_reports_success_and_metrics_every_time() -> None:
 
 
 @pytest.mark.parametrize("seed", EASY_SEEDS)
-def test_expert_wipes_clean_with_smooth_and_slow_targets(seed: int) -> None:
+def test_expert_wipes_clean_with_smooth_and_slow_targets(seed):
     env = WipeEnv()
     speed = np.abs(np.diff(list(walk(env, WipeExpert(), seed)), axis=0)) * 30
     assert env.result().clean, env.result().reasons
     assert speed[:, 2].max() <= 0.080 and np.hypot(speed[:, 0], speed[:, 1]).max() <= 0.120
 
 
-def test_runs_without_gl_and_loads_mujoco_with_the_first_scene_only() -> None:
+def test_runs_without_gl_and_loads_mujoco_with_the_first_scene_only():
     code = "import sys, lerobot_env_uniforce_wiping as w; assert 'mujoco' not in sys.modules; "
     code += "print(w.WipeEnv().reset(seed=1)[0]['pixels']['front'].std())"
     env = os.environ | {"MUJOCO_GL": "disable"}
@@ -175,7 +173,7 @@ def test_runs_without_gl_and_loads_mujoco_with_the_first_scene_only() -> None:
     assert float(run.stdout) > 10
 
 
-def descent(seed: int, noise: ExpertNoise, level: str = "touch") -> np.ndarray:
+def descent(seed, noise, level="touch"):
     """Return measured and commanded height (n, 2), m, of an expert going down to the eraser."""
     env = WipeEnv(level)
     expert = WipeExpert(noise=noise)
@@ -188,7 +186,7 @@ def descent(seed: int, noise: ExpertNoise, level: str = "touch") -> np.ndarray:
     return np.array(heights)
 
 
-def test_a_soft_arm_is_not_far_behind_its_command_where_the_hand_must_stop() -> None:
+def test_a_soft_arm_is_not_far_behind_its_command_where_the_hand_must_stop():
     """A policy sees neither command nor stiffness: where they differ by more, it grasps too low."""
     leads_m = {}
     for seed in (41_018, 41_026):
@@ -200,13 +198,13 @@ def test_a_soft_arm_is_not_far_behind_its_command_where_the_hand_must_stop() -> 
     assert leads_m[soft] - leads_m[stiff] < 0.010
 
 
-def test_every_expert_grasps_at_a_height_of_its_own() -> None:
+def test_every_expert_grasps_at_a_height_of_its_own():
     varied = [descent(seed, ExpertNoise())[-1, 0] for seed in range(6)]
     alike = [descent(seed, ExpertNoise(grasp_sd_m=0.0))[-1, 0] for seed in range(6)]
     assert np.std(varied) > 0.002 > np.std(alike)
 
 
-def test_a_hand_that_arrives_beside_its_row_comes_to_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_hand_that_arrives_beside_its_row_comes_to_it(monkeypatch):
     """A policy arrives there, too; without demos of the way back it takes a wrong row."""
     beside_m = np.array([0.008, -0.016])
     monkeypatch.setattr(WipeExpert, "_stray", lambda self: beside_m)
@@ -230,7 +228,7 @@ def test_a_hand_that_arrives_beside_its_row_comes_to_it(monkeypatch: pytest.Monk
     assert fastest_m_s < 0.140 and env.result().success
 
 
-def test_make_env_round_trip() -> None:
+def test_make_env_round_trip():
     config = make_env_config("uniforce_wiping", level="easy", left_sensor="uskin", episode_length=2)
     vector = make_env(config, n_envs=1)["uniforce_wiping"][0]
     observation, _ = vector.reset(seed=[3])
@@ -247,7 +245,7 @@ def test_make_env_round_trip() -> None:
     vector.close()
 
 
-def test_features_follow_the_keys() -> None:
+def test_features_follow_the_keys():
     config = UniforceWipingConfig()
     assert {STATE, camera_key("front"), camera_key("wrist"), *TACTILE_KEYS} <= set(config.features)
     assert config.episode_length == 360 and not any("wrench" in key for key in config.features)
@@ -256,7 +254,7 @@ def test_features_follow_the_keys() -> None:
     assert exposed["observation.wrench_left"].shape == (4,)
 
 
-def test_a_late_expert_answers_to_what_it_felt_before() -> None:
+def test_a_late_expert_answers_to_what_it_felt_before():
     """Recorded experts feel as late as pictures are: what they answer to can then be seen."""
     exact = ExpertNoise(force_sd_N=0.0, force_gain_sd=0.0)
     env = WipeEnv("easy")

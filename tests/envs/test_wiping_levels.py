@@ -20,21 +20,21 @@ from lerobot_env_uniforce_wiping.sequence import Sweep
 LOCKED = {"easy": "a6e6bd6055b0", "touch": "21ea3966703a"}
 
 
-def test_levels_are_locked() -> None:
+def test_levels_are_locked():
     """A changed level makes old scores incomparable: give it a new name, or score anew."""
     assert {name: level_hash(level) for name, level in LEVELS.items()} == LOCKED
 
 
 @examples(30)
 @given(st.integers(0, 2**31 - 1), st.sampled_from(sorted(LEVELS)))
-def test_scene_is_a_function_of_seed_and_level(seed: int, level: str) -> None:
+def test_scene_is_a_function_of_seed_and_level(seed, level):
     scene = draw_scene(seed, level)
     assert scene == draw_scene(seed, level)
     assert asdict(scene) != asdict(draw_scene(seed + 1, level))
 
 
 @pytest.mark.parametrize("name", sorted(LEVELS))
-def test_serpentine_is_readable_from_position_alone(name: str) -> None:
+def test_serpentine_is_readable_from_position_alone(name):
     """Row k runs +y where k is even, back where it is odd: x decides the direction."""
     level = LEVELS[name]
     sweep = Sweep(level)
@@ -48,7 +48,7 @@ def test_serpentine_is_readable_from_position_alone(name: str) -> None:
     assert level.row_pitch_m < narrowest
 
 
-def test_stiffness_is_as_likely_twice_as_half_its_middle() -> None:
+def test_stiffness_is_as_likely_twice_as_half_its_middle():
     low, high = LEVELS["touch"].stiffness_scale
     drawn = np.array([draw_scene(seed, "touch").stiffness_scale for seed in range(400)])
     assert drawn.min() >= low and drawn.max() <= high
@@ -58,7 +58,7 @@ def test_stiffness_is_as_likely_twice_as_half_its_middle() -> None:
 
 @examples(40)
 @given(st.integers(0, 2**31 - 1), st.sampled_from(sorted(LEVELS)))
-def test_writing_of_any_size_and_place_lies_where_the_eraser_goes(seed: int, name: str) -> None:
+def test_writing_of_any_size_and_place_lies_where_the_eraser_goes(seed, name):
     """Every cell of the word is under the swept band, whatever the board's place and turn."""
     scene = draw_scene(seed, name)
     level = LEVELS[name]
@@ -76,7 +76,7 @@ def test_writing_of_any_size_and_place_lies_where_the_eraser_goes(seed: int, nam
     assert away_y.max() < level.stroke_m / 2  # under the whole length of the eraser
 
 
-def test_scenes_vary_what_a_camera_sees() -> None:
+def test_scenes_vary_what_a_camera_sees():
     scenes = [draw_scene(seed, "touch") for seed in range(40)]
     assert len({scene.word for scene in scenes}) > 10
     for name in (
@@ -89,7 +89,7 @@ def test_scenes_vary_what_a_camera_sees() -> None:
         assert len({getattr(scene, name) for scene in scenes}) == len(scenes)
 
 
-def test_light_changes_the_picture_and_nothing_else() -> None:
+def test_light_changes_the_picture_and_nothing_else():
     dim = WipeEnv("touch")
     bright = WipeEnv("touch")
     for env, gain in ((dim, 0.7), (bright, 1.0)):
@@ -106,7 +106,7 @@ def test_light_changes_the_picture_and_nothing_else() -> None:
     assert np.array_equal(dark["agent_pos"], light["agent_pos"])
 
 
-def test_the_pull_has_its_spread_its_pace_and_its_bound() -> None:
+def test_the_pull_has_its_spread_its_pace_and_its_bound():
     # (40, 900, 3)
     pulls = np.stack([hand_pull(seed, PullSettings(), 900, 30.0) for seed in range(40)])
     assert pulls.std() == pytest.approx(3.0 * 0.88, rel=0.1)  # clipping at two sd takes an eighth
@@ -116,7 +116,7 @@ def test_the_pull_has_its_spread_its_pace_and_its_bound() -> None:
     assert np.corrcoef(*later)[0, 1] == pytest.approx(0.37, abs=0.12)
 
 
-def test_the_board_has_its_spread_and_its_length() -> None:
+def test_the_board_has_its_spread_and_its_length():
     boards = [UnevenBoard(seed, UnevenSettings()) for seed in range(60)]
     here = np.array([b.height_m(np.zeros(2)) for b in boards])
     beside = np.array([b.height_m(np.array([0.0, 0.03])) for b in boards])

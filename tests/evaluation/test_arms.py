@@ -1,7 +1,6 @@
 """Scores of arms, and the statistics they are compared with."""
 
 from dataclasses import asdict, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,18 +17,18 @@ from uniforce_vtla.keys import OUTCOME_NAMES
 from uniforce_vtla.results_file import append_line
 
 
-def row(seed: int, outcome: str = "success", clean: bool = True) -> EpisodeRow:
+def row(seed, outcome="success", clean=True):
     return EpisodeRow(seed, outcome, clean, not clean, False, 0.05, 6.0, 7.0, 10.0, 20.0, 30.0)
 
 
 @given(st.lists(st.sampled_from(OUTCOME_NAMES), min_size=1, max_size=30))
-def test_outcomes_sum_to_n(outcomes: list[str]) -> None:
+def test_outcomes_sum_to_n(outcomes):
     report = ArmReport("V", [row(i, o, o == "success") for i, o in enumerate(outcomes)])
     assert sum(report.count(o) for o in OUTCOME_NAMES) == report.n
     assert report.as_dict()["clean"] == outcomes.count("success")
 
 
-def test_rows_survive_a_line_cut_short(tmp_path: Path) -> None:
+def test_rows_survive_a_line_cut_short(tmp_path):
     file = tmp_path / "episodes.jsonl"
     append_line(file, asdict(row(3)))
     append_line(file, asdict(row(4, "residual", False)))
@@ -40,21 +39,21 @@ def test_rows_survive_a_line_cut_short(tmp_path: Path) -> None:
     assert read_rows(file) == {3: row(3), 4: row(4, "residual", False), 5: row(5)}
 
 
-def test_rows_of_another_version_are_refused(tmp_path: Path) -> None:
+def test_rows_of_another_version_are_refused(tmp_path):
     file = tmp_path / "episodes.jsonl"
     file.write_text('{"seed": 5, "height": 2}\n')
     with pytest.raises(ContractError, match="another folder"):
         read_rows(file)
 
 
-def test_table_and_picture_show_every_arm(tmp_path: Path) -> None:
+def test_table_and_picture_show_every_arm(tmp_path):
     reports = [ArmReport("V", [row(0, "residual", False)]), ArmReport("V+T", [row(0)])]
     text = table(reports)
     assert "| V | 0/1 = 0 %" in text and "| V+T | 1/1 = 100 %" in text
     assert draw_arms(reports, tmp_path / "arms.png", "t").stat().st_size > 1000
 
 
-def test_one_letter_a_seed_says_what_happened() -> None:
+def test_one_letter_a_seed_says_what_happened():
     rows = [
         row(0),
         replace(row(1), clean=False, slippage=True),
@@ -67,7 +66,7 @@ ROW = EpisodeRow(0, "success", True, False, False, 0.05, 6.0, 7.0, 10.0, 20.0, 3
 PAIRS = (("V+T", "V"), ("V+G", "V"), ("V+U", "V"))
 
 
-def arm(name: str, codes: str, first_seed: int = 0) -> ArmReport:
+def arm(name, codes, first_seed=0):
     """An arm whose letters say C (clean) or r (residual), seed by seed."""
     rows = [
         replace(
@@ -78,7 +77,7 @@ def arm(name: str, codes: str, first_seed: int = 0) -> ArmReport:
     return ArmReport(name, rows)
 
 
-def test_a_clear_difference_survives_holm_and_an_arm_not_scored_is_not_asked_about() -> None:
+def test_a_clear_difference_survives_holm_and_an_arm_not_scored_is_not_asked_about():
     arms = arm("V", "r" * 20), arm("V+T", "C" * 15 + "r" * 5), arm("V+G", "C" + "r" * 19)
     tests = {
         tuple(t["arms"]): t
@@ -90,7 +89,7 @@ def test_a_clear_difference_survives_holm_and_an_arm_not_scored_is_not_asked_abo
     assert clear["p_holm"] == pytest.approx(2 * clear["p_value"])
 
 
-def test_only_shared_seeds_are_compared() -> None:
+def test_only_shared_seeds_are_compared():
     arms = {
         "V": arm("V", "rrrr").clean_by_seed,
         "V+T": arm("V+T", "CCCC", first_seed=2).clean_by_seed,
@@ -99,7 +98,7 @@ def test_only_shared_seeds_are_compared() -> None:
     assert better({"V": {0: False}, "V+T": {9: True}}, PAIRS) == []
 
 
-def test_a_swap_is_as_good_only_when_shown() -> None:
+def test_a_swap_is_as_good_only_when_shown():
     claims = [AtMostWorse("swapped", "V+G", "V+T", 0.10)]
     same = {
         "V+T": dict(enumerate([True] * 180 + [False] * 20)),
@@ -109,14 +108,14 @@ def test_a_swap_is_as_good_only_when_shown() -> None:
     assert as_good(same, claims)[0]["shown"] and not as_good(worse, claims)[0]["shown"]
 
 
-def test_wilson_matches_the_published_example() -> None:
+def test_wilson_matches_the_published_example():
     # Newcombe 1998, table I: 81/263, Wilson without continuity correction: .2553 to .3662
     interval = wilson(81, 263)
     assert interval.low == pytest.approx(0.2553, abs=1e-4)
     assert interval.high == pytest.approx(0.3662, abs=1e-4)
 
 
-def test_mcnemar_is_the_sign_test_on_discordant_pairs() -> None:
+def test_mcnemar_is_the_sign_test_on_discordant_pairs():
     first = [True] * 9 + [False] * 1 + [True] * 5
     second = [False] * 9 + [True] * 1 + [True] * 5
     test = mcnemar(first, second)
@@ -124,7 +123,7 @@ def test_mcnemar_is_the_sign_test_on_discordant_pairs() -> None:
     assert test.p_value == pytest.approx(22 / 1024)  # 2·(1 + 10)/2^10
 
 
-def test_impossible_numbers_are_refused() -> None:
+def test_impossible_numbers_are_refused():
     for k, n in ((1, 0), (-1, 5), (6, 5)):
         with pytest.raises(ContractError, match="0 ≤ k ≤ n"):
             wilson(k, n)
@@ -135,19 +134,19 @@ def test_impossible_numbers_are_refused() -> None:
             non_inferior([True], [True], margin)
 
 
-def test_holm_steps_down_and_stays_monotone() -> None:
+def test_holm_steps_down_and_stays_monotone():
     # Holm 1979: the smallest of three is tripled, the next doubled, and none falls below the one before it
     assert holm([0.03, 0.01, 0.04]) == pytest.approx([0.06, 0.03, 0.06])
     assert holm([0.9, 0.8]) == [1.0, 1.0] and holm([]) == []
 
 
-def arms(only_first: int, only_second: int, both: int) -> tuple[list[bool], list[bool]]:
+def arms(only_first, only_second, both):
     first = [True] * only_first + [False] * only_second + [True] * both
     second = [False] * only_first + [True] * only_second + [True] * both
     return first, second
 
 
-def test_score_bound_at_zero_is_mcnemars_z() -> None:
+def test_score_bound_at_zero_is_mcnemars_z():
     first, second = arms(25, 9, 66)
     z = (25 - 9) / np.sqrt(25 + 9)
     # a bound at the confidence that z reaches lies exactly at no difference
@@ -155,7 +154,7 @@ def test_score_bound_at_zero_is_mcnemars_z() -> None:
     assert bound.lower == pytest.approx(0.0, abs=1e-6)
 
 
-def test_the_bound_covers_as_often_as_it_says() -> None:
+def test_the_bound_covers_as_often_as_it_says():
     rng = np.random.default_rng(1)
     n, truth, hits, trials = 100, 0.1 - 0.2, 0, 400
     for _ in range(trials):
@@ -165,7 +164,7 @@ def test_the_bound_covers_as_often_as_it_says() -> None:
     assert abs(hits / trials - 0.95) < 3 * np.sqrt(0.05 * 0.95 / trials) + 0.01
 
 
-def test_equal_arms_are_non_inferior_only_with_enough_seeds() -> None:
+def test_equal_arms_are_non_inferior_only_with_enough_seeds():
     assert non_inferior([True] * 200, [True] * 200, 0.1).shown
     assert not non_inferior([True] * 10, [True] * 10, 0.1).shown
     worse = non_inferior(*arms(5, 45, 150), 0.1)
@@ -173,9 +172,7 @@ def test_equal_arms_are_non_inferior_only_with_enough_seeds() -> None:
 
 
 @given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=60))
-def test_bound_lies_below_the_difference_and_agrees_with_its_p(
-    pairs: list[tuple[bool, bool]],
-) -> None:
+def test_bound_lies_below_the_difference_and_agrees_with_its_p(pairs):
     new, reference = [a for a, _ in pairs], [b for _, b in pairs]
     found = non_inferior(new, reference, 0.1)
     assert -1 <= found.lower <= found.difference + 1e-9

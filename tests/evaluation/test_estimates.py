@@ -20,9 +20,7 @@ WEIGHT_N = 0.8
 FRICTION = (0.6, 0.8)
 
 
-def wipe(
-    press_N: float, grip_N: float = 9.0, bias_N: float = 0.0
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def wipe(press_N, grip_N=9.0, bias_N=0.0):
     """Grasp, lift, carry for a second, press for three: time, forces, height."""
     time_s = np.arange(6 * RATE) / RATE
     height = np.interp(time_s, [1, 2], [0.1, 0.2])
@@ -35,7 +33,7 @@ def wipe(
 
 
 @given(st.floats(0.5, 14.0), st.floats(-1.0, 1.0))
-def test_the_board_bears_what_the_pads_no_longer_do(press_N: float, bias_N: float) -> None:
+def test_the_board_bears_what_the_pads_no_longer_do(press_N, bias_N):
     time_s, force, height = wipe(press_N, grip_N=20.0, bias_N=bias_N)
     found = estimate_events(time_s, force, height, FRICTION)
     assert found.press_N[time_s > 3.1] == pytest.approx(press_N, abs=1e-6)
@@ -45,7 +43,7 @@ def test_the_board_bears_what_the_pads_no_longer_do(press_N: float, bias_N: floa
     assert found.in_band_share == pytest.approx(float(4 <= press_N <= 8), abs=0.02)
 
 
-def test_both_pads_at_their_limit_slide_one_alone_does_not() -> None:
+def test_both_pads_at_their_limit_slide_one_alone_does_not():
     time_s, force, height = wipe(9.0, grip_N=6.0)  # shear 4.1 of 3.6 N and 4.8 N
     one = estimate_events(time_s, force, height, FRICTION)
     assert one.friction_used[-1, 0] > 0.9 > one.friction_used[-1, 1] and not one.slippage
@@ -53,14 +51,14 @@ def test_both_pads_at_their_limit_slide_one_alone_does_not() -> None:
     assert "friction limit" in both.slippage[0]
 
 
-def test_an_empty_hand_is_lost_or_never_lifted() -> None:
+def test_an_empty_hand_is_lost_or_never_lifted():
     time_s, force, height = wipe(5.0)
     assert estimate_events(time_s, 0 * force, height, FRICTION).lost == ("never lifted",)
     force[time_s > 4] = 0.0
     assert "no grip" in estimate_events(time_s, force, height, FRICTION).lost[0]
 
 
-def test_what_cannot_be_judged_is_refused() -> None:
+def test_what_cannot_be_judged_is_refused():
     time_s, force, height = wipe(5.0)
     with pytest.raises(ContractError, match="Align them"):
         estimate_events(time_s, force[:-1], height, FRICTION)
@@ -77,10 +75,10 @@ def test_what_cannot_be_judged_is_refused() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("press_N", "grip_N", "seed"),
+    "press_N, grip_N, seed",
     [(6.8, 4.0, 30_006), (9.5, 9.0, 30_001), (11.5, 9.0, 30_001), (7.5, 9.0, 30_005)],
 )
-def test_true_forces_tell_the_simulators_events(press_N: float, grip_N: float, seed: int) -> None:
+def test_true_forces_tell_the_simulators_events(press_N, grip_N, seed):
     """A hand too loose, too slippery a handle, too firm a press, and a clean wipe."""
     env, expert = WipeEnv("touch"), WipeExpert(settings=TouchSettings(press_N, grip_N))
     env.start(seed)
@@ -106,7 +104,7 @@ def test_true_forces_tell_the_simulators_events(press_N: float, grip_N: float, s
 CORNERS = np.array([[20, 30], [300, 40], [310, 200], [10, 190]])
 
 
-def board(word_left: float = 1.0, light: float = 1.0, hidden: bool = False) -> np.ndarray:
+def board(word_left=1.0, light=1.0, hidden=False):
     """A white board with a bar of ink, part of it wiped, maybe an arm over it."""
     image = np.full((240, 320, 3), 90, np.uint8)
     cv2.fillConvexPoly(image, CORNERS, (225, 228, 224))
@@ -118,17 +116,17 @@ def board(word_left: float = 1.0, light: float = 1.0, hidden: bool = False) -> n
 
 @pytest.mark.parametrize("left", [0.0, 0.1, 0.5, 1.0])
 @pytest.mark.parametrize("light", [1.0, 0.93])
-def test_what_is_left_is_counted_also_when_the_light_changed(left: float, light: float) -> None:
+def test_what_is_left_is_counted_also_when_the_light_changed(left, light):
     found = estimate_residual(board(), board(left, light), CORNERS)
     assert found.residual == pytest.approx(left, abs=0.05) and found.judged > 0.9
 
 
-def test_hidden_ink_is_not_guessed() -> None:
+def test_hidden_ink_is_not_guessed():
     with pytest.raises(DatasetError, match="Move the arm away"):
         estimate_residual(board(), board(0.5, hidden=True), CORNERS)
 
 
-def test_an_empty_board_and_wrong_corners_are_refused() -> None:
+def test_an_empty_board_and_wrong_corners_are_refused():
     with pytest.raises(DatasetError, match="before the wipe"):
         estimate_residual(board(0.0), board(0.0), CORNERS)
     with pytest.raises(ContractError, match="order around"):
@@ -137,7 +135,7 @@ def test_an_empty_board_and_wrong_corners_are_refused() -> None:
         estimate_residual(board(), board()[:100], CORNERS)
 
 
-def corners_of(env: WipeEnv) -> np.ndarray:
+def corners_of(env):
     """The simulated board's corners in the front camera, as a person would click them."""
     sim = env.sim
     geom = sim.model.geom("board")
@@ -149,8 +147,8 @@ def corners_of(env: WipeEnv) -> np.ndarray:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("seed", "stop_at"), [(1, 0.85), (2, 0.4), (5, 0.0)])
-def test_the_estimate_is_near_the_simulators_truth(seed: int, stop_at: float) -> None:
+@pytest.mark.parametrize("seed, stop_at", [(1, 0.85), (2, 0.4), (5, 0.0)])
+def test_the_estimate_is_near_the_simulators_truth(seed, stop_at):
     """Wipe until so much is left, let the arm go home, and look."""
     env, expert = WipeEnv("touch"), WipeExpert()
     first = env.reset(seed=seed)[0]["pixels"]["front"]

@@ -34,7 +34,7 @@ class ByteTarget:
     refuses: bool = True  # False for a reader that resynchronises instead
 
 
-def feed_slcan(rng: np.random.Generator, data: bytes) -> None:
+def feed_slcan(rng, data):
     reader = SlcanScans()
     for chunk in chunks(rng, data):
         for scan in reader.feed(chunk):
@@ -42,7 +42,7 @@ def feed_slcan(rng: np.random.Generator, data: bytes) -> None:
         assert len(reader._tail) <= MAX_TAIL_BYTES
 
 
-def feed_websocket(rng: np.random.Generator, data: bytes) -> None:
+def feed_websocket(rng, data):
     client = XelaMessages("127.0.0.1", 1, "fuzz")
     client.feed(greeting(b"".join(client.protocol.data_to_send())))
     for chunk in filter(None, chunks(rng, data)):
@@ -52,12 +52,12 @@ def feed_websocket(rng: np.random.Generator, data: bytes) -> None:
         assert waiting <= MAX_MESSAGE_BYTES + len(data)
 
 
-def feed_json(rng: np.random.Generator, data: bytes) -> None:
+def feed_json(rng, data):
     _, counts = read_message(data.decode(errors="replace"), "1", "fuzz")
     assert counts is None or counts.shape == (16, 3)
 
 
-def feed_mjpeg(rng: np.random.Generator, data: bytes) -> None:
+def feed_mjpeg(rng, data):
     reader = MultipartJpeg("fuzz")
     for chunk in chunks(rng, data):
         for got in reader.feed(chunk):
@@ -66,7 +66,7 @@ def feed_mjpeg(rng: np.random.Generator, data: bytes) -> None:
         assert len(reader._buffer) <= MAX_JPEG_BYTES + MAX_HEADER_BYTES + len(data)
 
 
-def feed_spacemouse(rng: np.random.Generator, data: bytes) -> None:
+def feed_spacemouse(rng, data):
     reader = SpaceMouseSource()
     for report in chunks(rng, data):
         reader.feed(report)

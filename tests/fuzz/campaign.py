@@ -12,7 +12,6 @@ import signal
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +24,7 @@ WARM_UP = 20  # readings of what is right, before memory is counted
 ROOM_BYTES = 3 << 30  # address space beyond what the imports took; more ends in an unexpected error
 
 
-def status_kib(name: str) -> int:
+def status_kib(name):
     """Return a number of /proc/self/status: VmHWM, the peak of resident memory, or VmRSS, VmSize."""
     for line in Path("/proc/self/status").read_text().splitlines():
         if line.startswith(f"{name}:"):
@@ -33,16 +32,14 @@ def status_kib(name: str) -> int:
     raise LookupError(name)
 
 
-def forget_peak() -> None:
+def forget_peak():
     """Let VmHWM begin anew from what is resident now."""
     Path("/proc/self/clear_refs").write_text("5")
 
 
-def run(
-    name: str, inputs: int, read: Callable[[int], None], right: Callable[[], None], typed: tuple
-) -> dict[str, object]:
+def run(name, inputs, read, right, typed):
     """Return the counts of one target; ``read(i)`` reads the i-th injured input, ``right()`` the sound one."""
-    for _ in range(WARM_UP):
+    for _ in range(min(WARM_UP, inputs)):
         right()
     forget_peak()
     before_kib, refused, slowest_s, began_s = status_kib("VmRSS"), 0, 0.0, time.monotonic()
@@ -68,7 +65,7 @@ def run(
     }
 
 
-def byte_campaign(inputs: int, seed: int, names: list[str]) -> Iterator[dict[str, object]]:
+def byte_campaign(inputs, seed, names):
     """Yield each parser's counts: nine in ten inputs injured, one plain noise."""
     from byte_targets import BYTE_TARGETS
 
@@ -77,7 +74,7 @@ def byte_campaign(inputs: int, seed: int, names: list[str]) -> Iterator[dict[str
     for name in names or BYTE_TARGETS:
         target, rng = BYTE_TARGETS[name], np.random.default_rng(seed)
 
-        def read(i: int, target=target, rng=rng, name=name) -> None:
+        def read(i, target=target, rng=rng, name=name):
             noise = i % 10 == 9
             data = rng.bytes(int(rng.integers(0, 2000))) if noise else mutate(rng, target.seed)
             held.hold(name, data)
@@ -93,7 +90,7 @@ def byte_campaign(inputs: int, seed: int, names: list[str]) -> Iterator[dict[str
         )
 
 
-def file_campaign(inputs: int, seed: int, names: list[str]) -> Iterator[dict[str, object]]:
+def file_campaign(inputs, seed, names):
     """Yield each reader's counts: one file of its folder injured at a time, values of JSON as often as bytes."""
     import torch
     from file_targets import FILE_TARGETS, is_json
@@ -106,7 +103,7 @@ def file_campaign(inputs: int, seed: int, names: list[str]) -> Iterator[dict[str
             whole = {file: file.read_bytes() for file in target.files}
             textual = {file for file, data in whole.items() if is_json(data)}
 
-            def read(_: int, target=target, rng=rng, whole=whole, textual=textual) -> None:
+            def read(_, target=target, rng=rng, whole=whole, textual=textual):
                 file = list(whole)[int(rng.integers(len(whole)))]
                 injure = mutate_json if file in textual and rng.random() < 0.7 else mutate
                 data = (
@@ -131,25 +128,25 @@ def file_campaign(inputs: int, seed: int, names: list[str]) -> Iterator[dict[str
 class Kept:
     """The input being read, in a mapped file: a process that dies can't tell what killed it. No call per input."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         path = os.environ.get("UNIFORCE_FUZZ_KEEP")
         if path:
             Path(path).write_bytes(bytes(KEPT_BYTES))
         self._map = mmap.mmap(os.open(path, os.O_RDWR), KEPT_BYTES) if path else None
 
-    def hold(self, name: str, data: bytes) -> None:
+    def hold(self, name, data):
         if self._map is not None:
             note = f"{name}, {len(data)} bytes: ".encode() + data[: KEPT_BYTES - 200]
             self._map[: len(note) + 1] = note + b"\0"
 
 
-def limit_memory() -> None:
+def limit_memory():
     """Let the address space grow by ``ROOM_BYTES`` from here."""
     limit = status_kib("VmSize") * 1024 + ROOM_BYTES
     resource.setrlimit(resource.RLIMIT_AS, (limit, resource.RLIM_INFINITY))
 
 
-def main() -> None:
+def main():
     group, inputs, seed, *names = sys.argv[1:]
     campaign = {"bytes": byte_campaign, "files": file_campaign}[group]
     for counts in campaign(int(inputs), int(seed), names):

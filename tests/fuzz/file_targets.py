@@ -46,26 +46,26 @@ class FileTarget:
     read: Callable[[], Any]
     typed: tuple[type[Exception], ...] = TYPED
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         # they would refuse every injury before a reader meets it
         for hashes in self.folder.rglob(HASHES):
             hashes.unlink()
 
     @property
-    def files(self) -> list[Path]:
+    def files(self):
         return sorted(
             path for path in self.folder.rglob("*") if path.is_file() and path.stat().st_size
         )
 
 
-def dataset(folder: Path) -> FileTarget:
+def dataset(folder):
     """Read a recording as uniforce view and uniforce show do: metadata, columns, every video."""
     logging.getLogger("lerobot").setLevel(logging.ERROR)
     root = record_synthetic(folder / "data", 1, 3)
     (root / ".recorder.lock").unlink(missing_ok=True)
     (root / HASHES).unlink()  # or none of the readers behind them would see an injured file
 
-    def read() -> None:
+    def read():
         source = check_dataset(root)
         source.columns((STATE, ACTION))
         for episode in source.episodes:
@@ -77,7 +77,7 @@ def dataset(folder: Path) -> FileTarget:
     return FileTarget(root, read)
 
 
-def hashes_of_dataset(folder: Path) -> FileTarget:
+def hashes_of_dataset(folder):
     root = folder / "data"
     (root / "meta").mkdir(parents=True)
     (root / "meta" / "info.json").write_text("{}")
@@ -86,20 +86,20 @@ def hashes_of_dataset(folder: Path) -> FileTarget:
     return target
 
 
-def view(folder: Path) -> FileTarget:
+def view(folder):
     """Read a training view and two of its samples."""
     recorded = record_synthetic(folder / "recorded", 1, 3)
     root = build_view(recorded, folder / "data", image_side=8, encoder=BlockMeans())
     (root / HASHES).unlink()
 
-    def read() -> None:
+    def read():
         samples = TrainingView(root, (-1, 0, 1))
         assert samples[0].keys() == samples[len(samples) - 1].keys()
 
     return FileTarget(root, read)
 
 
-def tokenizer(folder: Path) -> FileTarget:
+def tokenizer(folder):
     root = Tokenizer.random(SMALL).save(folder / "data")
     image = np.zeros((48, 64), np.uint8)
     image[10:20, 10:20] = 255
@@ -108,13 +108,13 @@ def tokenizer(folder: Path) -> FileTarget:
     )
 
 
-def force_head(folder: Path) -> FileTarget:
+def force_head(folder):
     config = HeadConfig(hidden=4, mlp=8)
     root = ForceHead(ForceRegressor(config), "tactip", HASH).save(folder / "data")
     return FileTarget(root, lambda: ForceHead.from_pretrained(path=root))
 
 
-def descriptor_head(folder: Path) -> FileTarget:
+def descriptor_head(folder):
     config = HeadConfig(channels=len(DESCRIPTOR_NAMES), grid=1, hidden=4, mlp=8)
     DescriptorHead(ForceRegressor(config), "tactip").save(folder / "data")
     seen = np.zeros((2, len(DESCRIPTOR_NAMES)))
@@ -124,7 +124,7 @@ def descriptor_head(folder: Path) -> FileTarget:
     )
 
 
-def adapter(folder: Path) -> FileTarget:
+def adapter(folder):
     judged = {"small": Agreement(9, (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))}
     root = Calibration(LatentMap(16, 6).eval(), HASH, HASH, "new", "anchor", 1.0, 0.0, judged).save(
         folder / "data"
@@ -134,7 +134,7 @@ def adapter(folder: Path) -> FileTarget:
     )
 
 
-def policy(folder: Path) -> FileTarget:
+def policy(folder):
     """Read config, weights and processors of a tiny policy, as the scorer does."""
     stored = Tokenizer.random(SMALL).save(folder / "tokenizer")
     cameras = ("front", "wrist", "tactile_left", "tactile_right")
@@ -151,7 +151,7 @@ def policy(folder: Path) -> FileTarget:
     return FileTarget(root, lambda: PolicyController(root, {}))
 
 
-def training_state(folder: Path) -> FileTarget:
+def training_state(folder):
     layer = torch.nn.Linear(3, 2)
     optimizer = torch.optim.AdamW(layer.parameters())
     layer(torch.ones(1, 3)).sum().backward()
@@ -161,7 +161,7 @@ def training_state(folder: Path) -> FileTarget:
     return FileTarget(folder / "data", lambda: load_state(folder / "data"))
 
 
-def hashes_of_checkpoint(folder: Path) -> FileTarget:
+def hashes_of_checkpoint(folder):
     (folder / "data").mkdir()
     (folder / "data" / "config.json").write_text("{}")
     target = FileTarget(folder / "data", lambda: check_hashes(folder / "data", UniForceError))
@@ -169,20 +169,20 @@ def hashes_of_checkpoint(folder: Path) -> FileTarget:
     return target
 
 
-def arrays(folder: Path) -> FileTarget:
+def arrays(folder):
     root = folder / "data"
     root.mkdir()
     np.save(root / "one.npy", np.arange(60.0).reshape(3, 4, 5))
     np.savez(root / "many.npz", a=np.arange(6), b=np.zeros((2, 3)))
 
-    def read() -> None:
+    def read():
         read_array(root / "one.npy")
         read_arrays(root / "many.npz", ["a", "b"])
 
     return FileTarget(root, read)
 
 
-FILE_TARGETS: dict[str, Callable[[Path], FileTarget]] = {  # the quick ones first
+FILE_TARGETS = {  # the quick ones first
     "arrays": arrays,
     "hashes_of_dataset": hashes_of_dataset,
     "hashes_of_checkpoint": hashes_of_checkpoint,
@@ -197,7 +197,7 @@ FILE_TARGETS: dict[str, Callable[[Path], FileTarget]] = {  # the quick ones firs
 }
 
 
-def is_json(data: bytes) -> bool:
+def is_json(data):
     """Whether values inside can be injured, and not only bytes."""
     try:
         json.loads(data)

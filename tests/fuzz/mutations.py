@@ -3,15 +3,12 @@
 import copy
 import itertools
 import json
-from typing import Any
-
-import numpy as np
 
 TRICKS = ("flip", "drop", "repeat", "insert", "cut", "swap", "digit", "extreme")
 DIGITS = b"0123456789ABCDEF\r\n\x07-"
 EXTREMES = (b"\xff" * 8, b"\x00" * 8, b"\x7f" + b"\xff" * 3, b"\x80" + b"\x00" * 3, b"\xff" * 2)
 END = 2048  # bytes at either end of a file, where formats keep what everything else hangs on
-STRANGE: tuple[Any, ...] = (
+STRANGE = (
     *(None, True, False, 0, -1, 1, 2, 255, 2**31, 2**63, 10**30),
     *(0.5, -0.0, 1e308, float("nan"), float("inf")),
     *(
@@ -30,7 +27,7 @@ STRANGE: tuple[Any, ...] = (
 )
 
 
-def mutate(rng: np.random.Generator, data: bytes, at_the_ends: bool = False) -> bytes:
+def mutate(rng, data, at_the_ends=False):
     """Return ``data`` after one to eight random injuries; ``at_the_ends`` most of them hit a file's two ends."""
     out = bytearray(data)
     for _ in range(int(rng.integers(1, 9))):
@@ -58,13 +55,13 @@ def mutate(rng: np.random.Generator, data: bytes, at_the_ends: bool = False) -> 
     return bytes(out)
 
 
-def _place(rng: np.random.Generator, length: int, at_the_ends: bool) -> int:
+def _place(rng, length, at_the_ends):
     if at_the_ends and length > 2 * END and rng.random() < 0.7:
         return int(rng.integers(END)) - (END if rng.random() < 0.5 else 0)
     return int(rng.integers(length))
 
 
-def mutate_json(rng: np.random.Generator, data: bytes) -> bytes:
+def mutate_json(rng, data):
     """Return JSON in which one to three values are strange, gone, or elsewhere."""
     content = json.loads(data)
     for _ in range(int(rng.integers(1, 4))):
@@ -84,19 +81,19 @@ def mutate_json(rng: np.random.Generator, data: bytes) -> bytes:
     return json.dumps(content).encode()
 
 
-def _strange(rng: np.random.Generator) -> Any:
+def _strange(rng):
     """Return a value of its own: the next injury may change it."""
     return copy.deepcopy(STRANGE[int(rng.integers(len(STRANGE)))])
 
 
-def _nodes(content: Any) -> list[Any]:
+def _nodes(content):
     if not isinstance(content, dict | list):
         return []
     children = content.values() if isinstance(content, dict) else content
     return [content, *itertools.chain.from_iterable(_nodes(child) for child in children)]
 
 
-def chunks(rng: np.random.Generator, data: bytes) -> list[bytes]:
+def chunks(rng, data):
     """Return ``data`` in up to six pieces."""
     cuts = sorted(int(cut) for cut in rng.integers(0, len(data) + 1, int(rng.integers(0, 6))))
     return [data[a:b] for a, b in itertools.pairwise([0, *cuts, len(data)])]

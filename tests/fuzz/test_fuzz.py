@@ -11,20 +11,18 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from byte_targets import BYTE_TARGETS
 from file_targets import FILE_TARGETS
 
-from uniforce_vtla.errors import SensorError
 from uniforce_vtla.results_file import provenance, write_json
 
 HERE = Path(__file__).parent
 SHARE = {
     "bytes": int(os.environ.get("UNIFORCE_FUZZ_INPUTS", "1500")),
-    "files": int(os.environ.get("UNIFORCE_FUZZ_FILES", "25")),
+    "files": int(os.environ.get("UNIFORCE_FUZZ_FILES", "12")),
 }
 SEED = os.environ.get("UNIFORCE_FUZZ_SEED", "0")
 RESULTS = os.environ.get("UNIFORCE_FUZZ_RESULTS", "")
@@ -37,9 +35,7 @@ MOST_MB = {"bytes": 64, "files": 512}  # of resident memory beyond what the soun
 
 
 @pytest.fixture(scope="module", params=TARGETS)
-def campaign(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[str, Any]:
+def campaign(request, tmp_path_factory):
     """(group, counts by target) of a process that went through every target of a group."""
     group, folder = request.param, tmp_path_factory.mktemp("input")
     last, said = folder / "last", folder / "stderr"
@@ -65,7 +61,6 @@ def campaign(
             command, stdout=subprocess.PIPE, stderr=stderr, text=True, env=environment
         ) as process,
     ):
-        assert process.stdout is not None
         for line in process.stdout:
             found.append(json.loads(line))
             keep(group, found)
@@ -75,7 +70,7 @@ def campaign(
     return group, {counts["target"]: counts for counts in found}
 
 
-def keep(group: str, found: list[dict[str, Any]]) -> None:
+def keep(group, found):
     """Put what a group has counted so far in place of earlier counts of the same targets, where results are wanted."""
     if not RESULTS:
         return
@@ -92,7 +87,7 @@ def keep(group: str, found: list[dict[str, Any]]) -> None:
 
 
 @pytest.mark.slow  # two processes that import everything, then a second or two per target
-def test_every_target_survives(campaign: tuple[str, Any]) -> None:
+def test_every_target_survives(campaign):
     group, counts = campaign
     assert counts.keys() == set(TARGETS[group])
     for name, count in counts.items():
@@ -104,22 +99,22 @@ def test_every_target_survives(campaign: tuple[str, Any]) -> None:
         )
 
 
-def refuses(group: str, name: str) -> bool:
+def refuses(group, name):
     return group == "files" or BYTE_TARGETS[name].refuses
 
 
 @pytest.mark.parametrize("name", BYTE_TARGETS)
-def test_sound_bytes_are_accepted(name: str) -> None:
+def test_sound_bytes_are_accepted(name):
     BYTE_TARGETS[name].feed(np.random.default_rng(0), BYTE_TARGETS[name].seed)
 
 
 @pytest.mark.parametrize("name", ["tokenizer", "arrays", "training_state"])
-def test_sound_files_are_accepted(name: str, tmp_path: Path) -> None:
+def test_sound_files_are_accepted(name, tmp_path):
     FILE_TARGETS[name](tmp_path).read()
 
 
 @pytest.mark.parametrize(
-    ("crime", "says"),
+    "crime, says",
     [
         ("raise ValueError('untyped')", "untyped"),
         ("os.abort()", "-6"),
@@ -127,7 +122,7 @@ def test_sound_files_are_accepted(name: str, tmp_path: Path) -> None:
         ("np.ones(4 << 30, np.uint8)", "Unable to allocate"),
     ],
 )
-def test_the_campaign_sees_what_it_looks_for(crime: str, says: str) -> None:
+def test_the_campaign_sees_what_it_looks_for(crime, says):
     program = (
         "import os, numpy as np, campaign\n"
         "campaign.SLOWEST_S, campaign.WARM_UP = 0.5, 1\n"
@@ -139,16 +134,3 @@ def test_the_campaign_sees_what_it_looks_for(crime: str, says: str) -> None:
     how = {"capture_output": True, "text": True, "env": environment, "timeout": 120}
     done = subprocess.run([sys.executable, "-c", program], **how)
     assert done.returncode != 0 and says in f"{done.returncode} {done.stderr}"
-
-
-def test_deep_and_endless_json_is_refused() -> None:
-    from uniforce_robots.sensors.uskin_server import read_message
-
-    for text in (
-        "[" * 500_000,
-        '{"a":' * 200_000,
-        "9" * 100_000,
-        json.dumps({"type": "routine", "1": {"data": [[]] * 48}}),
-    ):
-        with pytest.raises(SensorError):
-            read_message(text, "1", "fuzz")

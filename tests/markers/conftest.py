@@ -1,15 +1,11 @@
 """Synthetic raw frames with known markers, after how real recordings look: see the docstrings."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-
-from uniforce_vtla.contact import gap_map
-from uniforce_vtla.contracts import ContactState
 
 REAL = Path(__file__).parents[2].parent / "shared" / "real"
 
@@ -23,34 +19,23 @@ class Scene:
 
 
 @pytest.fixture(scope="session")
-def real_folder() -> Path:
+def real_folder():
     if not REAL.is_dir():
         pytest.skip(f"no real recordings at {REAL}")
     return REAL
 
 
 @pytest.fixture(scope="session")
-def pressed() -> Callable[..., ContactState]:
-    """Return the contact of a sphere at the middle of a pad under a force x, y, z in N."""
-    gap_mm = gap_map("sphere", center_mm=(0.0, 0.0), angle_rad=0.0)[None]
-
-    def press(*force_N: float) -> ContactState:
-        return ContactState(gap_mm, np.array([force_N], np.float32), np.zeros(1, np.float32))
-
-    return press
-
-
-@pytest.fixture(scope="session")
-def dome() -> Callable[..., Scene]:
+def dome():
     return _dome
 
 
 @pytest.fixture(scope="session")
-def gel() -> Callable[..., Scene]:
+def gel():
     return _gel
 
 
-def _to_canonical_px(points: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+def _to_canonical_px(points, size):
     width, height = size
     scale = min(640 / width, 480 / height)
     offset = np.array([(640 - round(width * scale)) // 2, (480 - round(height * scale)) // 2])
@@ -58,14 +43,8 @@ def _to_canonical_px(points: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def _dome(
-    rings: int = 10,
-    size: tuple[int, int] = (640, 480),
-    pressed: bool = False,
-    rim: str = "ring",
-    reflections: int = 0,
-    brightness: float = 170.0,
-    seed: int = 0,
-) -> Scene:
+    rings=10, size=(640, 480), pressed=False, rim="ring", reflections=0, brightness=170.0, seed=0
+):
     """Bright pins on a black dome behind a fisheye, dimmer and smaller outwards; a bright rim; LED reflections."""
     rng, (width, height) = np.random.default_rng(seed), size
     s, centre = height / 480, np.array([width / 2 + 8, height / 2 - 5])
@@ -121,7 +100,7 @@ def _dome(
     return Scene(np.clip(frame, 0, 255).astype(np.uint8), _to_canonical_px(points, size))
 
 
-def _fisheye_hexagon(rings: int) -> tuple[np.ndarray, np.ndarray]:
+def _fisheye_hexagon(rings):
     axial = [
         (q, r)
         for q in range(-rings, rings + 1)
@@ -135,15 +114,15 @@ def _fisheye_hexagon(rings: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _gel(
-    grid: tuple[int, int] = (8, 10),
-    size: tuple[int, int] = (640, 480),
-    shape: str = "square",
-    dark: bool = True,
-    streak: bool = False,
-    contrast: float = 0.75,
-    noise: float = 4.0,
-    seed: int = 0,
-) -> Scene:
+    grid=(8, 10),
+    size=(640, 480),
+    shape="square",
+    dark=True,
+    streak=False,
+    contrast=0.75,
+    noise=4.0,
+    seed=0,
+):
     """A flat gel under three coloured lights, vignetted, with markers a little off their grid."""
     rng, (width, height) = np.random.default_rng(seed), size
     y, x = np.mgrid[:height, :width].astype(np.float32)
@@ -164,7 +143,7 @@ def _gel(
     return Scene(np.clip(frame, 0, 255).astype(np.uint8), _to_canonical_px(points, size))
 
 
-def _ink(points: np.ndarray, half: float, shape: str, size: tuple[int, int]) -> np.ndarray:
+def _ink(points, half, shape, size):
     ink = np.zeros(size[::-1], np.float32)
     wide, tall = {"square": (half, half), "dash": (1.3 * half, 0.45 * half), "dot": (half, half)}[
         shape

@@ -1,7 +1,5 @@
 """Cameras: markers are found whatever their colour, count and light, and never invented."""
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -11,7 +9,7 @@ from uniforce_vtla.errors import ContractError, SensorError
 from uniforce_vtla.markers import Canonicalizer
 
 
-def missed_and_false(scene, canonicalizer: Canonicalizer, within_px=4.0) -> tuple[int, int]:
+def missed_and_false(scene, canonicalizer, within_px=4.0):
     """Count true markers that nothing was found at, and found ones that aren't there."""
     found = canonicalizer.markers(scene.frame)
     missed = (cKDTree(found).query(scene.centres_px)[0] > within_px).sum()
@@ -19,12 +17,12 @@ def missed_and_false(scene, canonicalizer: Canonicalizer, within_px=4.0) -> tupl
 
 
 @pytest.fixture
-def tactip() -> Canonicalizer:
+def tactip():
     return Canonicalizer("tactip")
 
 
 @pytest.fixture
-def gelsight() -> Canonicalizer:
+def gelsight():
     return Canonicalizer("gelsight")
 
 
@@ -131,9 +129,7 @@ def test_black_or_even_frame_is_refused(tactip, level):
         tactip.marker_image(np.full((480, 640, 3), level, np.uint8))
 
 
-@pytest.mark.parametrize(
-    ("seed", "level", "sigma"), [(0, 3, 2), (1, 128, 4), (2, 128, 25), (3, 200, 60)]
-)
+@pytest.mark.parametrize("seed, level, sigma", [(0, 3, 2), (1, 128, 4), (2, 128, 25), (3, 200, 60)])
 def test_dark_noise_and_bright_noise_hold_no_markers(gelsight, seed, level, sigma):
     noise = np.random.default_rng(seed).normal(level, sigma, (480, 640, 3))
     with pytest.raises(SensorError):
@@ -169,7 +165,7 @@ def test_frames_of_two_sizes_are_no_pair(dome, tactip):
 # --- real recordings -----------------------------------------------------------------------------------------------
 
 
-def read_rgb(path: Path) -> np.ndarray:
+def read_rgb(path):
     return cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)
 
 

@@ -1,7 +1,6 @@
 """The class: one contract for every sensor."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -29,7 +28,7 @@ from uniforce_vtla.sensors import get_sensor, list_sensors
 COUNTS = np.random.default_rng(0).integers(15_000, 38_000, (16, 3))
 
 
-def raw_pair(sensor: str) -> tuple[np.ndarray, np.ndarray]:
+def raw_pair(sensor):
     if get_sensor(sensor).points:
         free = np.random.default_rng(0).normal(0, 0.005, get_sensor(sensor).raw_shape)
         return free, free + np.array([0.3, -0.2, 0.5])
@@ -86,7 +85,7 @@ DROPPED = ("data_sample_2022-02-22-08-10-01", "data_sample_2022-02-22-15-15-00")
 FREE_SCANS = 10  # the last ones, after the object has dropped
 
 
-def uskin_scans(path: Path) -> np.ndarray:
+def uskin_scans(path):
     return np.loadtxt(path, delimiter=",", skiprows=1, dtype=np.int64).reshape(-1, 16, 3)
 
 
@@ -94,7 +93,7 @@ def uskin_scans(path: Path) -> np.ndarray:
 @pytest.mark.parametrize(
     "log, finger", [("xela_sensor1.csv", "left"), ("xela_sensor2.csv", "right")]
 )
-def test_all_real_trials_are_rendered(real_folder: Path, log: str, finger: str):
+def test_all_real_trials_are_rendered(real_folder, log, finger):
     trials = sorted((real_folder / "uskin_bilateral_slip" / "data_set").iterdir())
     assert len(trials) == 7
     lender = trials[0].parent / DROPPED[1]
@@ -110,7 +109,7 @@ def test_all_real_trials_are_rendered(real_folder: Path, log: str, finger: str):
 
 
 @pytest.mark.real
-def test_free_air_and_held_scans_look_different(real_folder: Path):
+def test_free_air_and_held_scans_look_different(real_folder):
     scans = uskin_scans(
         real_folder / "uskin_bilateral_slip" / "data_set" / DROPPED[1] / "xela_sensor1.csv"
     )
@@ -122,16 +121,16 @@ def test_free_air_and_held_scans_look_different(real_folder: Path):
 
 
 @pytest.mark.parametrize("name", list_sensors())
-def test_the_known_sensors_stay_as_they_are(name: str) -> None:
+def test_the_known_sensors_stay_as_they_are(name):
     image = np.random.default_rng(0).choice([0, 255], (480, 640)).astype(np.uint8)
     spec = get_sensor(name)
     assert is_nominal(spec) and to_nominal_scale(image, spec) is image
 
 
 @pytest.mark.parametrize(
-    ("name", "px_per_mm"), [("gelsight", 15.0), ("gelsight", 30.0), ("tactip", 14.0)]
+    "name, px_per_mm", [("gelsight", 15.0), ("gelsight", 30.0), ("tactip", 14.0)]
 )
-def test_another_lens_over_the_same_gel_looks_nominal(name: str, px_per_mm: float) -> None:
+def test_another_lens_over_the_same_gel_looks_nominal(name, px_per_mm):
     nominal = as_virtual(name)
     spec = replace(nominal.spec, px_per_mm=(px_per_mm, px_per_mm))
     other = TactileSimulator(replace(nominal, spec=spec), seed=0).reference()
@@ -149,7 +148,7 @@ def test_another_lens_over_the_same_gel_looks_nominal(name: str, px_per_mm: floa
 @given(
     zoom=st.floats(0.6, 1.7), x=st.integers(250, 390), y=st.integers(180, 300), taxel=st.booleans()
 )
-def test_a_marker_goes_where_its_point_goes(zoom: float, x: int, y: int, taxel: bool) -> None:
+def test_a_marker_goes_where_its_point_goes(zoom, x, y, taxel):
     base = get_sensor("uskin" if taxel else "gelsight")
     spec = replace(base, px_per_mm=(24.0 / zoom, 24.0 / zoom))
     image = np.zeros((480, 640), np.uint8)
@@ -160,9 +159,7 @@ def test_a_marker_goes_where_its_point_goes(zoom: float, x: int, y: int, taxel: 
     assert nominal_zoom(spec) == ((1.0, 1.0) if taxel else pytest.approx((zoom, zoom)))
 
 
-def test_the_canonicalizer_brings_a_new_cameras_images_to_scale(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_canonicalizer_brings_a_new_cameras_images_to_scale(monkeypatch):
     simulator = TactileSimulator("gelsight", seed=0)
     raw = simulator.raw_reference()
     plain = Canonicalizer("gelsight")
@@ -187,7 +184,7 @@ CAMERAS = ("gelsight", "tactip")
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("worn", CAMERAS)
 @pytest.mark.parametrize("said", CAMERAS)
-def test_each_sensor_is_itself_and_not_the_other(worn: str, said: str, seed: int) -> None:
+def test_each_sensor_is_itself_and_not_the_other(worn, said, seed):
     frame = TactileSimulator(worn, seed=seed).raw_reference()
     centres = Canonicalizer(said).markers(frame)
     reason = why_not(get_sensor(said), centres, "the finger")
@@ -195,7 +192,7 @@ def test_each_sensor_is_itself_and_not_the_other(worn: str, said: str, seed: int
     assert reason is None or "check_identity=false" in reason
 
 
-def test_missing_markers_and_a_stray_blob_change_nothing() -> None:
+def test_missing_markers_and_a_stray_blob_change_nothing():
     spec = get_sensor("tactip")
     points = spec.layout_mm * np.asarray(spec.px_per_mm)
     rng = np.random.default_rng(0)
@@ -204,13 +201,13 @@ def test_missing_markers_and_a_stray_blob_change_nothing() -> None:
     assert why_not(spec, points[:50], "it") is not None, "half the markers is another sensor"
 
 
-def test_real_gels_have_a_rectangles_outline() -> None:
+def test_real_gels_have_a_rectangles_outline():
     rectangle = np.stack(np.meshgrid(np.arange(12), np.arange(9)), -1).reshape(-1, 2).astype(float)
     assert abs(outline(rectangle) - 1.6) < 0.13
 
 
 @pytest.mark.real
-def test_a_real_gelsight_is_one_and_no_tactip(real_folder: Path) -> None:
+def test_a_real_gelsight_is_one_and_no_tactip(real_folder):
     frame = cv2.imread(str(real_folder / "gelsight_fots" / "0.png"))
     centres = Canonicalizer("gelsight").markers(frame[..., ::-1].copy())
     assert why_not(get_sensor("gelsight"), centres, "it") is None

@@ -3,12 +3,11 @@
 import cv2
 import numpy as np
 import pytest
+from contact_samples import faces
 
 from uniforce_vtla.contact import TactileSimulator, free_air
-from uniforce_vtla.contact.indenters import flat_face_gap
 from uniforce_vtla.contact.worn import WornView
 from uniforce_vtla.contact.worn_in_words import wear
-from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.errors import SensorError
 from uniforce_vtla.markers import Canonicalizer, marker_reference
 from uniforce_vtla.markers.camera_markers import segment
@@ -20,29 +19,25 @@ GRID_px = np.stack(
 ).reshape(-1, 2)
 
 
-def drawn(points_px: np.ndarray) -> np.ndarray:
+def drawn(points_px):
     image = np.zeros((480, 640), np.uint8)
     for x, y in np.rint(points_px).astype(int).tolist():
         cv2.circle(image, (x, y), 4, 255, cv2.FILLED)
     return image
 
 
-def filled(hold: MarkerHold, points_px: np.ndarray) -> tuple[np.ndarray, int]:
+def filled(hold, points_px):
     image = drawn(points_px)
     held = hold.fill(image, points_px)
     return image, held
 
 
-def pressed(frames: int) -> ContactState:
+def pressed(frames):
     """Return a press that grows slowly, as seen from frame to frame at 30 Hz."""
-    gap = flat_face_gap(
-        np.zeros((frames, 2)), np.full((frames, 2), 15.0), np.zeros(frames), np.zeros((frames, 2))
-    )
-    force_N = np.stack([np.array([0.5, 0, 4]) * share for share in np.linspace(0.1, 1, frames)])
-    return ContactState(gap, force_N.astype(np.float32), np.zeros(frames, np.float32))
+    return faces(np.linspace(0.1, 1, frames)[:, None] * (0.5, 0, 4), side_mm=15.0)
 
 
-def test_a_marker_is_held_for_a_few_frames_and_then_lost() -> None:
+def test_a_marker_is_held_for_a_few_frames_and_then_lost():
     hold = MarkerHold(SPACING_px)
     whole, held = filled(hold, GRID_px)
     assert held == 0
@@ -55,7 +50,7 @@ def test_a_marker_is_held_for_a_few_frames_and_then_lost() -> None:
 
 
 @pytest.mark.parametrize("step_px", [1.0, 4.0, 9.0])
-def test_markers_in_motion_are_not_drawn_twice(step_px: float) -> None:
+def test_markers_in_motion_are_not_drawn_twice(step_px):
     hold = MarkerHold(SPACING_px)
     for shift_px in np.arange(4) * step_px:
         points_px = GRID_px + np.array([shift_px, 0])
@@ -63,7 +58,7 @@ def test_markers_in_motion_are_not_drawn_twice(step_px: float) -> None:
         assert held == 0 and np.array_equal(image, drawn(points_px))
 
 
-def test_a_pattern_that_jumps_or_goes_is_not_held() -> None:
+def test_a_pattern_that_jumps_or_goes_is_not_held():
     for now_px in (GRID_px + 0.5 * SPACING_px, GRID_px[: int(0.4 * len(GRID_px))]):
         hold = MarkerHold(SPACING_px)
         filled(hold, GRID_px)
@@ -71,7 +66,7 @@ def test_a_pattern_that_jumps_or_goes_is_not_held() -> None:
         assert held == 0 and np.array_equal(image, drawn(now_px))
 
 
-def test_a_camera_that_moved_since_its_reference_shows_no_old_markers() -> None:
+def test_a_camera_that_moved_since_its_reference_shows_no_old_markers():
     """The reference is the first frame of its stream: without it a fifth missed at once might be refused."""
     moved = WornView(wear("tactip:1+shift=2+flicker=0")(0), seed=1, stream=True)
     alone = WornView(wear("tactip:1+shift=2+flicker=0")(0), seed=1)
@@ -80,7 +75,7 @@ def test_a_camera_that_moved_since_its_reference_shows_no_old_markers() -> None:
     assert abs(drawn_px[0] / drawn_px[1] - 1) < 0.02
 
 
-def test_a_stream_with_missed_markers_shows_what_one_without_shows() -> None:
+def test_a_stream_with_missed_markers_shows_what_one_without_shows():
     contact = pressed(12)
     whole, missing, held = (
         WornView(wear(f"tactip:1+flicker={flicker}")(0), seed=1, stream=stream)
@@ -99,7 +94,7 @@ def test_a_stream_with_missed_markers_shows_what_one_without_shows() -> None:
 
 
 @pytest.mark.parametrize("sensor", ["gelsight", "tactip"])
-def test_a_stream_of_nothing_missed_is_read_as_frames_alone(sensor: str) -> None:
+def test_a_stream_of_nothing_missed_is_read_as_frames_alone(sensor):
     simulator, alone, stream = (
         TactileSimulator(sensor, seed=1),
         Canonicalizer(sensor),
@@ -112,7 +107,7 @@ def test_a_stream_of_nothing_missed_is_read_as_frames_alone(sensor: str) -> None
         assert np.array_equal(alone.marker_image(frame), stream.marker_image(frame))
 
 
-def test_what_is_held_needs_no_look_at_other_channels(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_held_needs_no_look_at_other_channels(monkeypatch):
     """A look at all five takes longer than a frame at 30 Hz."""
     simulator, stream = TactileSimulator("tactip", seed=1), Canonicalizer("tactip", stream=True)
     raw = simulator.raw_reference()
@@ -125,11 +120,11 @@ def test_what_is_held_needs_no_look_at_other_channels(monkeypatch: pytest.Monkey
     lacking = raw.copy()
     lacking[:, :270] = np.median(raw, axis=(0, 1)).astype(np.uint8)
     stream.marker_image(lacking)
-    assert len(looks) == 1 and stream.match is not None and stream.match.lost == 0
+    assert len(looks) == 1 and stream.match.lost == 0
     assert np.mean(Canonicalizer("tactip").markers(raw)[:, 0] < 270) > marker_reference.RETRY_SHARE
 
 
-def test_pairs_are_not_a_stream() -> None:
+def test_pairs_are_not_a_stream():
     """Frames that are paired come in any order: a marker missed in one is missed."""
     view = WornView(wear("tactip:1+flicker=0")(0), seed=1, stream=True)
     raw, lacking = view.simulator.raw_reference(), view.simulator.raw_reference()
@@ -139,7 +134,7 @@ def test_pairs_are_not_a_stream() -> None:
     assert (whole > 0).sum() > (holed > 0).sum()
 
 
-def test_markers_lost_for_good_are_refused_in_the_end() -> None:
+def test_markers_lost_for_good_are_refused_in_the_end():
     view = WornView(wear("tactip:1+flicker=0")(0), seed=1, stream=True)
     raw = view.simulator.raw_reference()
     half = raw.copy()

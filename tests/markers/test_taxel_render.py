@@ -19,19 +19,19 @@ BASELINE = np.random.default_rng(0).integers(15_000, 38_000, (16, 3))
 
 
 @pytest.fixture
-def canon() -> Canonicalizer:
+def canon():
     canon = Canonicalizer("uskin")
     canon.set_reference(BASELINE)
     return canon
 
 
-def loaded(taxel: int, x: int = 0, y: int = 0, z: int = 0) -> np.ndarray:
+def loaded(taxel, x=0, y=0, z=0):
     counts = BASELINE.copy()
     counts[taxel] += (x, y, z)
     return counts
 
 
-def area(image: np.ndarray) -> float:
+def area(image):
     return float((image > 0).sum())
 
 

@@ -3,7 +3,6 @@
 import itertools
 import os
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -33,9 +32,9 @@ STANDINS = {
 }
 
 
-def _process(name: str) -> object:
+def _process(name):
     @pytest.fixture(scope="session", name=f"{name}_process")
-    def running() -> Iterator[StandIn]:
+    def running():
         sensor, *program = STANDINS[name]
         with StandIn(*program) as stand_in:
             stand_in.sensor = sensor
@@ -44,9 +43,9 @@ def _process(name: str) -> object:
     return running
 
 
-def _whole(name: str) -> object:
+def _whole(name):
     @pytest.fixture(name=name)
-    def whole(request: pytest.FixtureRequest) -> Iterator[StandIn]:
+    def whole(request):
         stand_in = request.getfixturevalue(f"{name}_process")
         stand_in.inject("none")
         yield stand_in
@@ -62,12 +61,12 @@ _numbers = itertools.count(2)
 
 
 @pytest.fixture
-def address() -> str:
+def address():
     """A loopback address of its own: the ports are fixed, and tests may run side by side."""
     return f"127.{os.getpid() % 250 + 1}.{os.getpid() // 250 % 250}.{next(_numbers) % 250}"
 
 
 @pytest.fixture
-def fci(address: str, tmp_path: Path) -> Iterator[ArmStandIn]:
+def fci(address, tmp_path):
     with ArmStandIn(address, log=tmp_path / "wire.jsonl") as standin:
         yield standin

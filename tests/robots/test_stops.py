@@ -14,18 +14,18 @@ from benchmarks.trust.stop_world import BRAKE_s, SimWorld, StandInWorld, Watch
 pytestmark = pytest.mark.slow
 
 
-def test_after_a_stop_nothing_moves_until_a_new_wish(caplog: pytest.LogCaptureFixture) -> None:
+def test_after_a_stop_nothing_moves_until_a_new_wish(caplog):
     with caplog.at_level(logging.CRITICAL):
         counts = explore(20, SimWorld)
     assert counts["violations"] == 0 and counts["moved"] > 5, "they did move"
 
 
-def test_the_same_over_the_stand_in(address: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_the_same_over_the_stand_in(address, caplog):
     with caplog.at_level(logging.CRITICAL):
         assert explore(1, lambda: StandInWorld(address), steps=22)["violations"] == 0
 
 
-def test_a_broken_stop_is_noticed() -> None:
+def test_a_broken_stop_is_noticed():
     assert len(MUTATIONS) >= 12
     name = "hand: goes on at the end of a stream"
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
@@ -33,7 +33,7 @@ def test_a_broken_stop_is_noticed() -> None:
 
 
 @pytest.mark.parametrize("what", ["way", "turn", "fingers"])
-def test_the_watch_sees_what_moves_after_a_stop_and_only_then(what: str) -> None:
+def test_the_watch_sees_what_moves_after_a_stop_and_only_then(what):
     watch = Watch()
     moved = np.eye(4)
     if what == "way":

@@ -2,7 +2,6 @@
 
 import os
 import signal
-from collections.abc import Callable
 from contextlib import redirect_stderr
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -69,12 +68,12 @@ class Config:
 
 
 @pytest.fixture(autouse=True)
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
-def test_what_is_given_reaches_the_config(here: Path) -> None:
+def test_what_is_given_reaches_the_config(here):
     words = [
         "count=7",
         "--inner.share=0.25",
@@ -89,9 +88,7 @@ def test_what_is_given_reaches_the_config(here: Path) -> None:
     assert not list(here.iterdir())  # what tried the outputs is gone
 
 
-def test_a_tilde_that_the_shell_left_leads_home(
-    here: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_tilde_that_the_shell_left_leads_home(here, monkeypatch):
     home = here / "home"
     (home / "demos" / "meta").mkdir(parents=True)
     (home / "demos" / "meta" / "info.json").touch()
@@ -107,7 +104,7 @@ def test_a_tilde_that_the_shell_left_leads_home(
 
 
 @pytest.mark.parametrize(
-    ("word", "reason"),
+    "word, reason",
     [
         ("count=0", "count: expected 1 … 10,000,000, got 0"),
         ("count=1.5", "a whole number"),
@@ -137,30 +134,30 @@ def test_a_tilde_that_the_shell_left_leads_home(
         ("=3", "key=value"),
     ],
 )
-def test_what_is_wrong_is_named(word: str, reason: str) -> None:
+def test_what_is_wrong_is_named(word, reason):
     with pytest.raises(ContractError) as error:
         parse(Config, [word])
     assert reason in str(error.value) and "\n" not in str(error.value)
 
 
-def test_an_option_is_given_once() -> None:
+def test_an_option_is_given_once():
     with pytest.raises(ContractError, match="once"):
         parse(Config, ["count=1", "--count=2"])
 
 
-def test_a_file_is_no_parent(here: Path) -> None:
+def test_a_file_is_no_parent(here):
     (here / "file").touch()
     with pytest.raises(ContractError, match=r"out: .*file"):
         parse(Config, ["out=file/below"])
 
 
-def test_folders_that_were_there_stay(here: Path) -> None:
+def test_folders_that_were_there_stay(here):
     (here / "a").mkdir()
     try_to_write(here / "a" / "b" / "c")
     assert list(here.rglob("*")) == [here / "a"]
 
 
-def test_help_shows_comment_default_and_range() -> None:
+def test_help_shows_comment_default_and_range():
     text = help_text(Config)
     assert "Example: uniforce-something" in text
     assert "count=3  [a whole number, 1 … 10,000,000]\n      how many" in text
@@ -168,20 +165,20 @@ def test_help_shows_comment_default_and_range() -> None:
     assert options_of(Config)["inner.share"].comment == "of them"
 
 
-def failing(error: BaseException) -> Callable[[], int]:
-    def run() -> int:
+def failing(error):
+    def run():
         raise error
 
     return run
 
 
-def answer(code: int) -> HfHubHTTPError:
+def answer(code):
     request = httpx.Request("POST", "https://huggingface.co/api/repos/create")
     return HfHubHTTPError(f"answered {code}", response=httpx.Response(code, request=request))
 
 
 @pytest.mark.parametrize(
-    ("error", "code", "line"),
+    "error, code, line",
     [
         (ContractError("a: expected b,\ngot c."), 2, "uniforce-x: a: expected b, got c."),
         (FileNotFoundError(2, "No such file", "here.txt"), 2, "uniforce-x: here.txt: No such file"),
@@ -237,21 +234,19 @@ def answer(code: int) -> HfHubHTTPError:
         (PermissionError(13, "Permission denied", "/x"), 2, "uniforce-x: /x: Permission denied"),
     ],
 )
-def test_an_error_is_one_line(
-    error: BaseException, code: int, line: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_error_is_one_line(error, code, line, capsys):
     assert guarded("uniforce-x", failing(error)) == code
     out, err = capsys.readouterr()
     assert not out and err.startswith(line) and err.count("\n") == 1
 
 
 @pytest.mark.parametrize("come", ["INT", "TERM", "HUP", "TERM HUP"])
-def test_kill_and_a_closed_terminal_end_a_command_like_ctrl_c(come: str) -> None:
+def test_kill_and_a_closed_terminal_end_a_command_like_ctrl_c(come):
     reader, writer = os.pipe()
     os.close(reader)
-    tidied: list[str] = []
+    tidied = []
 
-    def main(words: list[str]) -> int:
+    def main(words):
         try:
             signal.raise_signal(signal.Signals[f"SIG{come.split()[0]}"])
         finally:
@@ -275,9 +270,9 @@ def test_kill_and_a_closed_terminal_end_a_command_like_ctrl_c(come: str) -> None
         signal.signal(number, handler)
 
 
-def test_debug_shows_where_it_came_from() -> None:
+def test_debug_shows_where_it_came_from():
     @command(Config)
-    def main(config: Config) -> int:
+    def main(config):
         raise ZeroDivisionError(config.count)
 
     assert main(["count=4"]) == 70
@@ -285,9 +280,9 @@ def test_debug_shows_where_it_came_from() -> None:
         main(["count=4", "--debug"])
 
 
-def test_others_options_are_passed_on() -> None:
+def test_others_options_are_passed_on():
     @command(Config, others=("robot.",))
-    def main(config: Config, flags: list[str], given: list[str]) -> int:
+    def main(config, flags, given):
         assert given == ["count"] or not given
         return 0 if flags == ["--robot.ip=1"] else config.count
 
@@ -296,7 +291,7 @@ def test_others_options_are_passed_on() -> None:
     assert main(["robot.ip=1", "--robot.ip=2"]) == 2
 
 
-def test_levels_are_the_environments() -> None:
+def test_levels_are_the_environments():
     from lerobot_env_uniforce_wiping import LEVELS
 
     assert get_args(Level) == tuple(LEVELS)

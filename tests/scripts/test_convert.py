@@ -1,7 +1,5 @@
 """A published π0.5 becomes a pi05_uniforce: names of the real size, and a whole conversion in miniature."""
 
-from pathlib import Path
-
 import pytest
 import torch
 from lerobot.policies.pi05 import modeling_pi05 as stock
@@ -21,7 +19,7 @@ from uniforce_vtla.tokenizer import Tokenizer
 
 
 @pytest.mark.slow
-def test_every_tensor_of_the_real_size_finds_its_place() -> None:
+def test_every_tensor_of_the_real_size_finds_its_place():
     """LeRobot's own 4 B network against ours, both without memory: same names, same shapes, two heads less."""
     with no_weights():
         theirs = stock.PI05Pytorch(PI05Config(device="cpu"))
@@ -44,7 +42,7 @@ def test_every_tensor_of_the_real_size_finds_its_place() -> None:
     assert dtypes == {torch.bfloat16}
 
 
-def test_a_tied_embedding_is_found_and_openpis_names_are_understood() -> None:
+def test_a_tied_embedding_is_found_and_openpis_names_are_understood():
     names = own_names([HEADS[0].removeprefix("model."), "action_time_mlp_in.weight", "strange"])
     assert names[HEADS[0].removeprefix("model.")] == EMBEDDING
     assert names["action_time_mlp_in.weight"] == "model.time_mlp_in.weight"
@@ -52,7 +50,7 @@ def test_a_tied_embedding_is_found_and_openpis_names_are_understood() -> None:
 
 
 @pytest.fixture(scope="module")
-def view(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def view(tmp_path_factory):
     folder = tmp_path_factory.mktemp("convert")
     root = record_synthetic(folder / "data", 1, 6)
     nano = Tokenizer.from_pretrained("nano")
@@ -60,7 +58,7 @@ def view(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def published(tmp_path_factory):
     """A policy without touch, both language heads in its file as LeRobot writes them."""
     folder = tmp_path_factory.mktemp("published")
     config = small_config(touch=TouchSettings(input="none"))
@@ -70,14 +68,12 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def convert(published: Path, view: Path, out: Path, *more: str) -> int:
+def convert(published, view, out, *more):
     return main([f"source={published}", f"view={view}", f"out={out}", *more])
 
 
 @pytest.mark.slow
-def test_a_conversion_keeps_every_weight_and_trains_on(
-    published: Path, view: Path, tmp_path: Path
-) -> None:
+def test_a_conversion_keeps_every_weight_and_trains_on(published, view, tmp_path):
     out = tmp_path / "converted"
     assert convert(published, view, out, "touch_input=wrench") == 0
     policy = PI05UniforcePolicy.from_pretrained(out)
@@ -96,7 +92,7 @@ def test_a_conversion_keeps_every_weight_and_trains_on(
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    "change, says",
     [
         (
             lambda tensors: tensors.pop("model.action_in_proj.weight") is None,
@@ -105,9 +101,7 @@ def test_a_conversion_keeps_every_weight_and_trains_on(
         (lambda tensors: tensors.update({"model.strange": torch.zeros(1)}), "model.strange"),
     ],
 )
-def test_missing_and_strange_tensors_are_named(
-    change, says, published, view, tmp_path, capsys
-) -> None:
+def test_missing_and_strange_tensors_are_named(change, says, published, view, tmp_path, capsys):
     tensors = load_file(published / "model.safetensors")
     change(tensors)
     (tmp_path / "config.json").write_text((published / "config.json").read_text())
@@ -116,9 +110,7 @@ def test_missing_and_strange_tensors_are_named(
     assert says in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 
-def test_another_policy_is_refused(
-    view: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_another_policy_is_refused(view, tmp_path, capsys):
     (tmp_path / "config.json").write_text('{"type": "act"}')
     assert convert(tmp_path, view, tmp_path / "out") == 2
     assert "pi05" in capsys.readouterr().err

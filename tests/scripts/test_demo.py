@@ -2,7 +2,7 @@
 
 import os
 import sys
-from pathlib import Path
+from dataclasses import replace
 
 import pytest
 
@@ -21,13 +21,11 @@ class SeenEnoughError(Exception):
     """Ends the demo where a test has seen enough."""
 
 
-def test_it_learns_from_every_demo_that_wiped_the_board(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_learns_from_every_demo_that_wiped_the_board(tmp_path, monkeypatch):
     """Of three demos all may have an event, and the demo ended there."""
     asked = []
 
-    def stop(config: view.ViewConfig) -> Path:
+    def stop(config):
         asked.append(config)
         raise SeenEnoughError
 
@@ -38,10 +36,8 @@ def test_it_learns_from_every_demo_that_wiped_the_board(
     assert asked[0].keep_events and not asked[0].keep_failures
 
 
-def test_a_failed_step_shows_the_end_of_the_log_and_where_it_is(
-    tmp_path, monkeypatch, capfd
-) -> None:
-    def fail(config: record.RecordConfig) -> None:
+def test_a_failed_step_shows_the_end_of_the_log_and_where_it_is(tmp_path, monkeypatch, capfd):
+    def fail(config):
         sys.stdout.write("".join(f"line {number}\n" for number in range(100)))
         sys.stderr.write("of a library\n")
         os.write(2, b"of a child process\n")
@@ -57,9 +53,13 @@ def test_a_failed_step_shows_the_end_of_the_log_and_where_it_is(
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_the_smallest_demo_prints_less_than_forty_lines(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_the_smallest_demo_prints_less_than_forty_lines(tmp_path, capfd, monkeypatch, cut_scenes):
+    """Scenes are cut short, so that the demo is none that wiped the board."""
+    cut_scenes(2.0)
+    make_view = view.make_view
+    monkeypatch.setattr(
+        view, "make_view", lambda config: make_view(replace(config, keep_failures=True))
+    )
     out = tmp_path / "demo"
     assert demo.main(["episodes=1", "train_steps=1", "rollouts=1", "level=easy", f"out={out}"]) == 0
     said, warned = capfd.readouterr()
@@ -73,17 +73,15 @@ def test_the_smallest_demo_prints_less_than_forty_lines(
 
 
 @pytest.mark.parametrize(
-    ("settings", "taken"),
+    "settings, taken",
     [
         ({}, [CLEAN, EVENT]),
         ({"keep_events": False}, [CLEAN]),
         ({"keep_failures": True}, [CLEAN, EVENT, FAILED, ABORTED]),
     ],
 )
-def test_clean_demos_always_others_when_asked_for(
-    settings: dict[str, bool], taken: list[tuple[bool, str]]
-) -> None:
-    def facts(success: bool, outcome: str) -> EpisodeFacts:
+def test_clean_demos_always_others_when_asked_for(settings, taken):
+    def facts(success, outcome):
         return EpisodeFacts("demos", 0, 300, "wipe", success, outcome, 0, "gelsight", "tactip")
 
     every = (CLEAN, EVENT, FAILED, ABORTED)

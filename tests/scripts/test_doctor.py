@@ -1,7 +1,6 @@
 """``uniforce doctor`` names what is there and what is missing, and fails only where everything would."""
 
 from collections import namedtuple
-from pathlib import Path
 
 import pytest
 
@@ -10,7 +9,7 @@ from uniforce_cli import doctor
 Usage = namedtuple("Usage", "total used free")
 
 
-def test_a_whole_machine_passes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_whole_machine_passes(tmp_path, capsys):
     assert doctor.main([f"out={tmp_path}"]) == 0
     said = capsys.readouterr().out
     for name in (
@@ -27,24 +26,20 @@ def test_a_whole_machine_passes(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "missing" not in said
 
 
-def test_a_missing_library_fails_and_says_what_to_do(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys
-) -> None:
+def test_a_missing_library_fails_and_says_what_to_do(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(doctor, "NEEDED", ("torch", "no_such_library"))
     assert doctor.main([f"out={tmp_path}"]) == 1
     line = next(line for line in capsys.readouterr().out.splitlines() if "no_such_library" in line)
     assert line.startswith("missing") and "make setup" in line
 
 
-def test_a_full_disk_fails(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_full_disk_fails(monkeypatch, tmp_path):
     monkeypatch.setattr(doctor.shutil, "disk_usage", lambda path: Usage(100e9, 99e9, 1e9))
     found = doctor.room(tmp_path / "not" / "yet" / "there")
     assert found.state == "missing" and "1 GB free" in found.seen and "Free 5 GB" in found.do
 
 
-def test_devices_are_listed_and_closed_ones_say_how_to_open_them(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_devices_are_listed_and_closed_ones_say_how_to_open_them(monkeypatch, tmp_path):
     monkeypatch.setattr(doctor, "DEVICES", tmp_path)
     wanted = "cameras", ("video*",), "a GelSight", "video"
     assert doctor.devices(*wanted).state == "optional"
@@ -56,12 +51,10 @@ def test_devices_are_listed_and_closed_ones_say_how_to_open_them(
 
 
 @pytest.mark.parametrize(
-    ("is_there", "priority", "state"),
+    "is_there, priority, state",
     [(False, 0, "none"), (True, 0, "no real-time"), (True, 99, "99")],
 )
-def test_a_realtime_kernel_needs_priority_too(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, is_there: bool, priority: int, state: str
-) -> None:
+def test_a_realtime_kernel_needs_priority_too(monkeypatch, tmp_path, is_there, priority, state):
     kernel = tmp_path / "realtime"
     if is_there:
         kernel.touch()

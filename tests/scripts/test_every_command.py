@@ -8,7 +8,6 @@ import sys
 import tomllib
 
 import pytest
-from bad_words import Room
 from command_trials import (
     MODULES,
     PUBLISHED,
@@ -23,7 +22,7 @@ from command_trials import (
 
 from uniforce_cli import main as command
 from uniforce_cli.boundary import REFUSED
-from uniforce_vtla.arguments import Option, options_of
+from uniforce_vtla.arguments import options_of
 from uniforce_vtla.options import Existing, Names, Pattern, Plain, Range, Writable
 
 NAMES = sorted(MODULES)
@@ -31,12 +30,12 @@ SHARE = 3  # of each command
 
 
 @pytest.fixture(scope="module")
-def room(tmp_path_factory: pytest.TempPathFactory) -> Room:
+def room(tmp_path_factory):
     return prepare(tmp_path_factory.mktemp("bad"))
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_bad_inputs_end_in_one_line(name, room, monkeypatch, capfd) -> None:
+def test_bad_inputs_end_in_one_line(name, room, monkeypatch, capfd):
     monkeypatch.chdir(room.folder.parent / "work")
     published, every = hashes(ROOT / PUBLISHED), trials(name, room)
     if name not in command.VERBS:  # a benchmark looks at a file when it comes to it
@@ -52,9 +51,7 @@ FILES = ("damaged", "another kind", "nothing in it", "file for folder", "folder 
 
 
 @pytest.mark.parametrize("name", sorted({*command.VERBS} - {"train"}))
-def test_every_file_or_folder_of_a_wrong_kind_is_a_users_error(
-    name, room, monkeypatch, capfd
-) -> None:
+def test_every_file_or_folder_of_a_wrong_kind_is_a_users_error(name, room, monkeypatch, capfd):
     """Whatever a verb is pointed at: one line at the end, after any progress bar, and never a fault of the program."""
     monkeypatch.chdir(room.folder.parent / "work")
     for trial in trials(name, room):
@@ -63,6 +60,17 @@ def test_every_file_or_folder_of_a_wrong_kind_is_a_users_error(
             assert code == REFUSED and said[-1].startswith(f"uniforce {name}: "), (
                 f"{trial.words}: {code} {said[-1:]}"
             )
+
+
+@pytest.fixture
+def last_words(capfd):
+    """Return a function: a command is refused over some words → the last line it says."""
+
+    def run(name, words):
+        assert exit_code(entry(name), words) == REFUSED, words
+        return capfd.readouterr().err.splitlines()[-1]
+
+    return run
 
 
 ADDRESSES = (
@@ -77,12 +85,9 @@ ADDRESSES = (
 
 
 @pytest.mark.parametrize("source", ADDRESSES)
-def test_a_source_that_is_none_is_a_users_error(source: str, capfd) -> None:
-    assert (
-        exit_code(entry("touch"), ["sensor=tactip", f"source={source}", "tokenizer=nano"])
-        == REFUSED
-    )
-    assert capfd.readouterr().err.splitlines()[-1].startswith("uniforce touch: ")
+def test_a_source_that_is_none_is_a_users_error(source, last_words):
+    words = ["sensor=tactip", f"source={source}", "tokenizer=nano"]
+    assert last_words("touch", words).startswith("uniforce touch: ")
 
 
 TRAINED = (
@@ -97,43 +102,38 @@ EPISODES = ("[99]", "[-1]", "[]", "[0, 0]", "[0.5]", "3", "all", "[a]", "{a: 1}"
 
 @pytest.mark.parametrize("data", ["view", "dataset"])
 @pytest.mark.parametrize("episodes", EPISODES)
-def test_episodes_that_are_not_there_are_named(data, episodes, room, tmp_path, capfd) -> None:
+def test_episodes_that_are_not_there_are_named(data, episodes, room, tmp_path, last_words):
     words = [*TRAINED, f"dataset.root={room.folder / data}", f"output_dir={tmp_path / 'out'}"]
-    assert exit_code(entry("train"), [*words, f"dataset.episodes={episodes}"]) == REFUSED
-    assert (
-        capfd.readouterr()
-        .err.splitlines()[-1]
-        .startswith("uniforce train: dataset.episodes: expected")
-    )
+    said = last_words("train", [*words, f"dataset.episodes={episodes}"])
+    assert said.startswith("uniforce train: dataset.episodes: expected")
 
 
 @pytest.mark.parametrize(
     "given", ["", "{run}", "{run}/checkpoints/last/pretrained_model", "{run}/none.json"]
 )
-def test_a_run_to_go_on_with_names_its_settings(given: str, tmp_path, capfd) -> None:
+def test_a_run_to_go_on_with_names_its_settings(given, tmp_path, last_words):
     (tmp_path / "checkpoints" / "last" / "pretrained_model").mkdir(parents=True)
     words = [
         "resume=true",
         "steps=6",
         *([f"config_path={given.format(run=tmp_path)}"] if given else []),
     ]
-    assert exit_code(entry("train"), words) == REFUSED
-    assert "config_path: expected a checkpoint's train_config.json" in capfd.readouterr().err
+    assert "config_path: expected a checkpoint's train_config.json" in last_words("train", words)
 
 
 @pytest.mark.parametrize("name", ["garbage", "empty", "latin1", "list", "number", "object"])
-def test_settings_of_a_run_that_are_none_are_a_users_error(name: str, room, capfd) -> None:
+def test_settings_of_a_run_that_are_none_are_a_users_error(name, room, last_words):
     for file in (room.folder / name, room.damaged(name, "config.json") / "config.json"):
-        assert exit_code(entry("train"), ["resume=true", f"config_path={file}"]) == REFUSED
-        assert capfd.readouterr().err.splitlines()[-1].startswith("uniforce train: ")
+        said = last_words("train", ["resume=true", f"config_path={file}"])
+        assert said.startswith("uniforce train: ")
 
 
-def undeclared(option: Option) -> bool:
+def undeclared(option):
     return option.kind in (int, float, str) and option.rule is None
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "train"])
-def test_every_option_declares_what_it_may_be(name: str) -> None:
+def test_every_option_declares_what_it_may_be(name):
     options = options_of(entry(name).config_class)
     assert not [
         o.name for o in options.values() if undeclared(o) and not o.name.startswith("run.model.")
@@ -143,7 +143,7 @@ def test_every_option_declares_what_it_may_be(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_nothing_is_written_into_published_results_by_default(name: str) -> None:
+def test_nothing_is_written_into_published_results_by_default(name):
     config_class = entry(name).config_class
     options = options_of(config_class).values() if config_class else ()
     outputs = [o.default for o in options if isinstance(o.rule, Writable)]
@@ -151,28 +151,24 @@ def test_nothing_is_written_into_published_results_by_default(name: str) -> None
 
 
 @pytest.mark.parametrize("name", sorted(MODULES))
-def test_help_teaches_with_an_example(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_teaches_with_an_example(name, capsys):
     with contextlib.suppress(SystemExit):
         entry(name)(["--help"])
     said = capsys.readouterr().out
     assert ("uniforce " if name in command.VERBS else "python -m benchmarks.") + name in said
 
 
-def test_one_command_is_installed_and_names_all_its_verbs(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_one_command_is_installed_and_names_all_its_verbs(capsys, refuses):
     scripts = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
     assert list(scripts) == ["uniforce"] and len(command.VERBS) <= 15
     assert command.main([]) == 0
     said = capsys.readouterr().out
     assert all(f"  {verb} " in said for verb in command.VERBS)
-    assert command.main(["scoer"]) == 2 and "Did you mean score?" in capsys.readouterr().err
+    refuses(command.main, ["scoer"], "Did you mean score?")
 
 
-@pytest.mark.parametrize(
-    ("verb", "most_s"), [((), 1.0), *(((verb,), 2.0) for verb in command.VERBS)]
-)
-def test_help_is_quick(verb: tuple[str, ...], most_s: float) -> None:
+@pytest.mark.parametrize("verb, most_s", [((), 1.0), *(((verb,), 2.0) for verb in command.VERBS)])
+def test_help_is_quick(verb, most_s):
     """Processor time, since the machine may be busy."""
     heavy = "import sys; from uniforce_cli.main import main; from contextlib import suppress\n"
     heavy += f"with suppress(SystemExit): main([*{verb!r}, '--help'])\n"
@@ -184,7 +180,7 @@ def test_help_is_quick(verb: tuple[str, ...], most_s: float) -> None:
     assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < most_s
 
 
-def test_scripts_hold_no_logic_and_shadow_no_library() -> None:
+def test_scripts_hold_no_logic_and_shadow_no_library():
     found = sorted((ROOT / "scripts").glob("*.py"))
     assert [script.name for script in found] == ["record.py", "score.py", "train.py"]
     for script in found:

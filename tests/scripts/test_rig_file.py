@@ -3,7 +3,6 @@
 import subprocess
 import sys
 from importlib.machinery import ModuleSpec
-from pathlib import Path
 
 import pytest
 from lerobot.cameras.opencv import OpenCVCameraConfig
@@ -17,11 +16,11 @@ SIZE = "width: 640, height: 480, fps: 30"
 
 
 @pytest.fixture
-def rig(tmp_path: Path) -> Path:
+def rig(tmp_path):
     return tmp_path / "rig.yaml"
 
 
-def read(rig: Path, content: str | bytes, *flags: str):
+def read(rig, content, *flags):
     rig.write_bytes(content if isinstance(content, bytes) else content.encode())
     return read_devices(flags, True, "keyboard", str(rig))
 
@@ -40,7 +39,7 @@ def read(rig: Path, content: str | bytes, *flags: str):
         '{"robot": {"address": "127.0.0.98"}}',
     ],
 )
-def test_what_is_left_out_keeps_its_default(rig: Path, content: str | bytes) -> None:
+def test_what_is_left_out_keeps_its_default(rig, content):
     robot, teleop = read(rig, content)
     assert (
         not robot.cameras
@@ -49,7 +48,7 @@ def test_what_is_left_out_keeps_its_default(rig: Path, content: str | bytes) -> 
     )
 
 
-def test_flags_override_the_file(rig: Path) -> None:
+def test_flags_override_the_file(rig):
     content = f"robot: {{guards: {{step_m: 0.03}}, cameras: {{front: {{{SCENE}}}}}}}"
     flags = ("--robot.cameras.front.fps=15", "--robot.guards.low=[0,0,0,0,0]", "--robot.id=a")
     robot, _ = read(rig, content, *flags)
@@ -58,7 +57,7 @@ def test_flags_override_the_file(rig: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "names"),
+    "content, names",
     [
         ("- robot", "rig.yaml"),
         ("robot", "rig.yaml"),
@@ -82,9 +81,7 @@ def test_flags_override_the_file(rig: Path) -> None:
         ("robot: {cameras: [front]}", "robot.cameras"),
     ],
 )
-def test_a_file_that_will_not_do_is_named_in_a_line(
-    rig: Path, content: str | bytes, names: str
-) -> None:
+def test_a_file_that_will_not_do_is_named_in_a_line(rig, content, names):
     with pytest.raises(ContractError) as error:
         read(rig, content)
     said = str(error.value)
@@ -92,7 +89,7 @@ def test_a_file_that_will_not_do_is_named_in_a_line(
 
 
 @pytest.mark.parametrize(
-    ("camera", "reason"),
+    "camera, reason",
     [
         ("", "nothing"),
         ("7", "7"),
@@ -114,16 +111,14 @@ def test_a_file_that_will_not_do_is_named_in_a_line(
         (f"{{type: opencv, index_or_path: 0, {SIZE}, rotation: 45}}", "rotation"),
     ],
 )
-def test_a_camera_that_will_not_do_is_named_with_the_reason(
-    rig: Path, camera: str, reason: str
-) -> None:
+def test_a_camera_that_will_not_do_is_named_with_the_reason(rig, camera, reason):
     with pytest.raises(ContractError) as error:
         read(rig, f"robot:\n  cameras:\n    front: {camera}\n")
     said = str(error.value)
     assert "front" in said and reason in said and "instantiate" not in said and "null" not in said
 
 
-def test_unknown_teleoperators_and_files_that_are_not_there_are_refused(tmp_path: Path) -> None:
+def test_unknown_teleoperators_and_files_that_are_not_there_are_refused(tmp_path):
     for teleop, file, named in (
         ("telepathy", "", "uniforce_keyboard"),
         ("keyboard", "no.yaml", "no.yaml"),
@@ -145,7 +140,7 @@ def test_unknown_teleoperators_and_files_that_are_not_there_are_refused(tmp_path
         "guards=3",
     ],
 )
-def test_a_flag_that_will_not_do_is_named(rig: Path, flag: str) -> None:
+def test_a_flag_that_will_not_do_is_named(rig, flag):
     with pytest.raises(ContractError, match=r"robot\."):
         read(rig, f"robot: {{cameras: {{front: {{{SCENE}}}}}}}", f"--robot.{flag}")
 
@@ -158,9 +153,7 @@ STOCK = {
 
 
 @pytest.mark.parametrize("kind", STOCK)
-def test_lerobots_cameras_are_understood(
-    rig: Path, kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_lerobots_cameras_are_understood(rig, kind, monkeypatch):
     content = f"robot: {{cameras: {{front: {{type: {kind}, {STOCK[kind]}, {SIZE}}}}}}}"
     monkeypatch.setattr(build, "find_spec", lambda name: ModuleSpec(name, None))
     assert read(rig, content)[0].cameras["front"].type == kind
@@ -169,7 +162,7 @@ def test_lerobots_cameras_are_understood(
         read(rig, content)
 
 
-def test_lerobots_cameras_are_loaded_when_a_file_names_one(rig: Path) -> None:
+def test_lerobots_cameras_are_loaded_when_a_file_names_one(rig):
     """In a process of its own: imports of other tests would register them."""
     rig.write_text(f"robot: {{cameras: {{front: {{type: opencv, index_or_path: 0, {SIZE}}}}}}}")
     code = "import sys; from uniforce_robots.recorder.build import read_devices as read\n"

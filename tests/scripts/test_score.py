@@ -1,11 +1,9 @@
 """Arms of a score take turns, resume, and are controlled; scripts are scored as policies are."""
 
 import dataclasses
-from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import joblib
 import numpy as np
@@ -30,19 +28,15 @@ from uniforce_vtla.results_file import only_writer
 from uniforce_vtla.tokenizer.calibration import Calibration
 from uniforce_vtla.tokenizer.latent_map import LatentMap
 
-Asked = list[tuple[int, ScoreConfig]]
-Rule = Callable[[int, ScoreConfig], bool]
-RolledOut = Callable[[Rule], Asked]
-
 
 @pytest.fixture
-def rolled_out(monkeypatch: pytest.MonkeyPatch) -> RolledOut:
+def rolled_out(monkeypatch):
     """Let a rule say whether an episode is clean, instead of rolling it out; return what was asked for."""
 
-    def stand_in(clean: Rule) -> Asked:
-        jobs: Asked = []
+    def stand_in(clean):
+        jobs = []
 
-        def fake(index: int, config: ScoreConfig, seed: int) -> tuple[int, EpisodeRow]:
+        def fake(index, config, seed):
             jobs.append((seed, config))
             return index, EpisodeRow(
                 seed, "success", clean(seed, config), False, False, 0, 0, 0, 0, 0, 0
@@ -54,14 +48,14 @@ def rolled_out(monkeypatch: pytest.MonkeyPatch) -> RolledOut:
     return stand_in
 
 
-def test_a_script_is_not_taken_for_a_policy() -> None:
+def test_a_script_is_not_taken_for_a_policy():
     assert ScoreConfig().arm == "V+T"
     assert ScoreConfig(policy="expert").arm == "expert"
     assert ScoreConfig(policy="expert", arm="me").arm == "me"
 
 
 @pytest.mark.parametrize(
-    ("options", "arm", "folder"),
+    "options, arm, folder",
     [
         ({}, "V+T", "VT_gelsight+tactip_touch"),
         (
@@ -85,14 +79,12 @@ def test_a_script_is_not_taken_for_a_policy() -> None:
         ),
     ],
 )
-def test_an_arm_and_its_folder_are_named_after_the_rig(options, arm: str, folder: str) -> None:
+def test_an_arm_and_its_folder_are_named_after_the_rig(options, arm, folder):
     config = ScoreConfig(**options)
     assert (config.arm, config.folder) == (arm, Path("outputs/score") / folder)
 
 
-def test_training_seeds_take_turns_from_scene_to_scene(
-    tmp_path: Path, rolled_out: RolledOut
-) -> None:
+def test_training_seeds_take_turns_from_scene_to_scene(tmp_path, rolled_out):
     rolled_out(lambda seed, config: "seed0" in config.policy_of(seed))
     config = ScoreConfig(policy="seed0/v, seed1/v", arm="V", rollouts=5, out=str(tmp_path))
     assert config.policies == ["seed0/v", "seed1/v"]
@@ -100,9 +92,7 @@ def test_training_seeds_take_turns_from_scene_to_scene(
     assert [row.clean for row in report.rows] == [True, False, True, False, True]
 
 
-def test_arms_take_turns_and_a_second_run_does_nothing(
-    tmp_path: Path, rolled_out: RolledOut
-) -> None:
+def test_arms_take_turns_and_a_second_run_does_nothing(tmp_path, rolled_out):
     jobs = rolled_out(lambda *_: True)
     vision = ScoreConfig(arm="V", rollouts=2, first_seed=5, out=str(tmp_path))
     arms = [vision, dataclasses.replace(vision, arm="V+T")]
@@ -113,10 +103,8 @@ def test_arms_take_turns_and_a_second_run_does_nothing(
     assert [r.count("clean") for r in reports] == [2, 2]
 
 
-def test_a_scored_seed_is_rolled_out_again_to_be_filmed_and_only_once(
-    tmp_path: Path, rolled_out: RolledOut
-) -> None:
-    def filmed(seed: int, config: ScoreConfig) -> bool:
+def test_a_scored_seed_is_rolled_out_again_to_be_filmed_and_only_once(tmp_path, rolled_out):
+    def filmed(seed, config):
         if seed in config.film:
             config.video(seed).touch()
         return True
@@ -131,9 +119,7 @@ def test_a_scored_seed_is_rolled_out_again_to_be_filmed_and_only_once(
         score_arms([dataclasses.replace(plain, film=[8])], workers=1)
 
 
-def test_episodes_of_another_policy_are_neither_taken_over_nor_lost(
-    tmp_path: Path, rolled_out: RolledOut
-) -> None:
+def test_episodes_of_another_policy_are_neither_taken_over_nor_lost(tmp_path, rolled_out):
     jobs, trained = rolled_out(lambda *_: True), tmp_path / "trained"
     trained.mkdir()
     (trained / "config.json").write_text("{}")
@@ -151,9 +137,7 @@ def test_episodes_of_another_policy_are_neither_taken_over_nor_lost(
     assert len(jobs) == 2
 
 
-def test_a_table_holds_the_scenes_that_were_asked_for_last(
-    tmp_path: Path, rolled_out: RolledOut
-) -> None:
+def test_a_table_holds_the_scenes_that_were_asked_for_last(tmp_path, rolled_out):
     jobs = rolled_out(lambda *_: True)
     for first, rollouts in ((5, 3), (100, 2), (5, 2)):
         config = ScoreConfig(rollouts=rollouts, first_seed=first, out=str(tmp_path))
@@ -163,16 +147,14 @@ def test_a_table_holds_the_scenes_that_were_asked_for_last(
     assert len(jobs) == 5  # the last two were scored before
 
 
-def test_two_processes_do_not_score_into_one_folder(tmp_path: Path, rolled_out: RolledOut) -> None:
+def test_two_processes_do_not_score_into_one_folder(tmp_path, rolled_out):
     jobs, config = rolled_out(lambda *_: True), ScoreConfig(rollouts=1, out=str(tmp_path))
     with only_writer(config.folder / ROWS), pytest.raises(ContractError, match="another one too"):
         score_arms([config], workers=1)
     assert not jobs and score_arms([config], workers=1)[0].n == 1
 
 
-def test_a_slot_the_policy_lacks_is_refused_before_processes_start(
-    tmp_path: Path, rolled_out: RolledOut
-) -> None:
+def test_a_slot_the_policy_lacks_is_refused_before_processes_start(tmp_path, rolled_out):
     jobs = rolled_out(lambda *_: True)
     with pytest.raises(ContractError, match="touch0"):
         score(ScoreConfig(swap="nose:left", workers=1, out=str(tmp_path)))
@@ -180,11 +162,9 @@ def test_a_slot_the_policy_lacks_is_refused_before_processes_start(
 
 
 @pytest.mark.parametrize(
-    ("worn", "fits"), [("uskin", True), ("uskin:1+lag=100", True), ("uskin:2", False)]
+    "worn, fits", [("uskin", True), ("uskin:1+lag=100", True), ("uskin:2", False)]
 )
-def test_the_calibration_of_another_unit_is_refused(
-    worn: str, fits: bool, tmp_path: Path, rolled_out: RolledOut
-) -> None:
+def test_the_calibration_of_another_unit_is_refused(worn, fits, tmp_path, rolled_out):
     jobs, config = rolled_out(lambda *_: True), stored_config(shipped_checkpoint())
     found = LatentMap(config.tokens_per_slot, config.latent_size)
     folder = Calibration(
@@ -203,7 +183,7 @@ def test_the_calibration_of_another_unit_is_refused(
 
 
 @pytest.mark.slow
-def test_two_dask_workers_score_as_one_process_does(tmp_path: Path) -> None:
+def test_two_dask_workers_score_as_one_process_does(tmp_path):
     """An extra: joblib's Dask back-end carries rollouts over a cluster."""
     distributed = pytest.importorskip("distributed", reason="dask.distributed is optional")
     plain = ScoreConfig(
@@ -221,28 +201,30 @@ def test_two_dask_workers_score_as_one_process_does(tmp_path: Path) -> None:
     assert [report.as_dict() for report in one] == [report.as_dict() for report in two]
 
 
-def test_every_script_can_be_scored() -> None:
+def test_every_script_can_be_scored():
     assert set(score_worker.SCRIPTS) == set(SCRIPTS)
 
 
 class Watching:
-    def __init__(self) -> None:
-        self.seen: list[dict[str, Any]] = []
-
-    def reset(self, env: object) -> None:
+    def __init__(self):
         self.seen = []
 
-    def chunk(self, observation: dict[str, Any], task: str) -> np.ndarray:
+    def reset(self, env):
+        self.seen = []
+
+    def chunk(self, observation, task):
         self.seen.append(observation)
         return np.zeros((1, 5))
 
 
+@pytest.fixture(scope="module")
+def bank():
+    return donated_touch(Rig("easy"), donors=1)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("phase", [0, 2])
-def test_shuffled_touch_is_another_scenes_in_the_same_phase(
-    phase: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    bank = donated_touch(Rig("easy"), donors=1)
+def test_shuffled_touch_is_another_scenes_in_the_same_phase(phase, bank, monkeypatch):
     assert set(bank) == {0, 1, 2, 3}
     monkeypatch.setattr(WipeEnv, "phase", phase)
     watching, env = Watching(), WipeEnv("easy")
@@ -266,9 +248,9 @@ def test_shuffled_touch_is_another_scenes_in_the_same_phase(
         assert not np.array_equal(images["tactile_left"], observation["pixels"]["tactile_left"])
 
 
-def test_frozen_touch_stays_as_it_was_half_a_second_into_the_wipe() -> None:
+def test_frozen_touch_stays_as_it_was_half_a_second_into_the_wipe():
     watching = Watching()
-    frozen = FrozenTouch(watching)  # type: ignore[arg-type]
+    frozen = FrozenTouch(watching)
     for phase, time_s, shown in ((1, 1.0, 1), (2, 1.1, 1), (2, 1.4, 1), (2, 1.6, 0), (3, 2.0, 0)):
         env = SimpleNamespace(phase=phase, trace=SimpleNamespace(time_s=np.array([time_s])))
         if phase == 1:
@@ -280,16 +262,14 @@ def test_frozen_touch_stays_as_it_was_half_a_second_into_the_wipe() -> None:
         assert seen["front"] == time_s and seen["tactile_right"] == (time_s if shown else 1.4)
 
 
-def test_unknown_controls_and_controls_of_scripts_are_refused(tmp_path: Any) -> None:
+def test_unknown_controls_and_controls_of_scripts_are_refused(tmp_path):
     with pytest.raises(ContractError, match="masked"):
-        controlled(None, "asleep", WipeEnv("easy"), Rig("easy"))  # type: ignore[arg-type]
+        controlled(None, "asleep", WipeEnv("easy"), Rig("easy"))
     with pytest.raises(ContractError, match="Controls are for policies"):
         score_job(0, ScoreConfig(policy="expert", control="masked", out=str(tmp_path)), 1)
 
 
-def test_a_sensor_that_fails_at_the_first_look_makes_an_aborted_row(
-    tmp_path: Path, caplog: Any
-) -> None:
+def test_a_sensor_that_fails_at_the_first_look_makes_an_aborted_row(tmp_path, caplog):
     config = ScoreConfig(right_sensor="tactip:1+light=0", out=str(tmp_path))
     _, row = score_job(0, config, 10_000)
     assert (row.code, row.seconds, row.residual) == ("a", 0.0, 1.0)

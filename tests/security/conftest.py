@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="session")
-def source_files() -> list[Path]:
+def source_files():
     """Every module the wheel packs, and the scripts: a folder that is packed can't be forgotten here."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())
     packages = settings["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
@@ -21,7 +21,7 @@ def source_files() -> list[Path]:
 
 
 @pytest.fixture
-def policy_copy(tmp_path: Path) -> Path:
+def policy_copy(tmp_path):
     """Return a copy of the shipped policy without hashes: they would refuse whatever a test does to it."""
     shutil.copytree(shipped_checkpoint(), tmp_path / "policy")
     drop_hashes(tmp_path / "policy")

@@ -3,7 +3,6 @@
 import ast
 import json
 import pickle
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +23,7 @@ PROCESSES = {  # of joblib: its loader is what unpickles files
 }
 
 
-def breaches(source: str, name: str) -> Iterator[str]:
+def breaches(source, name):
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             yield from (
@@ -38,7 +37,7 @@ def breaches(source: str, name: str) -> Iterator[str]:
             yield from call_breaches(node, name)
 
 
-def call_breaches(call: ast.Call, name: str) -> Iterator[str]:
+def call_breaches(call, name):
     called = ast.unparse(call.func)
     given = {word.arg: ast.unparse(word.value) for word in call.keywords if word.arg}
     if called in NEVER:
@@ -56,7 +55,7 @@ def call_breaches(call: ast.Call, name: str) -> Iterator[str]:
         yield "np.load with unnamed options"
 
 
-def test_no_module_can_run_what_a_file_brings_along(source_files) -> None:
+def test_no_module_can_run_what_a_file_brings_along(source_files):
     assert len(source_files) > 200
     found = {
         str(file.relative_to(ROOT)): list(breaches(file.read_text(), str(file.relative_to(ROOT))))
@@ -84,29 +83,29 @@ def test_no_module_can_run_what_a_file_brings_along(source_files) -> None:
         "AutoModel.from_pretrained(p, trust_remote_code=True)",
     ],
 )
-def test_each_breach_would_be_seen(source: str) -> None:
+def test_each_breach_would_be_seen(source):
     assert list(breaches(source, "uniforce_vtla/somewhere.py"))
 
 
 class Bomb:
-    def __init__(self, mark: Path) -> None:
+    def __init__(self, mark):
         self.mark = mark
 
-    def __reduce__(self) -> tuple:
+    def __reduce__(self):
         return (Path.touch, (self.mark,))
 
 
 @pytest.fixture
-def mark(tmp_path: Path) -> Path:
+def mark(tmp_path):
     return tmp_path / "went_off"
 
 
-def test_the_bomb_works(mark: Path) -> None:
+def test_the_bomb_works(mark):
     pickle.loads(pickle.dumps(Bomb(mark)))
     assert mark.exists()
 
 
-def test_poisoned_arrays_are_refused(tmp_path: Path, mark: Path) -> None:
+def test_poisoned_arrays_are_refused(tmp_path, mark):
     bomb = np.array([Bomb(mark)], dtype=object)
     np.save(tmp_path / "a.npy", bomb)
     np.savez(tmp_path / "a.npz", a=bomb)
@@ -121,7 +120,7 @@ def test_poisoned_arrays_are_refused(tmp_path: Path, mark: Path) -> None:
     assert not mark.exists()
 
 
-def replace_steps(folder: Path, change) -> None:
+def replace_steps(folder, change):
     file = folder / "policy_preprocessor.json"
     content = json.loads(file.read_text())
     change(content["steps"])
@@ -130,7 +129,7 @@ def replace_steps(folder: Path, change) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    "change, says",
     [
         (
             lambda steps: steps.insert(0, {"class": "os.mkdir", "config": {"path": "MARK"}}),
@@ -146,9 +145,7 @@ def replace_steps(folder: Path, change) -> None:
         (lambda steps: steps[0].update(registry_name="no_such_step"), "no_such_step"),
     ],
 )
-def test_a_checkpoint_runs_no_class_of_its_choice(
-    policy_copy: Path, mark: Path, change, says: str
-) -> None:
+def test_a_checkpoint_runs_no_class_of_its_choice(policy_copy, mark, change, says):
     replace_steps(policy_copy, change)
     file = policy_copy / "policy_preprocessor.json"
     file.write_text(file.read_text().replace("MARK", str(mark)))
@@ -157,7 +154,7 @@ def test_a_checkpoint_runs_no_class_of_its_choice(
     assert not mark.exists()
 
 
-def test_a_checkpoint_follows_no_path_to_another_tokenizer(policy_copy: Path) -> None:
+def test_a_checkpoint_follows_no_path_to_another_tokenizer(policy_copy):
     config = json.loads((policy_copy / "config.json").read_text())
     (policy_copy / "config.json").unlink()
     config["touch"] |= {"tokenizer": None, "tokenizer_path": "../../elsewhere"}

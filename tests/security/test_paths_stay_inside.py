@@ -2,10 +2,8 @@
 
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import av
 import numpy as np
@@ -23,7 +21,7 @@ from uniforce_vtla.arguments import parse
 from uniforce_vtla.errors import ContractError, DatasetError
 
 INFO = Path("meta") / "info.json"
-OPENERS: dict[str, Callable[[Path], Any]] = {
+OPENERS = {
     "read_source": read_source,
     "open_dataset": open_dataset,
     "build_view": lambda root: build_view(root, root.parent / "view", encoder=BlockMeans()),
@@ -37,12 +35,12 @@ OPENERS: dict[str, Callable[[Path], Any]] = {
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recorded(tmp_path_factory):
     return record_synthetic(tmp_path_factory.mktemp("paths") / "data", 1, 3)
 
 
 @pytest.fixture
-def dataset(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def dataset(recorded, tmp_path, monkeypatch):
     """A copy to spoil; no parquet and no video of it may be opened."""
     root = Path(shutil.copytree(recorded, tmp_path / "data"))
     monkeypatch.setattr(pq, "ParquetFile", lambda *_: pytest.fail("a parquet file was opened"))
@@ -50,13 +48,13 @@ def dataset(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     return root
 
 
-def rewrite(root: Path, change: Callable[[dict[str, Any]], Any]) -> None:
+def rewrite(root, change):
     info = json.loads((root / INFO).read_text())
     change(info)
     (root / INFO).write_text(json.dumps(info))
 
 
-def rename_video(info: dict[str, Any], name: str) -> None:
+def rename_video(info, name):
     info["features"][name] = info["features"].pop("observation.images.front")
 
 
@@ -74,7 +72,7 @@ TEMPLATES = [
     "videos/\0{video_key}.mp4",
     7,
 ]
-SPOILT: list[Callable[[dict[str, Any]], Any]] = [
+SPOILT = [
     *(lambda info, t=template: info.update(video_path=t) for template in TEMPLATES),
     *(lambda info, t=template: info.update(data_path=t) for template in TEMPLATES[:3]),
     *(
@@ -86,16 +84,14 @@ SPOILT: list[Callable[[dict[str, Any]], Any]] = [
 
 @pytest.mark.parametrize("opener", OPENERS)
 @pytest.mark.parametrize("spoil", SPOILT[:3])
-def test_every_opener_refuses_paths_that_lead_outside(
-    dataset: Path, opener: str, spoil: Callable
-) -> None:
+def test_every_opener_refuses_paths_that_lead_outside(dataset, opener, spoil):
     rewrite(dataset, spoil)
     with pytest.raises(DatasetError, match="a path inside"):
         OPENERS[opener](dataset)
 
 
 @pytest.mark.parametrize("spoil", SPOILT)
-def test_all_kinds_of_paths_are_judged(dataset: Path, spoil: Callable) -> None:
+def test_all_kinds_of_paths_are_judged(dataset, spoil):
     rewrite(dataset, spoil)
     with pytest.raises(DatasetError, match=r"a path inside|names of features"):
         read_source(dataset)
@@ -103,9 +99,7 @@ def test_all_kinds_of_paths_are_judged(dataset: Path, spoil: Callable) -> None:
 
 @pytest.mark.parametrize("opener", OPENERS)
 @pytest.mark.parametrize("part", ["meta/info.json", "videos", "data/chunk-000/file-000.parquet"])
-def test_links_out_of_a_dataset_are_refused(
-    dataset: Path, tmp_path: Path, opener: str, part: str
-) -> None:
+def test_links_out_of_a_dataset_are_refused(dataset, tmp_path, opener, part):
     outside = tmp_path / "outside"
     (dataset / part).rename(outside)
     (dataset / part).symlink_to(outside)
@@ -113,7 +107,7 @@ def test_links_out_of_a_dataset_are_refused(
         OPENERS[opener](dataset)
 
 
-def test_links_within_a_dataset_are_followed(recorded: Path, tmp_path: Path) -> None:
+def test_links_within_a_dataset_are_followed(recorded, tmp_path):
     root = Path(shutil.copytree(recorded, tmp_path / "data"))
     (root / "videos").rename(root / "pictures")
     (root / "videos").symlink_to("pictures")
@@ -121,7 +115,7 @@ def test_links_within_a_dataset_are_followed(recorded: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("name", ["front", "latent_left", "uniforce_view.json"])
-def test_links_out_of_a_view_are_refused(recorded: Path, tmp_path: Path, name: str) -> None:
+def test_links_out_of_a_view_are_refused(recorded, tmp_path, name):
     view = build_view(recorded, tmp_path / "view", encoder=BlockMeans())
     file = view / (name if "." in name else f"{name}.npy")
     file.rename(tmp_path / "outside")
@@ -130,7 +124,7 @@ def test_links_out_of_a_view_are_refused(recorded: Path, tmp_path: Path, name: s
         TrainingView(view)
 
 
-def test_a_views_slots_name_fingers_and_no_files(recorded: Path, tmp_path: Path) -> None:
+def test_a_views_slots_name_fingers_and_no_files(recorded, tmp_path):
     view = build_view(recorded, tmp_path / "view", encoder=BlockMeans())
     marker = json.loads((view / "uniforce_view.json").read_text())
     marker["slots"] = {"touch0": "../../etc/passwd"}
@@ -140,13 +134,13 @@ def test_a_views_slots_name_fingers_and_no_files(recorded: Path, tmp_path: Path)
         TrainingView(view, verify="off")
 
 
-def test_a_preset_is_one_of_the_packages_own(tmp_path: Path) -> None:
+def test_a_preset_is_one_of_the_packages_own(tmp_path):
     (tmp_path / "evil.yaml").write_text("steps: 1\n")
     with pytest.raises(ContractError, match="preset"):
         parse(PretrainCommand, [f"preset={tmp_path / 'evil'}"], PRESETS)
 
 
-def test_plain_paths_pass() -> None:
+def test_plain_paths_pass():
     template = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
     assert dataset_info.check_template("here", template) == template
     assert dataset_info.check_key("here", "observation.images.front") == "observation.images.front"

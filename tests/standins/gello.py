@@ -34,7 +34,7 @@ class GelloConfig:
     seed: int = 0
 
 
-def checksum(data: bytes) -> int:
+def checksum(data):
     """CRC-16, polynomial 0x8005, bit by bit from the e-manual's text."""
     value = 0
     for byte in data:
@@ -45,7 +45,7 @@ def checksum(data: bytes) -> int:
     return value
 
 
-def status(motor: int, parameters: bytes, error: int = 0) -> bytes:
+def status(motor, parameters, error=0):
     """Return a motor's answer, ``FD`` stuffed in where its content looks like a header."""
     content = b"\x55" + bytes([error]) + parameters
     body = content.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
@@ -58,16 +58,16 @@ class GelloStandIn(StandInServer):
 
     faults = ("crc", "missing", "garbage", "split", "mute", "jump", "alert", "unplug")
 
-    def __init__(self, config: GelloConfig) -> None:
+    def __init__(self, config):
         self._port = PseudoTerminal("gello")
         super().__init__(self._port, self._port.address, config, IDLE_hz)
         self._in = b""
 
-    def on_fault(self) -> None:
+    def on_fault(self):
         super().on_fault()
         self._port.pieces = 3 if self.fault == "split" else READ_BYTES
 
-    def answer(self, received: bytes) -> None:
+    def answer(self, received):
         """Answer the whole questions that came; one with a wrong checksum gets none."""
         self._in = (self._in + received)[-READ_BYTES:]
         while (start := self._in.find(HEADER)) >= 0:
@@ -86,20 +86,20 @@ class GelloStandIn(StandInServer):
             if data:
                 self.plug.send(self.rng.bytes(GARBAGE_BYTES) if self.fault == "garbage" else data)
 
-    def _answer(self, instruction: int, motor: int, parameters: bytes) -> bytes:
+    def _answer(self, instruction, motor, parameters):
         if instruction == 0x01:  # ping: model number and firmware
             return status(motor, struct.pack("<HB", 1200, 45))
         asked = {0x02: bytes([motor]), 0x82: parameters[4:]}.get(instruction, b"")
         counts = self._counts()
         return b"".join(self._position(motor, counts) for motor in asked)
 
-    def _counts(self) -> np.ndarray:
+    def _counts(self):
         phase = 2 * np.pi * time.monotonic() / self.config.period_s
         joints = HOME_q_rad + self.config.swing_rad * np.sin(phase)
         angles = np.array([*(joints + JUMP_rad * (self.fault == "jump")), self.config.trigger_rad])
         return np.round(angles * COUNTS_PER_TURN / (2 * np.pi)).astype(int)
 
-    def _position(self, motor: int, counts: np.ndarray) -> bytes:
+    def _position(self, motor, counts):
         if not 1 <= motor <= len(counts) or (self.fault == "missing" and motor == MISSING):
             return b""
         error = 0x80 if self.fault == "alert" else 0

@@ -26,7 +26,7 @@ class SpaceMouseConfig:
     seed: int = 0
 
 
-def reports(counts: tuple[int, ...], buttons: int, layout: str = "three") -> list[bytes]:
+def reports(counts, buttons, layout="three"):
     """Return the reports of one state: three axes in each of two, or all ``six`` in one."""
     button = struct.pack("<BH", 3, buttons)
     if layout == "six":
@@ -39,7 +39,7 @@ class SpaceMouseStandIn(StandInServer):
 
     faults = ("push", "close", "freeze", "garbage", "short", "burst", "unplug")
 
-    def __init__(self, config: SpaceMouseConfig) -> None:
+    def __init__(self, config):
         self._folder = tempfile.TemporaryDirectory(prefix="uniforce-spacemouse-")
         path = f"{self._folder.name}/device"
         super().__init__(Sockets(path, lambda client: b""), path, config, config.rate_hz)
@@ -47,12 +47,12 @@ class SpaceMouseStandIn(StandInServer):
         closing = reports(REST, 1)
         self._due = {"push": push, "burst": push * BURST, "close": closing, "short": [b"\x01\x00"]}
 
-    def on_fault(self) -> None:
+    def on_fault(self):
         super().on_fault()
         for report in reports(REST, 0) if self.fault == "none" else []:
             self.plug.send(report)
 
-    def beat(self) -> None:
+    def beat(self):
         """Send reports; at rest, or frozen, it is silent."""
         garbage = [bytes([self.rng.choice([1, 2])]) + b"\xff\x7f" * 3]
         for report in garbage if self.fault == "garbage" else self._due.get(self.fault, []):

@@ -1,12 +1,10 @@
 """xela_server with one uSkin patch: JSON over a WebSocket on loopback; see ``--help``."""
 
 import json
-import socket
 import sys
 import time
 from dataclasses import dataclass
 
-import numpy as np
 from websockets.frames import Frame, Opcode
 from websockets.http11 import Request
 from websockets.server import ServerProtocol
@@ -31,12 +29,12 @@ class XelaConfig(Scene):
     port: int = 0  # 0 = any free one; xela_server's own is 5000
 
 
-def frame(opcode: Opcode, payload: bytes, is_last: bool = True) -> bytes:
+def frame(opcode, payload, is_last=True):
     """Return one unmasked frame (section 5.2)."""
     return Frame(opcode, payload, is_last).serialize(mask=False)
 
 
-def fragmented(text: bytes, pieces: int) -> bytes:
+def fragmented(text, pieces):
     """Return a text in several frames, a ping between any two (section 5.4)."""
     size = max(-(-len(text) // pieces), 1)
     parts = [text[i * size : (i + 1) * size] for i in range(pieces)]
@@ -46,7 +44,7 @@ def fragmented(text: bytes, pieces: int) -> bytes:
     return frame(Opcode.PING, b"in between").join(framed)
 
 
-def greeting(request: bytes) -> bytes:
+def greeting(request):
     """Return the answer to a client's handshake (section 4.2.2), nothing to another request."""
     protocol = ServerProtocol()
     protocol.receive_data(request)
@@ -57,13 +55,13 @@ def greeting(request: bytes) -> bytes:
     return b"".join(protocol.data_to_send())
 
 
-def welcome(client: socket.socket) -> bytes:
+def welcome(client):
     """Return that answer, and xela_server's first message with it."""
     text = json.dumps({"message": "Welcome", "time": time.time()}).encode()
     return greeting(client.recv(READ_BYTES)) + frame(Opcode.TEXT, text)
 
 
-def message(number: int, scan: np.ndarray, fault: str) -> str:
+def message(number, scan, fault):
     """Return the server's text for one (16, 3) uint16 scan, with the named peculiarity."""
     words = [f"{count:04X}" for count in scan.ravel().tolist()]
     forms = {"short": ",".join(words[:30]), "list": words, "integers": scan.ravel().tolist()}
@@ -77,7 +75,7 @@ def message(number: int, scan: np.ndarray, fault: str) -> str:
         "data": data,
         "temp": [301.0] * 16,
     }
-    body: dict[str, object] = {"message": number, "time": now, "sensors": 1, "type": "routine"}
+    body = {"message": number, "time": now, "sensors": 1, "type": "routine"}
     body["2" if fault == "absent" else "1"] = sensor | (
         {"calibrated": None} if fault == "null" else {}
     )
@@ -96,20 +94,20 @@ class XelaStandIn(StandInServer):
         *("garbage", "short", "absent", "fragments", "ping", "badframe"),
     )
 
-    def __init__(self, config: XelaConfig) -> None:
+    def __init__(self, config):
         self._cycle = taxel_cycle(config, config.rate_hz)
         self._server = Sockets(("127.0.0.1", config.port), welcome)
         super().__init__(self._server, "{}:{}".format(*self._server.where), config, config.rate_hz)
         self._number = 0
 
-    def on_fault(self) -> None:
+    def on_fault(self):
         if self.fault == "close":
             self.plug.send(frame(Opcode.CLOSE, (1001).to_bytes(2)))
             self.plug.flush()
             self.plug.unplug()
         super().on_fault()
 
-    def beat(self) -> None:
+    def beat(self):
         """Send a message; the cycle begins, in free air, with the first client."""
         if self.fault in ("welcome", "stall", "stop") or not self._server.clients:
             return

@@ -12,11 +12,11 @@ from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadCo
 
 
 @pytest.fixture
-def tokenizer(tiny: TokenizerConfig) -> Tokenizer:
+def tokenizer(tiny):
     return Tokenizer.random(tiny)
 
 
-def test_pair_and_arrays_agree(tokenizer: Tokenizer, dots: np.ndarray) -> None:
+def test_pair_and_arrays_agree(tokenizer, dots):
     pair = MarkerPair(dots[0], dots[1], "right", "tactip")
     z = tokenizer.encode(pair)
     assert (
@@ -27,30 +27,26 @@ def test_pair_and_arrays_agree(tokenizer: Tokenizer, dots: np.ndarray) -> None:
     torch.testing.assert_close(z, tokenizer.encode(dots[:1], dots[1:2], finger="right"))
 
 
-def test_mirror_contract(tokenizer: Tokenizer, dots: np.ndarray) -> None:
+def test_mirror_contract(tokenizer, dots):
     flipped = np.ascontiguousarray(dots[:, :, ::-1])
     left = tokenizer.encode(dots[:1], dots[1:], "left")
     torch.testing.assert_close(tokenizer.encode(flipped[:1], flipped[1:], "right"), left)
     assert not torch.allclose(tokenizer.encode(flipped[:1], flipped[1:], "left"), left)
 
 
-def test_batch_equals_one_by_one_and_one_reference_serves_all(
-    tokenizer: Tokenizer, dots: np.ndarray
-) -> None:
+def test_batch_equals_one_by_one_and_one_reference_serves_all(tokenizer, dots):
     together = tokenizer.encode(dots[:1], dots)
     alone = torch.cat([tokenizer.encode(dots[:1], dots[i : i + 1]) for i in range(3)])
     torch.testing.assert_close(together, alone, atol=1e-5, rtol=0)
     torch.testing.assert_close(tokenizer.encode(dots[[0, 0, 0]], dots), together, atol=1e-5, rtol=0)
 
 
-def test_decode_has_the_models_size(tokenizer: Tokenizer, dots: np.ndarray) -> None:
+def test_decode_has_the_models_size(tokenizer, dots):
     image = tokenizer.decode(dots[:1], tokenizer.encode(dots[:1], dots))
     assert image.shape == (3, 32, 32) and image.min() >= 0 and image.max() <= 1
 
 
-def test_the_reference_is_encoded_once(
-    tokenizer: Tokenizer, dots: np.ndarray, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_reference_is_encoded_once(tokenizer, dots, monkeypatch):
     calls = []
     encoder = tokenizer.model.encoder
     original = encoder.encode_reference
@@ -62,7 +58,7 @@ def test_the_reference_is_encoded_once(
     assert len(calls) == 1
 
 
-def test_memory_stays_flat_over_two_thousand_frames(dots: np.ndarray) -> None:
+def test_memory_stays_flat_over_two_thousand_frames(dots):
     tokenizer = Tokenizer.random(
         TokenizerConfig(side=32, patch=8, width=8, depth=1, heads=1, embed_hidden=0)
     )
@@ -75,9 +71,7 @@ def test_memory_stays_flat_over_two_thousand_frames(dots: np.ndarray) -> None:
     assert sys.getallocatedblocks() - blocks < 1_000  # one object kept per frame would be 2,000
 
 
-def read(
-    tokenizer: Tokenizer, head: ForceHead, dots: np.ndarray, frames: int, state: torch.Tensor | None
-) -> torch.Tensor | None:
+def read(tokenizer, head, dots, frames, state):
     for i in range(frames):
         _, state = head.step(
             tokenizer.encode(dots[:1], np.roll(dots[1:2], i % 7, axis=2), "right"), state
@@ -85,15 +79,13 @@ def read(
     return state
 
 
-def live_tensors() -> int:
+def live_tensors():
     gc.collect()
     return sum(value.numel() for value in gc.get_objects() if type(value) is torch.Tensor)
 
 
 @pytest.mark.parametrize("fill", [0.0, np.nan])
-def test_bad_frames_and_references_are_refused(
-    tokenizer: Tokenizer, dots: np.ndarray, fill: float
-) -> None:
+def test_bad_frames_and_references_are_refused(tokenizer, dots, fill):
     nan = np.full(dots[:1].shape, np.nan, np.float32)
     for bad in (nan, dots[1:2, :48], dots[1:2].astype(np.int32)):
         with pytest.raises(ContractError, match="expected"):
@@ -101,4 +93,4 @@ def test_bad_frames_and_references_are_refused(
     with pytest.raises(ContractError, match="reference"):
         tokenizer.encode(np.full(dots[:1].shape, fill, np.float32), dots[1:2])
     with pytest.raises(ContractError, match="finger"):
-        tokenizer.encode(dots[:1], dots[1:2], "thumb")  # type: ignore[arg-type]
+        tokenizer.encode(dots[:1], dots[1:2], "thumb")

@@ -1,7 +1,5 @@
 """Label-free calibration: equal forces give equal latents afterwards, and what can't be calibrated is refused."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
@@ -27,12 +25,12 @@ WHOLE = (
 
 
 @pytest.fixture
-def head() -> ForceHead:
+def head():
     torch.manual_seed(0)
     return ForceHead(ForceRegressor(HeadConfig()), "tactip", "abc")
 
 
-def grasps(n: int = 300) -> tuple[Latent, Latent]:
+def grasps(n=300):
     """A new sensor whose whole map differs from the anchor's: regions mixed, weaker, shifted."""
     torch.manual_seed(0)
     anchor = torch.randn(n, 6) @ torch.randn(6, 96)
@@ -40,14 +38,24 @@ def grasps(n: int = 300) -> tuple[Latent, Latent]:
     return Latent.of(new.view(n, 16, 6), "abc"), Latent.of(anchor.view(n, 16, 6), "abc")
 
 
-def test_the_map_starts_as_the_identity() -> None:
+@pytest.fixture
+def calibrated(head):
+    """Return a function: paired grasps, those of the fixture's usual classes → a calibration."""
+
+    def run(new, anchor, classes=CLASSES, *more, head=head, **grasps):
+        return calibrate(new, anchor, classes, head, "new", "old", *more, **grasps)
+
+    return run
+
+
+def test_the_map_starts_as_the_identity():
     z = torch.randn(3, 16, 6)
     assert torch.equal(LatentMap(16, 6)(z), z)
 
 
-def test_grasps_it_never_saw_balance_afterwards(head: ForceHead) -> None:
+def test_grasps_it_never_saw_balance_afterwards(calibrated):
     new, anchor = grasps()
-    found = calibrate(new[:200], anchor[:200], CLASSES[:200], head, "new", "old")
+    found = calibrated(new[:200], anchor[:200], CLASSES[:200])
     before, after = ((z[200:] - anchor[200:]).square().mean() for z in (new, found(new)))
     assert before > 0.05 and after < 0.02 * before
     for judged in found.agreement.values():
@@ -57,9 +65,9 @@ def test_grasps_it_never_saw_balance_afterwards(head: ForceHead) -> None:
     assert found.worst()[1] == min(judged.r2[2] for judged in found.agreement.values())
 
 
-def test_equal_sensors_stay_as_they_are(head: ForceHead) -> None:
+def test_equal_sensors_stay_as_they_are(calibrated):
     _, anchor = grasps()
-    found = calibrate(anchor, anchor, CLASSES, head, "new", "old")
+    found = calibrated(anchor, anchor)
     assert torch.equal(found(anchor), anchor) and found.gain == 1.0
     assert (
         found.choice
@@ -68,31 +76,29 @@ def test_equal_sensors_stay_as_they_are(head: ForceHead) -> None:
     )
 
 
-def test_the_ridge_grows_with_what_can_not_be_explained() -> None:
+def test_the_ridge_grows_with_what_can_not_be_explained():
     new, anchor = grasps()
     noisy = new + 3 * torch.randn(new.shape)
     exact, loose = (fit_map(z[:60], anchor[:60])[1] for z in (new, noisy))
     assert loose > 10 * exact
 
 
-def test_one_class_of_objects_does_not_speak_for_the_other(head: ForceHead) -> None:
+def test_one_class_of_objects_does_not_speak_for_the_other(calibrated):
     """Tools whose latents answer the other way round: each class is judged on its own grasps."""
     new, anchor = grasps()
     tool = torch.tensor([name == "tool" for name in CLASSES])
     twisted = new.as_subclass(torch.Tensor).clone()
     twisted[tool] = torch.randn(int(tool.sum()), 16, 6)
-    found = calibrate(Latent.of(twisted, "abc"), anchor, CLASSES, head, "new", "old")
+    found = calibrated(Latent.of(twisted, "abc"), anchor)
     assert (
         found.worst()[0] == "tool"
         and found.agreement["tool"].r2[2] < found.agreement["small"].r2[2] - 0.1
     )
 
 
-def test_saved_equals_loaded_and_another_tokenizer_is_refused(
-    head: ForceHead, tmp_path: Path
-) -> None:
+def test_saved_equals_loaded_and_another_tokenizer_is_refused(tmp_path, calibrated):
     new, anchor = grasps()
-    found = calibrate(new, anchor, CLASSES, head, "new", "old")
+    found = calibrated(new, anchor)
     found.save(tmp_path)
     again = Calibration.load(tmp_path, "abc")
     assert (
@@ -107,77 +113,58 @@ def test_saved_equals_loaded_and_another_tokenizer_is_refused(
     with pytest.raises(CheckpointError, match="calibration of new"):
         again(Latent.of(anchor, "xyz"))
     with pytest.raises(CheckpointError, match="latents for calibration"):
-        calibrate(Latent.of(new, "xyz"), anchor, CLASSES, head, "new", "old")
+        calibrated(Latent.of(new, "xyz"), anchor)
 
 
 @pytest.mark.parametrize("shape", [(4, 64, 6), (16, 6), (0, 16, 6)])
-def test_only_pooled_latents_are_mapped(shape: tuple[int, ...], head: ForceHead) -> None:
-    found = calibrate(*grasps(), CLASSES, head, "new", "old")
+def test_only_pooled_latents_are_mapped(shape, calibrated):
+    found = calibrated(*grasps())
     with pytest.raises(ContractError, match="pool_latent"):
         found(Latent.of(torch.zeros(shape), "abc"))
 
 
+DRAWN = torch.rand(90, 16, 6)
+OTHER = torch.rand(90, 16, 6)
+
+
 @pytest.mark.parametrize(
-    ("new", "anchor", "classes", "says"),
+    "new, anchor, classes, says",
     [
-        (torch.rand(90, 16, 6), torch.rand(90, 16, 6), ("small",) * 90, "tool objects are missing"),
-        (
-            torch.rand(90, 16, 6),
-            torch.rand(90, 16, 6),
-            ("small", "hammer") * 45,
-            "class of an object",
-        ),
-        (torch.rand(90, 16, 6), torch.rand(90, 9, 6), CLASSES[:90], "twice"),
-        (torch.rand(90, 16, 6), torch.rand(90, 16, 6), CLASSES[:80], "80 classes"),
-        (
-            torch.rand(90, 16, 6),
-            torch.rand(90, 16, 6),
-            ("small",) * 80 + ("tool",) * 10,
-            "tool objects",
-        ),
+        (DRAWN, OTHER, ("small",) * 90, "tool objects are missing"),
+        (DRAWN, OTHER, ("small", "hammer") * 45, "class of an object"),
+        (DRAWN, torch.rand(90, 9, 6), CLASSES[:90], "twice"),
+        (DRAWN, OTHER, CLASSES[:80], "80 classes"),
+        (DRAWN, OTHER, ("small",) * 80 + ("tool",) * 10, "tool objects"),
         (torch.full((90, 16, 6), torch.nan), torch.ones(90, 16, 6), CLASSES[:90], "finite"),
-        (torch.rand(90, 16, 6), torch.ones(90, 16, 6), CLASSES[:90], "changing"),
+        (DRAWN, torch.ones(90, 16, 6), CLASSES[:90], "changing"),
     ],
 )
-def test_bad_grasps_are_refused(
-    new: torch.Tensor, anchor: torch.Tensor, classes: tuple[str, ...], says: str, head: ForceHead
-) -> None:
+def test_bad_grasps_are_refused(new, anchor, classes, says, calibrated):
     with pytest.raises(ContractError, match=says):
-        calibrate(
-            Latent.of(new, "abc"),
-            Latent.of(anchor, "abc"),
-            classes,
-            head,
-            "new",
-            "old",
-            CalibrationConfig(),
-        )
+        calibrated(Latent.of(new, "abc"), Latent.of(anchor, "abc"), classes)
 
 
-def test_frames_of_few_grasps_are_refused(head: ForceHead) -> None:
+def test_frames_of_few_grasps_are_refused(calibrated):
     new, anchor = grasps()
     with pytest.raises(
         ContractError, match="separate grasps of small objects: expected at least 3, got 2"
     ):
-        calibrate(new, anchor, CLASSES, head, "new", "old", grasps=[row % 4 for row in range(300)])
+        calibrated(new, anchor, grasps=[row % 4 for row in range(300)])
 
 
-def test_a_whole_grasp_judges_or_chooses(head: ForceHead) -> None:
+def test_a_whole_grasp_judges_or_chooses(calibrated):
     """Sixty grasps of five rows, a class each in turn: a fifth of them judges."""
     new, anchor = grasps()
     classes = tuple(name for name in CLASSES[:60] for _ in range(5))
-    found = calibrate(
-        new, anchor, classes, head, "new", "old", grasps=[row // 5 for row in range(300)]
-    )
+    found = calibrated(new, anchor, classes, grasps=[row // 5 for row in range(300)])
     assert found.choice and found.choice.grasps == 48
     assert [judged.grasps for judged in found.agreement.values()] == [6, 6]
 
 
-def test_who_judges_is_drawn_by_the_seed_alone(head: ForceHead) -> None:
+def test_who_judges_is_drawn_by_the_seed_alone(calibrated):
     new, anchor = grasps()
     one, two, three = (
-        calibrate(new, anchor, CLASSES, head, "new", "old", CalibrationConfig(seed=seed))
-        for seed in (0, 0, 1)
+        calibrated(new, anchor, CLASSES, CalibrationConfig(seed=seed)) for seed in (0, 0, 1)
     )
     assert one.agreement == two.agreement != three.agreement
     assert np.isfinite([*one.agreement["tool"].abs_r]).all()
@@ -188,7 +175,7 @@ class Scale:
 
     tokenizer_hash, hash = "abc", "def"
 
-    def __call__(self, z: torch.Tensor) -> torch.Tensor:
+    def __call__(self, z):
         return torch.cat([z[:, 0, :2], 0.8 * z[:, 0, :1]], dim=1)
 
 
@@ -197,33 +184,33 @@ class Plain:
 
     tokenizer_hash, hash = "abc", "def"
 
-    def __call__(self, z: torch.Tensor) -> torch.Tensor:
+    def __call__(self, z):
         return z.as_subclass(torch.Tensor)[:, 0, :3]
 
 
 def test_a_sensor_that_is_turned_is_refused_and_shear_that_says_nothing_is_warned_of(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+    caplog, calibrated
+):
     _, anchor = grasps()
     turned = anchor.as_subclass(torch.Tensor).clone()
     turned[:, 0, :2] *= -1
     with pytest.raises(
         ContractError, match=r"both upright, got the one turned .*rotation_deg=180 in the rig"
     ):
-        calibrate(Latent.of(turned, "abc"), anchor, CLASSES, Plain(), "new", "old")  # type: ignore[arg-type]
+        calibrated(Latent.of(turned, "abc"), anchor, head=Plain())
     assert not caplog.text
     turned[:, 0, 1] = torch.randn(len(turned))
-    calibrate(Latent.of(turned, "abc"), anchor, CLASSES, Plain(), "new", "old")  # type: ignore[arg-type]
+    calibrated(Latent.of(turned, "abc"), anchor, head=Plain())
     assert "too little to tell how it is mounted" in caplog.text
 
 
-def presses(*load_N: float) -> Latent:
+def presses(*load_N):
     z = torch.zeros(len(load_N), 16, 6)
     z[:, 0, 0] = torch.tensor(load_N)
     return Latent.of(z, "abc")
 
 
-def pushed(seed: int, grasps: int = 200, rows: int = 1) -> torch.Tensor:
+def pushed(seed, grasps=200, rows=1):
     """Latents (n, 16, 6) of grasps whose rows are alike."""
     drawn = torch.randn(
         grasps, 16, 6, generator=torch.Generator().manual_seed(seed)
@@ -234,31 +221,31 @@ def pushed(seed: int, grasps: int = 200, rows: int = 1) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02])
-def test_a_pad_that_answers_less_takes_a_gain_and_keeps_its_latents(noise: float) -> None:
+def test_a_pad_that_answers_less_takes_a_gain_and_keeps_its_latents(noise):
     anchor = pushed(0)
     new = 0.8 * anchor + noise * pushed(5)
-    choice = choose(new, anchor, Scale())  # type: ignore[arg-type]
+    choice = choose(new, anchor, Scale())
     assert choice.form == "gain" and choice.error["gain"] < choice.error["none"]
-    assert choose(new, anchor, Scale(), with_gain=False).form != "gain"  # type: ignore[arg-type]
+    assert choose(new, anchor, Scale(), with_gain=False).form != "gain"
 
 
-def test_noise_is_not_calibrated() -> None:
+def test_noise_is_not_calibrated(calibrated):
     """Both fingers are read with the same noise: a gain that shrinks the reading would lower the error, and misread."""
     force = pushed(0)
-    choice = choose(force + 0.3 * pushed(3), force + 0.3 * pushed(7), Scale())  # type: ignore[arg-type]
+    choice = choose(force + 0.3 * pushed(3), force + 0.3 * pushed(7), Scale())
     assert choice.form == "none" and min(choice.error.values()) > 0.01
 
 
-def test_frames_of_a_grasp_do_not_choose_for_each_other() -> None:
+def test_frames_of_a_grasp_do_not_choose_for_each_other():
     """Fingers that have nothing in common: a map can only learn each grasp by heart, from its other frames."""
     new, anchor = pushed(0, grasps=30, rows=10), pushed(2, grasps=30, rows=10)
-    by_row = choose(new, anchor, Scale())  # type: ignore[arg-type]
-    by_grasp = choose(new, anchor, Scale(), [row // 10 for row in range(300)])  # type: ignore[arg-type]
+    by_row = choose(new, anchor, Scale())
+    by_grasp = choose(new, anchor, Scale(), [row // 10 for row in range(300)])
     assert by_row.form == "map" and by_row.error["map"] < 0.2
     assert by_grasp.error["map"] > 0.9 and by_grasp.grasps == 30
 
 
-def test_axes_that_differ_between_the_fingers_can_be_left_out() -> None:
+def test_axes_that_differ_between_the_fingers_can_be_left_out():
     """Opposite shear and equal normal force, as of an object that is only squeezed."""
     anchor = pushed(0)
     z = torch.zeros_like(anchor)
@@ -266,17 +253,17 @@ def test_axes_that_differ_between_the_fingers_can_be_left_out() -> None:
     opposite = z.clone()
     opposite[:, 0, 1] = anchor[:, 0, 1]
     z[:, 0, 1] = -anchor[:, 0, 1]
-    assert choose(opposite, z, Scale(), axes=(2,)).form == "none"  # type: ignore[arg-type]
-    assert choose(opposite, z, Scale()).form == "map"  # type: ignore[arg-type]
+    assert choose(opposite, z, Scale(), axes=(2,)).form == "none"
+    assert choose(opposite, z, Scale()).form == "map"
 
 
-def test_one_grasp_chooses_nothing() -> None:
+def test_one_grasp_chooses_nothing():
     with pytest.raises(ContractError, match="2 or more"):
-        choose(pushed(0), pushed(0), Scale(), [0] * 200)  # type: ignore[arg-type]
+        choose(pushed(0), pushed(0), Scale(), [0] * 200)
 
 
-def test_known_loads_give_a_gain_that_is_stored(tmp_path: Path) -> None:
-    found = gain_of_loads(presses(3, 6, 9), np.array([3, 6, 9]), Scale(), "tactip:7")  # type: ignore[arg-type]
+def test_known_loads_give_a_gain_that_is_stored(tmp_path):
+    found = gain_of_loads(presses(3, 6, 9), np.array([3, 6, 9]), Scale(), "tactip:7")
     assert found.gain == pytest.approx(1.25) and torch.equal(found(presses(3)), presses(3))
     again = Calibration.load(found.save(tmp_path / "map"), "abc")
     assert (again.gain, again.new, again.head_hash, again.hash) == (
@@ -287,16 +274,16 @@ def test_known_loads_give_a_gain_that_is_stored(tmp_path: Path) -> None:
     )
     # as of calibrations older than the choice
     assert again.choice is None and "choice" not in found.facts()
-    plain = gain_of_loads(presses(3.75, 7.5, 11.25), np.array([3, 6, 9]), Scale(), "tactip:7")  # type: ignore[arg-type]
+    plain = gain_of_loads(presses(3.75, 7.5, 11.25), np.array([3, 6, 9]), Scale(), "tactip:7")
     assert plain.gain == pytest.approx(1.0) and plain.hash != found.hash
 
 
 @pytest.mark.parametrize(
     "load_N", [(3, 6), (0, 3, 6), (3, 6, np.nan), (300, 600, 900), (9, 6, 3), (3, 6, 9, 9)]
 )
-def test_loads_that_give_no_gain_are_refused(load_N: tuple[float, ...]) -> None:
+def test_loads_that_give_no_gain_are_refused(load_N):
     with pytest.raises(ContractError, match=r"loads|presses"):
-        gain_of_loads(presses(3, 6, 9)[: len(load_N)], np.array(load_N), Scale(), "tactip:7")  # type: ignore[arg-type]
+        gain_of_loads(presses(3, 6, 9)[: len(load_N)], np.array(load_N), Scale(), "tactip:7")
 
 
 class ShearScale:
@@ -304,7 +291,7 @@ class ShearScale:
 
     tokenizer_hash, hash = "abc", "def"
 
-    def __call__(self, z: torch.Tensor) -> torch.Tensor:
+    def __call__(self, z):
         shear = 1.25 * z[:, 0, :1]
         return torch.cat([0 * shear, shear, 0 * shear + 9.0], dim=1)
 
@@ -312,14 +299,14 @@ class ShearScale:
 WEIGHT_N = 0.6
 
 
-def through_tool(*load_N: float) -> Latent:
+def through_tool(*load_N):
     """Latents of a finger that holds a tool on a scale: half of the weight that is left hangs on it."""
     return presses(*[(WEIGHT_N - load) / 2 for load in load_N])
 
 
-def test_a_tool_on_a_scale_gives_a_gain_of_shear_alone(tmp_path: Path) -> None:
+def test_a_tool_on_a_scale_gives_a_gain_of_shear_alone(tmp_path):
     loads = (0.0, 3.0, 6.0, 9.0)
-    found = gain_through_a_tool(through_tool(*loads), np.array(loads), ShearScale(), "uskin:7")  # type: ignore[arg-type]
+    found = gain_through_a_tool(through_tool(*loads), np.array(loads), ShearScale(), "uskin:7")
     assert found.gain == pytest.approx(0.8) and found.through_tool
     assert found.scaled(torch.tensor([[1.0, 2.0, 9.0]])).tolist() == [
         pytest.approx([0.8, 1.6, 9.0])
@@ -327,20 +314,20 @@ def test_a_tool_on_a_scale_gives_a_gain_of_shear_alone(tmp_path: Path) -> None:
     assert not found.reads_grip and "shear alone" in found.grip_in_words
     again = Calibration.load(found.save(tmp_path / "map"), "abc")
     assert (again.gain, again.through_tool, again.hash) == (found.gain, True, found.hash)
-    bare = gain_of_loads(presses(3, 6, 9), np.array([3, 6, 9]), Scale(), "uskin:7")  # type: ignore[arg-type]
+    bare = gain_of_loads(presses(3, 6, 9), np.array([3, 6, 9]), Scale(), "uskin:7")
     assert bare.reads_grip and bare.scaled(torch.ones(1, 3)).tolist() == [pytest.approx([1.25] * 3)]
 
 
 @pytest.mark.parametrize(
     "load_N", [(3, 6, 9, 9), (0, 3, 6, 6), (0, 3, 6, np.nan), (0, 9, 6, 3), (0, -3, 6, 9), (0, 3)]
 )
-def test_tools_that_give_no_gain_are_refused(load_N: tuple[float, ...]) -> None:
+def test_tools_that_give_no_gain_are_refused(load_N):
     pressed = through_tool(0, 3, 6, 9)
     with pytest.raises(ContractError, match=r"loads|presses"):
-        gain_through_a_tool(pressed, np.array(load_N, float), ShearScale(), "uskin:7")  # type: ignore[arg-type]
+        gain_through_a_tool(pressed, np.array(load_N, float), ShearScale(), "uskin:7")
 
 
-def carried(shear_N: np.ndarray, noise_N: float = 0.0, seed: int = 0) -> Latent:
+def carried(shear_N, noise_N=0.0, seed=0):
     """Latents of a finger that carries ``shear_N`` (n,) and is read with noise."""
     read = shear_N + noise_N * np.random.default_rng(seed).normal(size=len(shear_N))
     return presses(*read)
@@ -349,9 +336,9 @@ def carried(shear_N: np.ndarray, noise_N: float = 0.0, seed: int = 0) -> Latent:
 WIPES_N = np.tile([0.3, -1.5, -2.5, -3.5], 20)  # a tool carried and pressed, a finger's half of it
 
 
-def test_a_finger_takes_its_scale_from_the_one_that_holds_the_tool_with_it(tmp_path: Path) -> None:
+def test_a_finger_takes_its_scale_from_the_one_that_holds_the_tool_with_it(tmp_path):
     new, anchor = carried(0.5 * WIPES_N, 0.1), carried(WIPES_N, 0.2, seed=1)
-    found = gain_beside_an_anchor(new, anchor, ShearScale(), "uskin:7", "tactip")  # type: ignore[arg-type]
+    found = gain_beside_an_anchor(new, anchor, ShearScale(), "uskin:7", "tactip")
     assert found.gain == pytest.approx(2.0, rel=0.03)  # noise of both shrinks neither
     assert (found.new, found.anchor, found.through_tool, found.reads_grip) == (
         "uskin:7",
@@ -363,7 +350,7 @@ def test_a_finger_takes_its_scale_from_the_one_that_holds_the_tool_with_it(tmp_p
 
 
 @pytest.mark.parametrize(
-    ("new_N", "anchor_N", "says"),
+    "new_N, anchor_N, says",
     [
         (WIPES_N[:20], WIPES_N[:20], "at least 30"),
         (WIPES_N, 0.05 * WIPES_N, "spread"),
@@ -372,8 +359,6 @@ def test_a_finger_takes_its_scale_from_the_one_that_holds_the_tool_with_it(tmp_p
         (WIPES_N[:40], WIPES_N, "Pair them"),
     ],
 )
-def test_wipes_that_give_no_scale_are_refused(
-    new_N: np.ndarray, anchor_N: np.ndarray, says: str
-) -> None:
+def test_wipes_that_give_no_scale_are_refused(new_N, anchor_N, says):
     with pytest.raises(ContractError, match=says):
-        gain_beside_an_anchor(carried(new_N), carried(anchor_N), ShearScale(), "uskin:7", "tactip")  # type: ignore[arg-type]
+        gain_beside_an_anchor(carried(new_N), carried(anchor_N), ShearScale(), "uskin:7", "tactip")

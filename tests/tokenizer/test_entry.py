@@ -14,11 +14,11 @@ from uniforce_vtla.tokenizer.latent import Latent, pool_latent
 from uniforce_vtla.tokenizer.motion import motion_channels, pyramid
 
 
-def random_markers(seed: int, shape: tuple[int, ...] = (2, 48, 64)) -> np.ndarray:
+def random_markers(seed, shape=(2, 48, 64)):
     return (np.random.default_rng(seed).random(shape) < 0.2).astype(np.uint8) * 255
 
 
-def test_keeps_the_aspect_and_centres_on_black() -> None:
+def test_keeps_the_aspect_and_centres_on_black():
     out = prepare(np.full((1, 480, 640), 255, np.uint8), "left", 128)
     assert out.shape == (1, 1, 128, 128) and out.dtype == torch.float32
     assert (
@@ -30,19 +30,19 @@ def test_keeps_the_aspect_and_centres_on_black() -> None:
 
 @given(seed=st.integers(0, 1000), factor=st.integers(2, 4))
 @examples(15)
-def test_any_size_of_the_same_picture_gives_the_same_square(seed: int, factor: int) -> None:
+def test_any_size_of_the_same_picture_gives_the_same_square(seed, factor):
     small = random_markers(seed)
     large = small.repeat(factor, axis=1).repeat(factor, axis=2)
     torch.testing.assert_close(prepare(small, "left", 16), prepare(large, "left", 16))
 
 
-def test_area_average_keeps_the_total_brightness() -> None:
+def test_area_average_keeps_the_total_brightness():
     image = random_markers(0, (1, 480, 640))
     square = prepare(image, "left", 128)
     assert square.sum().item() * 25 == pytest.approx(image.sum() / 255, rel=1e-5)
 
 
-def test_numpy_tensor_uint8_and_float_agree() -> None:
+def test_numpy_tensor_uint8_and_float_agree():
     image = random_markers(2)
     wanted = prepare(image, "right", 32)
     torch.testing.assert_close(prepare(image.astype(np.float32) / 255, "right", 32), wanted)
@@ -50,7 +50,7 @@ def test_numpy_tensor_uint8_and_float_agree() -> None:
     torch.testing.assert_close(prepare(torch.from_numpy(image) / 255, "right", 32), wanted)
 
 
-def test_portrait_images_are_letterboxed_too() -> None:
+def test_portrait_images_are_letterboxed_too():
     out = letterbox(torch.ones(1, 1, 64, 48), 32)
     assert out.sum() == 32 * 24 and out[..., 0].sum() == 0
 
@@ -67,7 +67,7 @@ OTHER_KINDS = [
     "images",
     [*OTHER_KINDS, *(np.full((1, 8, 8), value, np.float32) for value in (np.nan, 255.0, -0.1))],
 )
-def test_bad_images_raise(images: np.ndarray) -> None:
+def test_bad_images_raise(images):
     with pytest.raises(ContractError, match="expected"):
         prepare(images, "left", 8)
     with pytest.raises(ContractError):
@@ -77,7 +77,7 @@ def test_bad_images_raise(images: np.ndarray) -> None:
 Z = Latent.of(torch.arange(96.0).view(1, 16, 6), "own")
 
 
-def test_what_only_picks_joins_and_moves_keeps_the_origin() -> None:
+def test_what_only_picks_joins_and_moves_keeps_the_origin():
     kept = [
         *(Z[0], Z[:, None], Z.clone(), Z.cpu(), Z.to(torch.float64), Z.flatten(0, 1), Z.squeeze(0)),
         *(torch.cat([Z, Z]), torch.stack([Z, Z], dim=1), *Z.unbind(0), *iter(Z), pool_latent(Z, 2)),
@@ -86,7 +86,7 @@ def test_what_only_picks_joins_and_moves_keeps_the_origin() -> None:
     assert all(isinstance(z, Latent) and z.tokenizer_hash == "own" for z in kept)
 
 
-def test_what_computes_gives_plain_tensors() -> None:
+def test_what_computes_gives_plain_tensors():
     plain = [Z * 2, Z + Z, Z.mean(), Z @ Z[0].T, torch.where(Z > 3, Z, 0.0), Z - 1]
     assert all(type(z) is torch.Tensor for z in plain)
     assert type(Z.numpy()).__name__ == "ndarray" and torch.equal(
@@ -94,12 +94,12 @@ def test_what_computes_gives_plain_tensors() -> None:
     )
 
 
-def test_latents_of_two_origins_join_without_one() -> None:
+def test_latents_of_two_origins_join_without_one():
     for other in (Latent.of(torch.zeros(1, 16, 6), "another"), torch.zeros(1, 16, 6)):
         assert type(torch.cat([Z, other])) is type(torch.stack([other, Z])) is torch.Tensor
 
 
-def test_motion_points_where_the_dots_went(dots: np.ndarray) -> None:
+def test_motion_points_where_the_dots_went(dots):
     reference, right, down = prepare(dots, "left", 64).split(1)
     to_the_right = motion_channels(pyramid(reference, 3), right).mean(dim=(0, 2, 3))
     to_the_bottom = motion_channels(pyramid(reference, 3), down).mean(dim=(0, 2, 3))
@@ -109,17 +109,17 @@ def test_motion_points_where_the_dots_went(dots: np.ndarray) -> None:
         assert to_the_bottom[y] > 5 * to_the_bottom[x].abs()
 
 
-def test_nothing_moved_is_exactly_zero(dots: np.ndarray) -> None:
+def test_nothing_moved_is_exactly_zero(dots):
     image = prepare(dots[:1], "left", 64)
     assert motion_channels(pyramid(image, 3), image).abs().max() == 0
 
 
-def test_pooling_means_neighbours() -> None:
+def test_pooling_means_neighbours():
     z = torch.arange(16.0).view(1, 16, 1)
     torch.testing.assert_close(pool_latent(z, 2)[0, :, 0], torch.tensor([2.5, 4.5, 10.5, 12.5]))
     torch.testing.assert_close(pool_latent(z, 4), z)
 
 
-def test_pooling_refuses_maps_that_are_not_square() -> None:
+def test_pooling_refuses_maps_that_are_not_square():
     with pytest.raises(ContractError):
         pool_latent(torch.zeros(1, 6, 6))

@@ -13,17 +13,17 @@ from uniforce_vtla.tokenizer.force_head import (
 from uniforce_vtla.tokenizer.latent import Latent
 
 
-def latents(*shape: int) -> Latent:
+def latents(*shape):
     return Latent.of(torch.randn(*shape), "own")
 
 
 @pytest.fixture
-def head() -> ForceHead:
+def head():
     torch.manual_seed(0)
     return ForceHead(ForceRegressor(HeadConfig()), "tactip", "own")
 
 
-def test_steps_equal_a_sequence_for_every_prefix(head: ForceHead) -> None:
+def test_steps_equal_a_sequence_for_every_prefix(head):
     z = latents(2, 5, 64, 6)
     state, read = None, []
     for frame in z.unbind(1):
@@ -37,7 +37,7 @@ def test_steps_equal_a_sequence_for_every_prefix(head: ForceHead) -> None:
         )
 
 
-def test_call_treats_a_batch_as_frames_without_history(head: ForceHead) -> None:
+def test_call_treats_a_batch_as_frames_without_history(head):
     z = latents(4, 64, 6)
     torch.testing.assert_close(head(z), head.sequence(z[:, None])[:, 0], atol=1e-6, rtol=0)
     torch.testing.assert_close(head(z)[2:3], head(z[2:3]), atol=1e-6, rtol=0)
@@ -47,7 +47,7 @@ def test_call_treats_a_batch_as_frames_without_history(head: ForceHead) -> None:
 
 
 @pytest.mark.parametrize("length", [1, 6])
-def test_trained_head_reads_force_with_and_without_history(length: int) -> None:
+def test_trained_head_reads_force_with_and_without_history(length):
     rng = np.random.default_rng(0)
     force = rng.uniform(-1, 1, (200, 6, 3)).astype(np.float32) * np.array([3, 3, 8], np.float32)
     mixing = rng.standard_normal((3, 6)).astype(np.float32)
@@ -59,7 +59,7 @@ def test_trained_head_reads_force_with_and_without_history(length: int) -> None:
     assert (error < 0.3 * force.std(axis=(0, 1))).all()
 
 
-def test_training_is_seeded() -> None:
+def test_training_is_seeded():
     z, force = torch.randn(20, 3, 16, 6), np.random.default_rng(0).random((20, 3, 3), np.float32)
     first, second, third = (
         train_head(z, force, HeadTrainingConfig(steps=3), seed=s) for s in (1, 1, 2)
@@ -77,7 +77,7 @@ def test_training_is_seeded() -> None:
         torch.full((1, 64, 6), torch.nan),
     ],
 )
-def test_bad_latents_raise(head: ForceHead, z: torch.Tensor) -> None:
+def test_bad_latents_raise(head, z):
     with pytest.raises(ContractError, match="expected"):
         head(Latent.of(z, "own"))
     with pytest.raises(ContractError):
@@ -87,7 +87,7 @@ def test_bad_latents_raise(head: ForceHead, z: torch.Tensor) -> None:
 
 
 @pytest.mark.parametrize(
-    ("z", "error"),
+    "z, error",
     [
         (torch.zeros(1, 64, 6), ContractError),
         (2 * Latent.of(torch.zeros(1, 64, 6), "own"), ContractError),
@@ -95,9 +95,7 @@ def test_bad_latents_raise(head: ForceHead, z: torch.Tensor) -> None:
         (Latent.of(torch.zeros(1, 64, 6), "another"), CheckpointError),
     ],
 )
-def test_latents_of_another_origin_raise(
-    head: ForceHead, z: torch.Tensor, error: type[Exception]
-) -> None:
+def test_latents_of_another_origin_raise(head, z, error):
     for call in (head, head.sequence):
         with pytest.raises(error, match="latents for the force head of tactip"):
             call(z)

@@ -1,7 +1,6 @@
 """A range of latents: what lies in it, what doesn't, and a monitor that says so once it lasts."""
 
 import json
-from pathlib import Path
 
 import pytest
 import torch
@@ -13,7 +12,7 @@ LOOKS = 8
 PATCHES, CHANNELS = 4, 3
 
 
-def drawn(count: int, seed: int = 0) -> torch.Tensor:
+def drawn(count, seed=0):
     """Return (n, P, L) latents whose numbers depend on one another."""
     generator = torch.Generator().manual_seed(seed)
     mixing = torch.randn(
@@ -24,13 +23,13 @@ def drawn(count: int, seed: int = 0) -> torch.Tensor:
 
 
 @pytest.fixture
-def usual() -> LatentRange:
+def usual():
     found = LatentRange.fit(drawn(4000), "tactip", "abc")
     found.free_limit, found.run_limit = 1.6, 1.4
     return found
 
 
-def test_what_was_fitted_lies_one_away_whatever_its_scale(usual: LatentRange) -> None:
+def test_what_was_fitted_lies_one_away_whatever_its_scale(usual):
     mean_square = usual.distance(drawn(2000, 7)).square().mean().item()
     assert 0.7 < mean_square < 1.05  # the floor takes a little
     stretched = LatentRange.fit(100 * drawn(4000), "tactip", "abc")
@@ -39,12 +38,12 @@ def test_what_was_fitted_lies_one_away_whatever_its_scale(usual: LatentRange) ->
     )
 
 
-def test_too_few_latents_are_refused() -> None:
+def test_too_few_latents_are_refused():
     with pytest.raises(ContractError, match="more than 12"):
         LatentRange.fit(drawn(12), "tactip", "abc")
 
 
-def test_a_range_is_stored_and_read_back(usual: LatentRange, tmp_path: Path) -> None:
+def test_a_range_is_stored_and_read_back(usual, tmp_path):
     again = LatentRange.from_pretrained("tactip", usual.save(tmp_path / "range"))
     assert torch.allclose(again.distance(drawn(3)), usual.distance(drawn(3)))
     assert (again.kind, again.tokenizer_hash, again.free_limit, again.run_limit) == (
@@ -55,7 +54,7 @@ def test_a_range_is_stored_and_read_back(usual: LatentRange, tmp_path: Path) -> 
     )
 
 
-def test_a_folder_without_limits_is_refused(usual: LatentRange, tmp_path: Path) -> None:
+def test_a_folder_without_limits_is_refused(usual, tmp_path):
     folder = usual.save(tmp_path / "range")
     config = json.loads((folder / "config.json").read_text())
     del config["run_limit"]
@@ -65,13 +64,13 @@ def test_a_folder_without_limits_is_refused(usual: LatentRange, tmp_path: Path) 
         LatentRange.from_pretrained("tactip", folder)
 
 
-def test_healthy_latents_raise_no_alarm(usual: LatentRange) -> None:
+def test_healthy_latents_raise_no_alarm(usual):
     monitor = HealthMonitor(usual, "right", LOOKS)
     for look in drawn(300, 9):
         monitor.see(look[None])
 
 
-def test_one_odd_look_is_forgiven_and_half_a_second_of_them_is_not(usual: LatentRange) -> None:
+def test_one_odd_look_is_forgiven_and_half_a_second_of_them_is_not(usual):
     monitor, odd = HealthMonitor(usual, "right", LOOKS), drawn(1, 3) + 20
     for look in drawn(20, 9):
         monitor.see(look[None])
@@ -83,9 +82,7 @@ def test_one_odd_look_is_forgiven_and_half_a_second_of_them_is_not(usual: Latent
             monitor.see(odd)
 
 
-def test_an_odd_picture_in_free_air_is_noticed_at_the_third_look_of_each_episode(
-    usual: LatentRange,
-) -> None:
+def test_an_odd_picture_in_free_air_is_noticed_at_the_third_look_of_each_episode(usual):
     monitor, odd = HealthMonitor(usual, "left", LOOKS), drawn(1, 3) + 20
     for _ in range(2):
         monitor.reset()
@@ -95,9 +92,7 @@ def test_an_odd_picture_in_free_air_is_noticed_at_the_third_look_of_each_episode
             monitor.see(odd)
 
 
-def test_with_a_new_reference_a_few_flickering_markers_pass_and_many_do_not(
-    usual: LatentRange,
-) -> None:
+def test_with_a_new_reference_a_few_flickering_markers_pass_and_many_do_not(usual):
     monitor = HealthMonitor(usual, "left", LOOKS)
     for times, alarm in ((1.5, False), (3.0, True)):
         for renewed in (False, True):
@@ -106,7 +101,7 @@ def test_with_a_new_reference_a_few_flickering_markers_pass_and_many_do_not(
             assert (free > 1) == (alarm or not renewed)
 
 
-def test_of_several_environments_the_worst_counts(usual: LatentRange) -> None:
+def test_of_several_environments_the_worst_counts(usual):
     monitor = HealthMonitor(usual, "left", LOOKS)
     looks = torch.cat([drawn(3, 5), drawn(1, 3) + 20])
     with pytest.raises(SensorError):
@@ -114,7 +109,7 @@ def test_of_several_environments_the_worst_counts(usual: LatentRange) -> None:
             monitor.see(looks)
 
 
-def test_training_samples_are_not_watched(usual: LatentRange) -> None:
+def test_training_samples_are_not_watched(usual):
     monitor = HealthMonitor(usual, "left", LOOKS)
     monitor.active = False
     for _ in range(2 * LOOKS):

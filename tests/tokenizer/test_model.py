@@ -9,11 +9,11 @@ from uniforce_vtla.tokenizer.model import build_model, warped
 from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
 
-def images(count: int, seed: int = 0) -> torch.Tensor:
+def images(count, seed=0):
     return torch.rand(count, 1, 32, 32, generator=torch.Generator().manual_seed(seed))
 
 
-def masked_pair(attention: CausalPairAttention, tokens: torch.Tensor) -> torch.Tensor:
+def masked_pair(attention, tokens):
     """The definition: attention over (B, 2, P, D) with a lower-triangular mask, by a generic softmax."""
     B, T, P, D = tokens.shape
     heads = attention.heads
@@ -25,7 +25,7 @@ def masked_pair(attention: CausalPairAttention, tokens: torch.Tensor) -> torch.T
     return tokens + attention.out(mixed)
 
 
-def test_written_out_temporal_attention_is_the_masked_softmax() -> None:
+def test_written_out_temporal_attention_is_the_masked_softmax():
     torch.manual_seed(0)
     attention = CausalPairAttention(16, 2)
     tokens = torch.randn(3, 2, 5, 16)
@@ -37,7 +37,7 @@ def test_written_out_temporal_attention_is_the_masked_softmax() -> None:
     )
 
 
-def test_current_depends_on_reference_and_never_the_other_way(tiny: TokenizerConfig) -> None:
+def test_current_depends_on_reference_and_never_the_other_way(tiny):
     model = build_model(tiny, 0)
     reference = images(1).requires_grad_()
     current = images(1, 1).requires_grad_()
@@ -49,7 +49,7 @@ def test_current_depends_on_reference_and_never_the_other_way(tiny: TokenizerCon
     assert from_reference.abs().max() > 0 and from_current.abs().max() > 0
 
 
-def test_cached_path_equals_full_path(tiny: TokenizerConfig) -> None:
+def test_cached_path_equals_full_path(tiny):
     model = build_model(tiny, 0)
     reference, current = images(1), images(4, 1)
     cache = model.encoder.encode_reference(reference)
@@ -66,7 +66,7 @@ def test_cached_path_equals_full_path(tiny: TokenizerConfig) -> None:
 
 @pytest.mark.parametrize("motion_scales", [0, 3])
 @pytest.mark.parametrize("embed_hidden", [0, 16])
-def test_shapes_with_and_without_options(motion_scales: int, embed_hidden: int) -> None:
+def test_shapes_with_and_without_options(motion_scales, embed_hidden):
     options = {"motion_scales": motion_scales, "embed_hidden": embed_hidden}
     config = TokenizerConfig(side=32, patch=8, width=16, depth=1, heads=2, **options)
     model = build_model(config, 0)
@@ -75,7 +75,7 @@ def test_shapes_with_and_without_options(motion_scales: int, embed_hidden: int) 
     assert model.decoder(images(2), posterior.sample()).shape == (2, 1, 32, 32)
 
 
-def test_same_seed_same_weights_and_global_generator_untouched(tiny: TokenizerConfig) -> None:
+def test_same_seed_same_weights_and_global_generator_untouched(tiny):
     torch.manual_seed(3)
     before = torch.random.get_rng_state()
     first, second = build_model(tiny, 5), build_model(tiny, 5)
@@ -86,12 +86,12 @@ def test_same_seed_same_weights_and_global_generator_untouched(tiny: TokenizerCo
 
 
 @pytest.mark.parametrize("wrong", [{"side": 33}, {"heads": 3}, {"width": 18, "heads": 3}])
-def test_sizes_that_do_not_divide_raise(wrong: dict[str, int]) -> None:
+def test_sizes_that_do_not_divide_raise(wrong):
     with pytest.raises(ContractError):
         TokenizerConfig(**wrong)
 
 
-def test_flow_moves_pixels_and_starts_at_rest(tiny: TokenizerConfig) -> None:
+def test_flow_moves_pixels_and_starts_at_rest(tiny):
     image = torch.rand(2, 1, 32, 32)
     assert torch.allclose(warped(image, torch.zeros(2, 2, 32, 32)), image, atol=1e-5)
     right = torch.zeros(2, 2, 32, 32)
@@ -103,6 +103,6 @@ def test_flow_moves_pixels_and_starts_at_rest(tiny: TokenizerConfig) -> None:
     assert drawn.shape == image.shape and not any("flow" in name for name in plain.state_dict())
 
 
-def test_options_added_later_are_off_and_leave_older_hashes_alone(tiny: TokenizerConfig) -> None:
+def test_options_added_later_are_off_and_leave_older_hashes_alone(tiny):
     assert "warp" not in tiny.facts()
     assert replace(tiny, warp=True).facts()["warp"] is True

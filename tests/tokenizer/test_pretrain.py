@@ -1,9 +1,7 @@
 import itertools
 import json
 import shutil
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -34,7 +32,6 @@ from uniforce_vtla.tokenizer.settings import (
     LossConfig,
     PairCacheConfig,
     PretrainSettings,
-    TokenizerConfig,
 )
 from uniforce_vtla.tokenizer.worn_heads import WornSequences
 
@@ -42,17 +39,17 @@ SMALL_DATA = PairCacheConfig(side=32, units=2, pairs_per_unit=4, units_per_shard
 
 
 @pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> PairCache:
+def data(tmp_path_factory):
     return PairCache(tmp_path_factory.mktemp("pairs"), SMALL_DATA)
 
 
 @pytest.fixture
-def settings(tiny: TokenizerConfig) -> PretrainSettings:
+def settings(tiny):
     drawn = {"units_per_batch": 2, "pairs_per_unit": 2}
     return PretrainSettings(tiny, data=SMALL_DATA, steps=6, warmup_steps=2, save_every=2, **drawn)
 
 
-def test_pairs_come_mirrored_and_in_range(data: PairCache) -> None:
+def test_pairs_come_mirrored_and_in_range(data):
     pairs = data.draw(np.random.default_rng(0), units=3, pairs=2)
     assert pairs.left_reference.shape == (3, 1, 32, 32)
     assert pairs.right_current.shape == (6, 1, 32, 32)
@@ -61,7 +58,7 @@ def test_pairs_come_mirrored_and_in_range(data: PairCache) -> None:
     assert any(same) and pairs.left_current.max() <= 1
 
 
-def test_cache_resumes_and_refuses_another_recipe(tmp_path: Path) -> None:
+def test_cache_resumes_and_refuses_another_recipe(tmp_path):
     build_cache(tmp_path, SMALL_DATA)
     kept = (tmp_path / "shard_001.npz").read_bytes()
     (tmp_path / "shard_001.npz").unlink()
@@ -76,9 +73,7 @@ def test_cache_resumes_and_refuses_another_recipe(tmp_path: Path) -> None:
             build_cache(tmp_path, replace(SMALL_DATA, **other))
 
 
-def test_a_run_from_before_an_option_goes_on(
-    data: PairCache, settings: PretrainSettings, tmp_path: Path
-) -> None:
+def test_a_run_from_before_an_option_goes_on(data, settings, tmp_path):
     Pretraining(settings, tmp_path, data).run(until=2)
     recipe = json.loads((tmp_path / "recipe.json").read_text())
     del (
@@ -98,7 +93,7 @@ def test_a_run_from_before_an_option_goes_on(
         Pretraining(settings, tmp_path, data)
 
 
-def test_a_tiny_batch_is_overfitted(data: PairCache, tiny: TokenizerConfig) -> None:
+def test_a_tiny_batch_is_overfitted(data, tiny):
     model = build_model(tiny, 0)
     pairs = data.draw(np.random.default_rng(0), units=2, pairs=4)
     optimizer = torch.optim.Adam(model.parameters(), 3e-3)
@@ -115,9 +110,7 @@ def test_a_tiny_batch_is_overfitted(data: PairCache, tiny: TokenizerConfig) -> N
     assert losses[-1] < 0.8 * losses[0] and reconstructed < 0.8 * parts["copied"].item()
 
 
-def test_resumed_run_equals_an_uninterrupted_one(
-    data: PairCache, settings: PretrainSettings, tmp_path: Path
-) -> None:
+def test_resumed_run_equals_an_uninterrupted_one(data, settings, tmp_path):
     whole = Pretraining(settings, tmp_path / "whole", data).run()
     Pretraining(settings, tmp_path / "parts", data).run(until=4)
     resumed = Pretraining(settings, tmp_path / "parts", data)
@@ -131,9 +124,7 @@ def test_resumed_run_equals_an_uninterrupted_one(
     assert (tmp_path / "parts" / "tokenizer" / "model.safetensors").exists()
 
 
-def test_a_run_may_start_from_another_ones_weights(
-    data: PairCache, settings: PretrainSettings, tmp_path: Path
-) -> None:
+def test_a_run_may_start_from_another_ones_weights(data, settings, tmp_path):
     first = Pretraining(settings, tmp_path / "first", data).run(until=2)
     first.save(tmp_path / "weights")
     warm = replace(settings, init=str(tmp_path / "weights"))
@@ -146,12 +137,12 @@ def test_a_run_may_start_from_another_ones_weights(
     assert Pretraining(warm, tmp_path / "second", data).step == 1
 
 
-def test_learning_rate_rises_then_falls(settings: PretrainSettings) -> None:
+def test_learning_rate_rises_then_falls(settings):
     rates = [learning_rate(s, settings) for s in range(settings.steps + 1)]
     assert rates[0] < rates[1] == settings.learning_rate and rates[-1] == pytest.approx(2e-5)
 
 
-def test_equilibrium_variants_on_a_known_gap() -> None:
+def test_equilibrium_variants_on_a_known_gap():
     left, right = torch.zeros(1, 16, 6), torch.zeros(1, 16, 6)
     right[0, 0], right[0, 1] = 1, -1  # two neighbours cancel in the total
     assert equilibrium(left, right, LossConfig()) == pytest.approx(12 / 16)
@@ -161,7 +152,7 @@ def test_equilibrium_variants_on_a_known_gap() -> None:
     assert levels == pytest.approx(3 * float(equilibrium(left, same, LossConfig())))
 
 
-def test_equilibrium_in_a_units_own_size_knows_no_gain() -> None:
+def test_equilibrium_in_a_units_own_size_knows_no_gain():
     torch.manual_seed(0)
     left = torch.randn(8, 16, 6)
     right = left + 0.3 * torch.randn(8, 16, 6)
@@ -176,14 +167,14 @@ def test_equilibrium_in_a_units_own_size_knows_no_gain() -> None:
     assert equilibrium(left, weak, absolute) > 1.5 * equilibrium(left, right, absolute)
 
 
-def test_kl_is_zero_for_the_prior_only() -> None:
+def test_kl_is_zero_for_the_prior_only():
     prior = Posterior(torch.zeros(1, 4, 6), torch.zeros(1, 4, 6))
     assert kl(prior) == 0 and kl(Posterior(prior.mean + 1, prior.log_variance)) == pytest.approx(
         0.5
     )
 
 
-def test_changed_pixels_count_more_when_asked() -> None:
+def test_changed_pixels_count_more_when_asked():
     reference = torch.zeros(1, 1, 16, 16)
     current = reference.clone()
     current[..., :2] = 1
@@ -195,31 +186,27 @@ def test_changed_pixels_count_more_when_asked() -> None:
     assert weighted == pytest.approx(10 * plain.item())
 
 
-def test_gradient_pyramid_sees_edges_only() -> None:
+def test_gradient_pyramid_sees_edges_only():
     image = torch.rand(1, 1, 16, 16)
     assert gradient_pyramid(image + 0.3, image, 3) == pytest.approx(0, abs=1e-6)
     assert gradient_pyramid(image.flip(-1), image, 3) > 0.05
 
 
-def test_the_log_says_what_data_cost_and_strips_are_drawn(
-    data: PairCache, settings: PretrainSettings, tmp_path: Path
-) -> None:
+def test_the_log_says_what_data_cost_and_strips_are_drawn(data, settings, tmp_path):
     Pretraining(replace(settings, strips_every=2, steps=2), tmp_path, data).run()
     assert "data_share" in (tmp_path / "log.csv").read_text().splitlines()[0]
     assert [p.name for p in (tmp_path / "strips").iterdir()] == ["step_000002.png"]
 
 
 @pytest.fixture
-def fresh_accelerator() -> Iterator[None]:
+def fresh_accelerator():
     """One process has one precision: forget it before and after."""
     AcceleratorState._reset_state(reset_partial_state=True)
     yield
     AcceleratorState._reset_state(reset_partial_state=True)
 
 
-def test_bf16_trains(
-    settings: PretrainSettings, data: PairCache, tmp_path: Path, fresh_accelerator: None
-) -> None:
+def test_bf16_trains(settings, data, tmp_path, fresh_accelerator):
     report = Pretraining(replace(settings, mixed_precision="bf16"), tmp_path, data).train_step()
     assert np.isfinite(report["loss"])
 
@@ -234,12 +221,12 @@ SMALL_COMMAND = [
 ]
 
 
-def run_command(folder: Path, *more: str, heads: str = "none") -> int:
+def run_command(folder, *more, heads="none"):
     folders = (f"cache={folder / 'pairs'}", f"out={folder / 'out'}")
     return main([*SMALL_COMMAND, f"heads={heads}", *folders, *more])
 
 
-def test_command_trains_continues_and_leaves_a_loadable_tokenizer(tmp_path: Path) -> None:
+def test_command_trains_continues_and_leaves_a_loadable_tokenizer(tmp_path):
     assert run_command(tmp_path, "run.steps=2") == 0
     first = Tokenizer.from_pretrained(tmp_path / "out" / "tokenizer").hash
     assert run_command(tmp_path, "run.steps=3") == 0
@@ -250,9 +237,7 @@ def test_command_trains_continues_and_leaves_a_loadable_tokenizer(tmp_path: Path
     assert len((tmp_path / "out" / "log.csv").read_text().splitlines()) == 4
 
 
-def test_command_trains_on_recorded_pairs_and_says_where_there_are_none(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_command_trains_on_recorded_pairs_and_says_where_there_are_none(tmp_path, capsys):
     """A left finger whose marker moves right is seen mirrored by the right one: in the canonical frame both agree."""
     free, moved = (np.zeros((480, 640), np.uint8) for _ in range(2))
     free[200:280, 200:280], moved[200:280, 260:340] = 255, 255
@@ -274,9 +259,7 @@ def test_command_trains_on_recorded_pairs_and_says_where_there_are_none(
     assert "collection_log.txt, got none" in capsys.readouterr().err
 
 
-def test_command_leaves_a_head_beside_its_tokenizer(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_command_leaves_a_head_beside_its_tokenizer(tmp_path, monkeypatch):
     """It reads that tokenizer's latents, wherever a tokenizer's folder is named."""
     monkeypatch.setattr(
         worn_heads, "WornSequences", lambda: WornSequences(units=1, moving=1, held=15)
@@ -291,7 +274,7 @@ def test_command_leaves_a_head_beside_its_tokenizer(
         ForceHead.from_pretrained("uskin", out / "tokenizer")
 
 
-def test_the_family_replaces_cameras_only_and_only_its_share() -> None:
+def test_the_family_replaces_cameras_only_and_only_its_share():
     rng = np.random.default_rng(0)
     drawn = [draw_finger(rng, "gelsight", PairCacheConfig(family_share=0.5)) for _ in range(200)]
     assert 60 < sum(isinstance(s, VirtualSensor) for s in drawn) < 140
@@ -302,16 +285,16 @@ def test_the_family_replaces_cameras_only_and_only_its_share() -> None:
 
 
 @pytest.mark.parametrize(
-    ("left_out", "seen"),
+    "left_out, seen",
     [
         ("", {"gelsight", "flat", "uskin", "tactip", "dome"}),
         ("gelsight", {"uskin", "tactip", "dome"}),
         ("uskin", {"gelsight", "flat", "tactip", "dome"}),
     ],
 )
-def test_what_each_tokenizer_saw(left_out: str, seen: set[str]) -> None:
+def test_what_each_tokenizer_saw(left_out, seen):
     """A kind that is left out is left out with the family around it; the TacTip, which demos wear, never is."""
-    config = PairCacheConfig(family_share=0.5, left_out=left_out)  # type: ignore[arg-type]
+    config = PairCacheConfig(family_share=0.5, left_out=left_out)
     rng, drawn = np.random.default_rng(3), set()
     for _ in range(40):
         for finger in (finger for rig in rigs(config) for finger in rig):
@@ -320,12 +303,12 @@ def test_what_each_tokenizer_saw(left_out: str, seen: set[str]) -> None:
     assert drawn == seen
 
 
-def test_leaving_a_kind_out_draws_as_many_pairs(tmp_path: Path) -> None:
+def test_leaving_a_kind_out_draws_as_many_pairs(tmp_path):
     config = replace(SMALL_DATA, left_out="uskin")
     assert len(PairCache(tmp_path, config).arrays["left_reference"]) == 2 * SMALL_DATA.units
 
 
-def test_each_stage_of_small_starts_from_what_the_one_before_left() -> None:
+def test_each_stage_of_small_starts_from_what_the_one_before_left():
     stages = [
         read(PretrainCommand, [f"preset={n}"], PRESETS)[0]
         for n in ("small_draw", "small_agree", "small")
@@ -336,13 +319,13 @@ def test_each_stage_of_small_starts_from_what_the_one_before_left() -> None:
     assert stages[2].run.data.flat_share > stages[1].run.data.flat_share > 0.3
 
 
-def test_nano_is_smaller_and_what_is_given_wins() -> None:
+def test_nano_is_smaller_and_what_is_given_wins():
     given = ([f"preset={name}", "run.steps=7"] for name in ("small", "nano"))
     small, nano = (read(PretrainCommand, words, PRESETS)[0] for words in given)
     assert nano.run.model.width < small.run.model.width
     assert nano.run.steps == small.run.steps == 7
 
 
-def test_without_a_preset_the_equilibrium_is_the_papers() -> None:
+def test_without_a_preset_the_equilibrium_is_the_papers():
     loss = parse(PretrainCommand, [], PRESETS).run.loss
     assert (loss.equilibrium, loss.equilibrium_scale) == ("patch", "absolute")

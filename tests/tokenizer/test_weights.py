@@ -1,5 +1,4 @@
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from benchmarks.probes.zero_shot import encode_set, predict, score, shipped_cell
 from uniforce_vtla.errors import CheckpointError
 from uniforce_vtla.file_hashes import drop_hashes
 from uniforce_vtla.json_file import read_object
-from uniforce_vtla.tokenizer import Latent, Tokenizer, TokenizerConfig
+from uniforce_vtla.tokenizer import Latent, Tokenizer
 from uniforce_vtla.tokenizer.force_head import (
     ForceHead,
     ForceRegressor,
@@ -23,35 +22,35 @@ from uniforce_vtla.tokenizer.weights import ASSETS, SIZES
 
 
 @pytest.fixture
-def saved(tmp_path: Path, tiny: TokenizerConfig) -> Path:
+def saved(tmp_path, tiny):
     """A checkpoint without hashes: they would refuse whatever a test does to it."""
     folder = Tokenizer.random(tiny, seed=1).save(tmp_path / "checkpoint")
     drop_hashes(folder)
     return folder
 
 
-def rewrite(folder: Path, change) -> None:
+def rewrite(folder, change):
     tensors = load_file(folder / "model.safetensors")
     change(tensors)
     save_file(tensors, folder / "model.safetensors")
 
 
-def test_round_trip_keeps_weights_and_hash(saved: Path, tiny: TokenizerConfig) -> None:
+def test_round_trip_keeps_weights_and_hash(saved, tiny):
     original, loaded = Tokenizer.random(tiny, seed=1), Tokenizer.from_pretrained(saved)
     assert loaded.hash == original.hash and loaded.config == tiny
     pairs = zip(original.model.parameters(), loaded.model.parameters(), strict=True)
     assert all(torch.equal(a, b) for a, b in pairs)
 
 
-def test_truncated_weights_raise(saved: Path) -> None:
+def test_truncated_weights_raise(saved):
     path = saved / "model.safetensors"
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(CheckpointError, match="readable weights"):
         Tokenizer.from_pretrained(saved)
 
 
-def test_every_wrong_tensor_is_listed(saved: Path) -> None:
-    def spoil(tensors: dict[str, torch.Tensor]) -> None:
+def test_every_wrong_tensor_is_listed(saved):
+    def spoil(tensors):
         del tensors["decoder.inject.bias"]
         tensors["extra"] = torch.zeros(1)
         tensors["decoder.inject.weight"] = torch.zeros(2, 2)
@@ -67,8 +66,8 @@ def test_every_wrong_tensor_is_listed(saved: Path) -> None:
         assert line in str(error.value)
 
 
-def test_a_number_that_is_not_finite_is_named(saved: Path) -> None:
-    def spoil(tensors: dict[str, torch.Tensor]) -> None:
+def test_a_number_that_is_not_finite_is_named(saved):
+    def spoil(tensors):
         tensors["decoder.inject.bias"][0] = torch.inf
         tensors["decoder.inject.weight"][0, 0] = torch.nan
 
@@ -79,7 +78,7 @@ def test_a_number_that_is_not_finite_is_named(saved: Path) -> None:
         Tokenizer.from_pretrained(saved)
 
 
-def test_missing_folder_and_broken_config_raise(saved: Path, tmp_path: Path) -> None:
+def test_missing_folder_and_broken_config_raise(saved, tmp_path):
     with pytest.raises(CheckpointError, match="none"):
         Tokenizer.from_pretrained(tmp_path / "nothing")
     (saved / "config.json").write_text("{")
@@ -90,7 +89,7 @@ def test_missing_folder_and_broken_config_raise(saved: Path, tmp_path: Path) -> 
         Tokenizer.from_pretrained(saved)
 
 
-def test_hash_follows_weights_config_and_scales(tiny: TokenizerConfig) -> None:
+def test_hash_follows_weights_config_and_scales(tiny):
     tokenizer = Tokenizer.random(tiny, seed=1)
     assert tokenizer.hash == Tokenizer.random(tiny, seed=1).hash
     assert tokenizer.hash != Tokenizer.random(tiny, seed=2).hash
@@ -103,7 +102,7 @@ def test_hash_follows_weights_config_and_scales(tiny: TokenizerConfig) -> None:
     assert tokenizer.hash != Tokenizer(tokenizer.model).hash
 
 
-def test_force_head_round_trip_and_missing_source(tmp_path: Path) -> None:
+def test_force_head_round_trip_and_missing_source(tmp_path):
     head = ForceHead(ForceRegressor(HeadConfig()), "tactip", "abc")
     loaded = ForceHead.from_pretrained(path=head.save(tmp_path / "head"))
     z = Latent.of(torch.randn(2, 64, 6), "abc")
@@ -122,26 +121,24 @@ def test_force_head_round_trip_and_missing_source(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def tokenizer() -> Tokenizer:
+def tokenizer():
     torch.set_num_threads(1)
     return Tokenizer.from_pretrained()
 
 
-def test_assets_are_small() -> None:
+def test_assets_are_small():
     assert sum(file.stat().st_size for file in ASSETS.rglob("*") if file.is_file()) <= 12e6
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_heads_belong_to_their_tokenizer(size: str) -> None:
+def test_heads_belong_to_their_tokenizer(size):
     tokenizer = Tokenizer.from_pretrained(size)
     for sensor in SENSORS:
         head = ForceHead.from_pretrained(sensor, size)
         assert head.source == sensor and head.tokenizer_hash == tokenizer.hash
 
 
-def test_shipped_head_reads_another_sensor_and_beats_an_untrained_encoder(
-    tokenizer: Tokenizer,
-) -> None:
+def test_shipped_head_reads_another_sensor_and_beats_an_untrained_encoder(tokenizer):
     recipe = replace(FROZEN, sequences=16, length=6, seed=11)
     target = draw_labelled(recipe, "gelsight", tokenizer.config.side)
     trained = shipped_cell(ForceHead.from_pretrained("tactip"), tokenizer, target)
@@ -164,6 +161,6 @@ FROZEN_HASHES = {
 
 
 @pytest.mark.parametrize("size", FROZEN_HASHES)
-def test_the_shipped_tokenizers_are_the_frozen_ones(size: str) -> None:
+def test_the_shipped_tokenizers_are_the_frozen_ones(size):
     """Policies, heads, views, calibrations and every published figure depend on these weights."""
     assert Tokenizer.from_pretrained(size).hash == FROZEN_HASHES[size]

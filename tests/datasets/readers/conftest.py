@@ -1,7 +1,6 @@
 """Small data sets in each format, drawn by the simulator and written here: nothing is read from the network."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -24,7 +23,7 @@ class MarkerTrial:
 
 
 @pytest.fixture(scope="session")
-def marker_trials() -> tuple[MarkerTrial, ...]:
+def marker_trials():
     """One trial per sensor and indenter, sphere (seen) and wave (unseen); frame 0 is the reference itself."""
     return tuple(
         _marker_trial(s, i) for s in ("gelsight", "tactip", "uskin") for i in ("sphere", "wave")
@@ -32,14 +31,14 @@ def marker_trials() -> tuple[MarkerTrial, ...]:
 
 
 @pytest.fixture
-def genforce(tmp_path: Path, marker_trials: tuple[MarkerTrial, ...]) -> Path:
+def genforce(tmp_path, marker_trials):
     root = tmp_path / "release" / "dataset" / "training" / "hetero"
     for trial in marker_trials:
         write_genforce_trial(root, trial)
     return tmp_path / "release"
 
 
-def write_genforce_trial(root: Path, trial: MarkerTrial, name: str = "1") -> None:
+def write_genforce_trial(root, trial, name="1"):
     images = root / "img" / trial.sensor / trial.indenter / name
     forces = root / "force" / trial.sensor / trial.indenter / name
     images.mkdir(parents=True)
@@ -56,7 +55,7 @@ def write_genforce_trial(root: Path, trial: MarkerTrial, name: str = "1") -> Non
     table.to_csv(forces / "ft.csv", index=False)
 
 
-def _marker_trial(sensor: str, indenter: str) -> MarkerTrial:
+def _marker_trial(sensor, indenter):
     rng = np.random.default_rng([3, len(sensor), len(indenter)])
     batch = force_sequences(rng, sensor, 1, LENGTH, (indenter,), unit_strength=0.3, units=1)
     frames = np.concatenate([batch.reference, batch.frames[0, 1:]])

@@ -1,7 +1,6 @@
 """Films of grasps in their authors' form, made here: each trial once, by name and campaign; broken ones by name."""
 
 import shutil
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -14,7 +13,7 @@ from uniforce_vtla.errors import DatasetError
 SIDE_PX = 64
 
 
-def film(path: Path, frames: int, shade: int) -> None:
+def film(path, frames, shade):
     path.parent.mkdir(parents=True, exist_ok=True)
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 25, (SIDE_PX, SIDE_PX))
     for number in range(frames):
@@ -22,14 +21,14 @@ def film(path: Path, frames: int, shade: int) -> None:
     writer.release()
 
 
-def trial(folder: Path, frames: int, shade: int) -> Path:
+def trial(folder, frames, shade):
     for number, name in enumerate(FILMS.values()):
         film(folder / name, frames, shade + number)
     return folder
 
 
 @pytest.fixture
-def grasps(tmp_path: Path) -> Path:
+def grasps(tmp_path):
     first = trial(tmp_path / "base_data_for_training" / "bag_of_nuts" / "exp_num_1", 12, 0)
     (first / "slip.txt").touch()
     trial(tmp_path / "base_data_for_training" / "mug" / "exp_num_1", WIDE_FRAMES, 40)
@@ -40,7 +39,7 @@ def grasps(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_trial_that_stands_three_times_is_read_once_by_its_objects_name(grasps: Path) -> None:
+def test_a_trial_that_stands_three_times_is_read_once_by_its_objects_name(grasps):
     nuts, mug = read_grasps(grasps)
     assert (nuts.object_name, nuts.name) == (
         "bag_of_nuts",
@@ -52,16 +51,14 @@ def test_a_trial_that_stands_three_times_is_read_once_by_its_objects_name(grasps
     assert len(frames) == 12 and frames[0].shape == (SIDE_PX, SIDE_PX, 3)
 
 
-def test_a_trial_without_one_fingers_film_is_named(grasps: Path) -> None:
+def test_a_trial_without_one_fingers_film_is_named(grasps):
     gone = grasps / "base_data_for_training" / "mug" / "exp_num_1" / FILMS["right"]
     gone.unlink()
     with pytest.raises(DatasetError, match=f"mug.*no {FILMS['right']}"):
         read_grasps(grasps)
 
 
-def test_a_film_that_is_no_film_and_a_folder_without_any_are_named(
-    grasps: Path, tmp_path: Path
-) -> None:
+def test_a_film_that_is_no_film_and_a_folder_without_any_are_named(grasps, tmp_path):
     broken = grasps / "base_data_for_training" / "mug" / "exp_num_1" / FILMS["left"]
     broken.write_bytes(b"RIFF no film")
     with pytest.raises(DatasetError, match="whole film"):
@@ -73,9 +70,7 @@ def test_a_film_that_is_no_film_and_a_folder_without_any_are_named(
         read_grasps(empty)
 
 
-def test_a_link_out_of_the_data_set_is_refused(
-    grasps: Path, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_a_link_out_of_the_data_set_is_refused(grasps, tmp_path_factory):
     outside = tmp_path_factory.mktemp("outside") / "film.avi"
     film(outside, 3, 0)
     inside = grasps / "base_data_for_training" / "mug" / "exp_num_1" / FILMS["left"]

@@ -1,8 +1,5 @@
 import shutil
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -22,26 +19,24 @@ from uniforce_datasets.readers.genforce import check_compression, read_packed
 from uniforce_vtla.errors import ContractError, DatasetError
 
 
-def hetero(release: Path) -> Path:
+def hetero(release):
     return release / "dataset" / "training" / "hetero"
 
 
-def image_folder(release: Path, sensor: str = "gelsight") -> Path:
+def image_folder(release, sensor="gelsight"):
     return hetero(release) / "img" / sensor / "sphere" / "1"
 
 
-def force_file(release: Path) -> Path:
+def force_file(release):
     return hetero(release) / "force" / "gelsight" / "sphere" / "1" / "ft.csv"
 
 
-def edit_forces(release: Path, edit: Callable[[pd.DataFrame], pd.DataFrame]) -> None:
+def edit_forces(release, edit):
     edit(pd.read_csv(force_file(release))).to_csv(force_file(release), index=False)
 
 
 @pytest.mark.parametrize("below", ["", "dataset/training/hetero"])
-def test_images_and_forces_come_back_exactly(
-    genforce: Path, marker_trials: Any, below: str
-) -> None:
+def test_images_and_forces_come_back_exactly(genforce, marker_trials, below):
     found = {(r.sensor, r.indenter): r for r in read_genforce(genforce / below)}
     assert len(found) == len(marker_trials) == 6
     for trial in marker_trials:
@@ -54,20 +49,20 @@ def test_images_and_forces_come_back_exactly(
     assert max(r.force_N[:, 2].max() for r in found.values()) > 0.5
 
 
-def test_splits_and_sensors(genforce: Path) -> None:
+def test_splits_and_sensors(genforce):
     unseen = GenForceConfig(sensors=("tactip",), split="unseen")
     assert [str(r) for r in read_genforce(genforce, unseen)] == ["tactip/wave/1"]
     assert {r.indenter for r in read_genforce(genforce, GenForceConfig(split="seen"))} == {"sphere"}
     with pytest.raises(ContractError, match="split"):
-        list(read_genforce(genforce, GenForceConfig(split="some")))  # type: ignore[arg-type]
+        list(read_genforce(genforce, GenForceConfig(split="some")))
 
 
-def test_unknown_sensor_lists_those_there(genforce: Path) -> None:
+def test_unknown_sensor_lists_those_there(genforce):
     with pytest.raises(DatasetError, match=r"gelsight \| tactip \| uskin.*digit"):
         list(read_genforce(genforce, GenForceConfig(sensors=("digit",))))
 
 
-def test_a_long_trial_comes_in_parts(genforce: Path, marker_trials: Any) -> None:
+def test_a_long_trial_comes_in_parts(genforce, marker_trials):
     config = GenForceConfig(sensors=("gelsight",), split="seen", options=ReadOptions(max_frames=4))
     first, second = read_genforce(genforce, config)
     assert (first.first_frame, second.first_frame) == (0, 4)
@@ -75,7 +70,7 @@ def test_a_long_trial_comes_in_parts(genforce: Path, marker_trials: Any) -> None
     assert np.array_equal(np.concatenate([first.force_N, second.force_N]), marker_trials[0].force_N)
 
 
-def test_plain_arrays_are_read_too(tmp_path: Path, marker_trials: Any) -> None:
+def test_plain_arrays_are_read_too(tmp_path, marker_trials):
     image = marker_trials[0].frames[1]
     for number, array in enumerate([image, image // 255, image > 0]):
         np.save(tmp_path / f"{number}.npy", array)
@@ -85,48 +80,48 @@ def test_plain_arrays_are_read_too(tmp_path: Path, marker_trials: Any) -> None:
 # -- what can be wrong ----------------------------------------------------------------------------------
 
 
-def frame(release: Path, sensor: str = "gelsight") -> Path:
+def frame(release, sensor="gelsight"):
     return image_folder(release, sensor) / ("0002.jpg" if sensor == "uskin" else "0002.npy")
 
 
-def save(release: Path, array: np.ndarray) -> None:
+def save(release, array):
     np.save(frame(release), array, allow_pickle=True)
 
 
-def picture(release: Path, value: int, shape: tuple[int, int] = (480, 640)) -> None:
+def picture(release, value, shape=(480, 640)):
     cv2.imwrite(str(frame(release, "uskin")), np.full(shape, value, np.uint8))
 
 
-def archive(release: Path) -> None:
+def archive(release):
     with frame(release).open("wb") as stream:
         np.savez(stream, a=np.zeros(3))
 
 
-def spoil_a_row(release: Path, value: object) -> None:
+def spoil_a_row(release, value):
     table = pd.read_csv(force_file(release)).astype(object)
     table.iloc[2] = value
     table.to_csv(force_file(release), index=False)
 
 
-def no_frames(release: Path) -> None:
+def no_frames(release):
     for path in image_folder(release).glob("*.npy"):
         path.unlink()
 
 
-def pressed_from_the_start(release: Path) -> None:
+def pressed_from_the_start(release):
     edit_forces(release, lambda table: table.assign(**{"Fz(N)": table["Fz(N)"] - 1.0}))
 
 
-def wrong_sign(release: Path) -> None:
+def wrong_sign(release):
     edit_forces(release, lambda table: table.assign(**{"Fz(N)": np.linspace(0, 8, len(table))}))
 
 
-def linked(release: Path, path: Path) -> None:
+def linked(release, path):
     shutil.move(path, release.parent / "elsewhere")
     path.symlink_to(release.parent / "elsewhere")
 
 
-BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
+BROKEN = {
     "truncated": (lambda r: cut(frame(r)), r"0002\.npy.*whole \.npy"),
     "empty": (lambda r: cut(frame(r), 0), r"0002\.npy.*whole \.npy"),
     "pickled": (
@@ -164,21 +159,21 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_broken_sets_are_refused(genforce: Path, name: str) -> None:
+def test_broken_sets_are_refused(genforce, name):
     damage, says = BROKEN[name]
     damage(genforce)
     with pytest.raises(DatasetError, match=says):
         list(read_genforce(genforce))
 
 
-def test_a_pressed_trial_can_be_left_out_by_choice(genforce: Path) -> None:
+def test_a_pressed_trial_can_be_left_out_by_choice(genforce):
     pressed_from_the_start(genforce)
     options = ReadOptions(pressed_reference="skip")
     read = [str(r) for r in read_genforce(genforce, GenForceConfig(options=options))]
     assert len(read) == 5 and "gelsight/sphere/1" not in read
 
 
-def test_the_quietest_frame_can_be_the_reference(genforce: Path, marker_trials: Any) -> None:
+def test_the_quietest_frame_can_be_the_reference(genforce, marker_trials):
     fz_N = [-3.0, -2.0, 0.0, -2.0, -3.0, -3.0]
     edit_forces(genforce, lambda t: t.assign(**{"Fz(N)": fz_N}) * [0, 0, 1, 0, 0, 0])
     config = GenForceConfig(("gelsight",), "seen", ForceAxes(), ReadOptions(reference="quietest"))
@@ -186,7 +181,7 @@ def test_the_quietest_frame_can_be_the_reference(genforce: Path, marker_trials: 
     assert np.array_equal(recording.reference, marker_trials[0].frames[2])
 
 
-def test_a_wrong_sign_can_be_turned(genforce: Path) -> None:
+def test_a_wrong_sign_can_be_turned(genforce):
     wrong_sign(genforce)
     config = GenForceConfig(("gelsight",), "seen", ForceAxes(z="+z"))
     (recording,) = read_genforce(genforce, config)
@@ -194,7 +189,7 @@ def test_a_wrong_sign_can_be_turned(genforce: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [None, "readme.txt"])
-def test_folders_without_the_layout_are_refused(tmp_path: Path, content: str | None) -> None:
+def test_folders_without_the_layout_are_refused(tmp_path, content):
     if content:
         (tmp_path / content).touch()
     with pytest.raises(DatasetError, match=r"img/ and force/"):
@@ -207,11 +202,11 @@ IMAGE = np.zeros((48, 64), np.uint8)
 IMAGE[10:20, 10:20] = 255
 
 
-def recording(**changes: object) -> LabelledRecording:
+def recording(**changes):
     whole = LabelledRecording(
         "g", "cone", "1", IMAGE, np.stack([IMAGE] * 3), np.zeros((3, 3), np.float32)
     )
-    return replace(whole, **changes)  # type: ignore[arg-type]
+    return replace(whole, **changes)
 
 
 @pytest.mark.parametrize(
@@ -227,19 +222,19 @@ def recording(**changes: object) -> LabelledRecording:
         {"force_N": np.full((3, 3), np.nan, np.float32)},
     ],
 )
-def test_a_recording_outside_the_form_is_refused(changes: dict[str, object]) -> None:
+def test_a_recording_outside_the_form_is_refused(changes):
     assert len(recording().frames) == 3
     with pytest.raises(DatasetError, match="g/cone/1"):
         recording(**changes)
 
 
-def test_pairs_of_different_length_are_refused() -> None:
+def test_pairs_of_different_length_are_refused():
     two, three = np.stack([IMAGE] * 2), np.stack([IMAGE] * 3)
     with pytest.raises(DatasetError, match="as many left as right"):
         PairRecording(("g", "t"), "cone", "p", IMAGE, IMAGE, two, three)
 
 
-def test_axes_are_a_signed_permutation() -> None:
+def test_axes_are_a_signed_permutation():
     recorded = np.array([[1.0, 2.0, -3.0, 99.0, 99.0, 99.0]])
     assert ForceAxes().to_image(recorded).tolist() == [[1.0, 2.0, 3.0]]
     assert ForceAxes("-y", "+x", "-z").to_image(recorded).tolist() == [[-2.0, 1.0, 3.0]]
@@ -248,12 +243,12 @@ def test_axes_are_a_signed_permutation() -> None:
 @pytest.mark.parametrize(
     "axes", [("+x", "+x", "+z"), ("x", "+y", "-z"), ("+x", "+y", "+w"), ("", "", "")]
 )
-def test_axes_that_are_none_are_refused(axes: tuple[str, str, str]) -> None:
+def test_axes_that_are_none_are_refused(axes):
     with pytest.raises(ContractError, match="force axes"):
         ForceAxes(*axes)
 
 
-def test_a_trial_that_pulls_is_refused_and_drift_is_not() -> None:
+def test_a_trial_that_pulls_is_refused_and_drift_is_not():
     check_compression(np.array([[0, 0, -1.5], [0, 0, 0.2]]), "drift")
     check_compression(np.array([[0, 0, -2.5], [0, 0, 9.0]]), "sticky release")
     with pytest.raises(DatasetError, match=r"7\.0 N of pull"):

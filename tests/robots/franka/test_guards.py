@@ -22,28 +22,28 @@ WIDE = GuardLimits(
 )
 
 
-def test_a_good_action_passes_unchanged_and_counts_nothing() -> None:
+def test_a_good_action_passes_unchanged_and_counts_nothing():
     chain = GuardChain(GuardLimits())
     action = HERE + np.array([0.003, -0.002, -0.004, 0.02, -0.002])
     np.testing.assert_allclose(chain(action, HERE, 0.0), action)
     assert not any(chain.counts.values())
 
 
-def test_the_box_clamps() -> None:
+def test_the_box_clamps():
     chain = GuardChain(WIDE)
     sent = chain(np.array([5.0, -5.0, -1.0, 9.0, 0.5]), HERE, 0.0)
     np.testing.assert_allclose(sent, [0.48, -0.04, 0.27, 0.3, 0.07])
     assert chain.counts == {"finite": 0, "box": 1, "step": 0, "rate": 0, "sensor": 0}
 
 
-def test_a_step_is_counted_from_the_measured_pose_and_keeps_its_direction() -> None:
+def test_a_step_is_counted_from_the_measured_pose_and_keeps_its_direction():
     chain = GuardChain(GuardLimits(speed_m_s=0.5, speed_rad_s=2.5, longest_gap_s=0.2))
     sent = chain(HERE + np.array([0.12, 0.16, 0, 1.0, 0]), HERE, 0.0)
     np.testing.assert_allclose(sent[:3] - HERE[:3], [0.03, 0.04, 0])
     assert sent[3] == pytest.approx(0.35) and chain.counts["step"] == 1
 
 
-def test_the_rate_is_counted_from_the_last_target_and_the_time_since() -> None:
+def test_the_rate_is_counted_from_the_last_target_and_the_time_since():
     chain = GuardChain(GuardLimits(speed_m_s=0.3, step_m=0.1))
     first = chain(HERE, HERE, 10.0)
     sent = chain(HERE + np.array([0.1, 0, 0, 0, 0]), HERE, 10.05)
@@ -52,7 +52,7 @@ def test_the_rate_is_counted_from_the_last_target_and_the_time_since() -> None:
     assert after_a_pause[0] - sent[0] == pytest.approx(0.3 * 0.1), "a pause does not buy a jump"
 
 
-def test_a_guard_that_begins_to_act_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_guard_that_begins_to_act_is_logged_once(caplog):
     chain = GuardChain(WIDE)
     with caplog.at_level(logging.WARNING):
         for i in range(5):
@@ -63,7 +63,7 @@ def test_a_guard_that_begins_to_act_is_logged_once(caplog: pytest.LogCaptureFixt
     assert sum("guard box" in r.message for r in caplog.records) == 2 and chain.counts["box"] == 6
 
 
-def test_outside_the_box_stay_stays_and_only_a_wish_inwards_moves() -> None:
+def test_outside_the_box_stay_stays_and_only_a_wish_inwards_moves():
     chain = GuardChain(GuardLimits())
     outside = np.array([0.80, 0.0, 0.30, 0.0, 0.06])
     further = np.array([0.9, 0, 0.3, 0, 0.06])
@@ -76,7 +76,7 @@ def test_outside_the_box_stay_stays_and_only_a_wish_inwards_moves() -> None:
     assert x[0] == 0.80 and x[1] < 0.79 and all(a >= b for a, b in pairwise(x))
 
 
-def test_a_measured_pose_that_is_no_number_stops() -> None:
+def test_a_measured_pose_that_is_no_number_stops():
     chain = GuardChain(GuardLimits())
     with refused("bad_state"):
         chain(HERE, HERE * np.nan, 0.0)

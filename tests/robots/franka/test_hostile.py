@@ -1,7 +1,6 @@
 """Every named fault of the stand-in against the real client, once; ``make faults``: ten times."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import psutil
 
@@ -10,14 +9,14 @@ from benchmarks.trust.hostile_arm import FAULTS
 from benchmarks.trust.hostile_trials import RIGHT_NAMES, Trial, begun_trial
 
 
-def test_every_fault_holds_the_arm_and_is_named(tmp_path: Path) -> None:
+def test_every_fault_holds_the_arm_and_is_named(tmp_path):
     assert set(RIGHT_NAMES) == set(FAULTS)
     rows = attack(list(RIGHT_NAMES), 1, tmp_path)
     assert len(rows) == len(RIGHT_NAMES)
     assert [row for row in rows if not row.is_right] == []
 
 
-def test_a_wrong_name_a_late_hold_and_a_taken_action_are_seen() -> None:
+def test_a_wrong_name_a_late_hold_and_a_taken_action_are_seen():
     right = Trial("reflex", "reflex", "", hold_s=0.1, learnt_s=0.1)
     assert right.is_right
     changes = [
@@ -33,7 +32,7 @@ def test_a_wrong_name_a_late_hold_and_a_taken_action_are_seen() -> None:
     assert (line["trials"], line["named_right"], line["held"], line["sent_after"]) == (6, 5, 4, 1)
 
 
-def test_a_client_that_hangs_ends_with_the_robot(address: str, tmp_path: Path) -> None:
+def test_a_client_that_hangs_ends_with_the_robot(address, tmp_path):
     row = begun_trial("garbage_state", address, tmp_path)
     assert row.named in RIGHT_NAMES["garbage_state"]
     left = [

@@ -1,9 +1,7 @@
 """No number of the robot's settings goes beyond the hard limits, and every number has one."""
 
-from collections.abc import Callable
 from dataclasses import fields
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,13 +17,13 @@ from uniforce_robots.franka.poses import ToolPose
 from uniforce_vtla.errors import ContractError
 
 
-def test_every_bad_setting_is_refused_by_name() -> None:
+def test_every_bad_setting_is_refused_by_name():
     found = try_all()
     assert found["accepted"] == [] and found["tried"] >= 60
 
 
 @pytest.mark.parametrize("kind", NEEDS, ids=lambda kind: kind.__name__)
-def test_every_number_has_a_hard_limit(kind: type) -> None:
+def test_every_number_has_a_hard_limit(kind):
     numbers = {f.name for f in fields(kind) if "float" in str(f.type)}
     assert numbers <= set(HARD_LIMITS[kind.__name__])
     assert {settings for settings, _, _ in bad_settings()} == set(NEEDS)
@@ -44,13 +42,13 @@ CEILINGS = [  # said once more, in numbers: a limit that is lifted in the table 
 
 
 @pytest.mark.parametrize("make, too_much", CEILINGS)
-def test_the_ceilings_in_numbers(make: Callable[..., object], too_much: dict) -> None:
+def test_the_ceilings_in_numbers(make, too_much):
     for name, value in too_much.items():
         with pytest.raises(ContractError):
             make(**{name: value})
 
 
-def test_a_setting_that_was_changed_later_is_refused_by_the_robot(tmp_path: Path) -> None:
+def test_a_setting_that_was_changed_later_is_refused_by_the_robot(tmp_path):
     config = UniforceFrankaConfig(id="a", calibration_dir=tmp_path)
     config.fps = 1000.0
     with pytest.raises(ContractError, match=r"UniforceFrankaConfig\.fps.*1000"):
@@ -66,7 +64,7 @@ def test_a_setting_that_was_changed_later_is_refused_by_the_robot(tmp_path: Path
 )
 def test_no_gains_pull_harder_than_the_force_limit_however_the_hand_is_turned(
     stiffness, clip, yaw_rad, data
-) -> None:
+):
     try:
         gains = Gains(stiffness, clip_m=clip)
     except ContractError:

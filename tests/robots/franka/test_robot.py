@@ -4,7 +4,6 @@ import importlib.util
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,12 +14,11 @@ import pytest
 import torch
 from hand_fakes import FakeHand
 from lerobot.robots import RobotConfig, make_robot_from_config
-from robot_fakes import START, FakeArm, refused
+from robot_fakes import START, refused
 
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka import robot as module
 from uniforce_robots.franka.arm import Gains
-from uniforce_robots.franka.limits import StreamSettings
 from uniforce_robots.franka.robot import (
     RETURN_MOTIONS,
     STRATEGIES,
@@ -35,18 +33,12 @@ from uniforce_vtla.keys import AXES
 
 
 @pytest.fixture
-def hand() -> FakeHand:
+def hand():
     return FakeHand()
 
 
 @pytest.fixture
-def robot(
-    arm: FakeArm,
-    hand: FakeHand,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    patient: StreamSettings,
-) -> Iterator[UniforceFranka]:
+def robot(arm, hand, tmp_path, monkeypatch, patient):
     monkeypatch.setattr(module, "make_backend", lambda config: (arm, hand))
     robot = UniforceFranka(
         UniforceFrankaConfig(id="test", calibration_dir=tmp_path, stream=patient)
@@ -58,26 +50,24 @@ def robot(
     )
 
 
-def action(dx: float = 0.0, width: float = 0.08) -> dict[str, float]:
+def action(dx=0.0, width=0.08):
     return dict(zip(AXES, [START.position_m[0] + dx, 0.0, 0.3, 0.0, width], strict=True))
 
 
 @pytest.fixture
-def moving(robot: UniforceFranka) -> UniforceFranka:
+def moving(robot):
     """A robot that has been sent its first action."""
     robot.connect()
     robot.send_action(action())
     return robot
 
 
-def test_features_are_the_five_axes(robot: UniforceFranka) -> None:
+def test_features_are_the_five_axes(robot):
     assert list(robot.observation_features) == list(AXES) == list(robot.action_features)
     assert robot.name == "uniforce_franka" and robot.is_calibrated and not robot.is_connected
 
 
-def test_observation_and_action_go_through(
-    robot: UniforceFranka, arm: FakeArm, eventually: Callable
-) -> None:
+def test_observation_and_action_go_through(robot, arm, eventually):
     robot.connect()
     assert robot.get_observation() == pytest.approx(action())
     sent = robot.send_action(action(0.005, 0.03))
@@ -94,9 +84,7 @@ BAD = [  # whatever else a number may not be: the attack on the guards
 
 
 @pytest.mark.parametrize("bad", BAD, ids=str)
-def test_whatever_is_no_action_stops_the_robot_until_it_recovers(
-    moving, arm, eventually, bad
-) -> None:
+def test_whatever_is_no_action_stops_the_robot_until_it_recovers(moving, arm, eventually, bad):
     with pytest.raises(RobotError) as caught:
         moving.send_action(bad)
     assert caught.value.fault == "action"
@@ -110,10 +98,8 @@ def test_whatever_is_no_action_stops_the_robot_until_it_recovers(
     moving.send_action(action())
 
 
-def test_a_dropped_robot_lets_go_and_waits_for_no_thread(
-    moving: UniforceFranka, arm: FakeArm, monkeypatch: pytest.MonkeyPatch, eventually: Callable
-) -> None:
-    joined: list[str] = []
+def test_a_dropped_robot_lets_go_and_waits_for_no_thread(moving, arm, monkeypatch, eventually):
+    joined = []
     monkeypatch.setattr(
         threading.Thread, "join", lambda thread, timeout=None: joined.append(thread.name)
     )
@@ -124,7 +110,7 @@ def test_a_dropped_robot_lets_go_and_waits_for_no_thread(
     assert joined == [] and not moving.is_connected
 
 
-def test_numbers_of_any_kind_are_taken(robot: UniforceFranka) -> None:
+def test_numbers_of_any_kind_are_taken(robot):
     robot.connect()
     kinds = {
         "x.pos": torch.tensor(0.455),
@@ -136,7 +122,7 @@ def test_numbers_of_any_kind_are_taken(robot: UniforceFranka) -> None:
     assert sent["x.pos"] == pytest.approx(0.455) and set(sent) == set(AXES)
 
 
-def test_ctrl_c_in_an_action_lets_the_arm_rest(robot, arm, eventually, monkeypatch) -> None:
+def test_ctrl_c_in_an_action_lets_the_arm_rest(robot, arm, eventually, monkeypatch):
     robot.connect()
     arm.follows = False
     robot.send_action(action(0.01))
@@ -148,9 +134,7 @@ def test_ctrl_c_in_an_action_lets_the_arm_rest(robot, arm, eventually, monkeypat
     eventually(lambda: abs(arm.targets[-1][1][0, 3] - 0.45) < 1e-9)
 
 
-def test_no_call_of_a_loop_waits_for_a_client_that_blocks(
-    moving: UniforceFranka, arm: FakeArm
-) -> None:
+def test_no_call_of_a_loop_waits_for_a_client_that_blocks(moving, arm):
     arm.blocks_s = 2.0
     time.sleep(0.1)
     begun = time.monotonic()
@@ -160,16 +144,14 @@ def test_no_call_of_a_loop_waits_for_a_client_that_blocks(
     arm.blocks_s = 0.0
 
 
-def test_a_hand_that_does_not_answer_leaves_nothing_behind(
-    robot: UniforceFranka, arm: FakeArm, hand: FakeHand
-) -> None:
+def test_a_hand_that_does_not_answer_leaves_nothing_behind(robot, arm, hand):
     hand.fault = RobotError("no hand", "connection")
     with pytest.raises(RobotError, match="no hand"):
         robot.connect()
     assert arm.closed and not robot.is_connected
 
 
-def test_after_disconnect_nothing_moves(moving: UniforceFranka, arm: FakeArm) -> None:
+def test_after_disconnect_nothing_moves(moving, arm):
     moving.disconnect()
     moving.disconnect()
     count = len(arm.targets)
@@ -178,7 +160,7 @@ def test_after_disconnect_nothing_moves(moving: UniforceFranka, arm: FakeArm) ->
     assert len(arm.targets) == count and arm.closed and arm.stopped_at
 
 
-def test_connecting_twice_is_refused(robot: UniforceFranka) -> None:
+def test_connecting_twice_is_refused(robot):
     robot.connect()
     with pytest.raises(RobotError, match="Disconnect first"):
         robot.connect()
@@ -186,15 +168,14 @@ def test_connecting_twice_is_refused(robot: UniforceFranka) -> None:
 
 
 @pytest.mark.slow
-def test_lerobots_rollout_does_not_lead_the_arm_back(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lerobots_rollout_does_not_lead_the_arm_back(monkeypatch):
     """On its own copy of LeRobot's module: another test's robot may have changed the loaded one."""
     pytest.importorskip(STRATEGIES, reason="this LeRobot has no rollout strategies")
     spec = importlib.util.find_spec(STRATEGIES)
-    assert spec is not None and spec.loader is not None
     strategies = importlib.util.module_from_spec(spec)
     monkeypatch.setitem(sys.modules, STRATEGIES, strategies)
     spec.loader.exec_module(strategies)
-    sent: list[dict] = []
+    sent = []
 
     class Hardware:
         class robot_wrapper:  # noqa: N801
@@ -248,7 +229,7 @@ class Program:
     robot: RobotConfig
 
 
-def test_lerobot_parses_nested_settings_and_builds_it(tmp_path: Path) -> None:
+def test_lerobot_parses_nested_settings_and_builds_it(tmp_path):
     words = {"type": "uniforce_franka", "calibration_dir": str(tmp_path), "guards.step_m": "0.03"}
     words |= {"gains.clip_m": "[0.01,0.01,0.02]", "gains.stiffness_N_m": "[200,200,200]"}
     config = draccus.parse(
@@ -266,30 +247,30 @@ class BrokenCamera:
     height = 4
     width = 6
 
-    def __init__(self) -> None:
-        self.error: Exception | None = None
-        self.image: object = np.zeros((4, 6, 3), np.uint8)
+    def __init__(self):
+        self.error = None
+        self.image = np.zeros((4, 6, 3), np.uint8)
         self.latest_timestamp = 0.0
         self.is_connected = False
 
-    def connect(self) -> None:
+    def connect(self):
         if self.error is not None:
             raise self.error
         self.is_connected = True
 
-    def disconnect(self) -> None:
+    def disconnect(self):
         self.is_connected = False
 
-    def read_latest(self, max_age_ms: int) -> object:
+    def read_latest(self, max_age_ms):
         if self.error is not None:
             raise self.error
         return self.image
 
 
 @pytest.fixture
-def camera(robot: UniforceFranka) -> BrokenCamera:
+def camera(robot):
     camera = BrokenCamera()
-    robot.cameras = {"front": camera}  # type: ignore[dict-item]
+    robot.cameras = {"front": camera}
     return camera
 
 
@@ -311,7 +292,7 @@ IMAGES = [
 )
 def test_a_sensor_that_is_not_well_stops_the_arm_and_is_counted(
     robot, camera, arm, eventually, broken, kind
-) -> None:
+):
     robot.connect()
     robot.send_action(action())
     assert robot.get_observation()["front"].shape == (4, 6, 3)
@@ -329,7 +310,7 @@ def test_a_sensor_that_is_not_well_stops_the_arm_and_is_counted(
     robot.send_action(robot.get_observation())
 
 
-def test_a_camera_that_repeats_itself_stops_the_arm(robot, camera, arm, eventually) -> None:
+def test_a_camera_that_repeats_itself_stops_the_arm(robot, camera, arm, eventually):
     robot.connect()
     robot.send_action(action())
     with pytest.raises(FrozenSensorError, match="front"):
@@ -339,28 +320,26 @@ def test_a_camera_that_repeats_itself_stops_the_arm(robot, camera, arm, eventual
     eventually(lambda: bool(arm.stopped_at))
 
 
-def test_a_cameras_pictures_are_stamped_and_counted_and_one_without_stamps_is_refused() -> None:
+def test_a_cameras_pictures_are_stamped_and_counted_and_one_without_stamps_is_refused():
     camera = BrokenCamera()
     seen = []
-    plain = PlainCamera("front", camera)  # type: ignore[arg-type]
+    plain = PlainCamera("front", camera)
     for camera.latest_timestamp in (1.0, 1.0, 2.0):
         picture = plain.picture()
         seen.append((picture.index, picture.time_s))
     assert seen == [(0, 1.0), (0, 1.0), (1, 2.0)]
     with pytest.raises(ContractError, match="latest_timestamp"):
-        PlainCamera("front", object())  # type: ignore[arg-type]
+        PlainCamera("front", object())
 
 
-def test_a_camera_that_cannot_be_connected_is_named(robot, camera, arm) -> None:
+def test_a_camera_that_cannot_be_connected_is_named(robot, camera, arm):
     camera.error = KeyError("device")
     with pytest.raises(SensorError, match="front: expected a camera that connects"):
         robot.connect()
     assert arm.closed and not robot.is_connected
 
 
-def test_references_need_an_open_hand(
-    tmp_path: Path, arm: FakeArm, hand: FakeHand, monkeypatch: pytest.MonkeyPatch
-):
+def test_references_need_an_open_hand(tmp_path, arm, hand, monkeypatch):
     monkeypatch.setattr(module, "make_backend", lambda config: (arm, hand))
     finger = UniforceTactileCameraConfig(
         source="http://127.0.0.1:9", finger="left", sensor="gelsight"
@@ -381,7 +360,7 @@ def test_references_need_an_open_hand(
     assert arm.closed and not robot.is_connected
 
 
-def test_a_stop_stops_the_fingers_too(moving, hand, eventually) -> None:
+def test_a_stop_stops_the_fingers_too(moving, hand, eventually):
     hand.takes_s = 30.0
     eventually(lambda: moving.send_action(action(width=0.0)) and bool(hand.commands))
     moving.hold()
@@ -391,7 +370,7 @@ def test_a_stop_stops_the_fingers_too(moving, hand, eventually) -> None:
     assert moving.stored_facts()["load_kg"] == 0.0
 
 
-def test_after_the_watchdog_a_wish_to_stay_stays(robot, arm, eventually) -> None:
+def test_after_the_watchdog_a_wish_to_stay_stays(robot, arm, eventually):
     robot.config.stream = replace(robot.config.stream, stale_s=0.1)
     robot.connect()
     arm.follows = False
@@ -401,7 +380,7 @@ def test_after_the_watchdog_a_wish_to_stay_stays(robot, arm, eventually) -> None
     assert robot.send_action(seen) == pytest.approx(seen, abs=1e-6), "nothing of the old target"
 
 
-def test_holding_refuses_nothing_afterwards(robot: UniforceFranka) -> None:
+def test_holding_refuses_nothing_afterwards(robot):
     robot.hold()
     robot.connect()
     robot.send_action(action())

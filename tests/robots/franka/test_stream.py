@@ -6,7 +6,6 @@ whole sessions.
 
 import threading
 import time
-from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 
@@ -21,11 +20,11 @@ from uniforce_vtla.hand import Hand
 
 
 @pytest.fixture
-def started(arm: FakeArm, patient: StreamSettings) -> Iterator[Callable[..., ArmStream]]:
+def started(arm, patient):
     """Return a function that starts a stream with changed settings; it is stopped at the end."""
     with ExitStack() as ending:
 
-        def start(hand: Hand | None = None, **changes: float) -> ArmStream:
+        def start(hand=None, **changes):
             stream = ArmStream(arm, replace(patient, **changes), hand=hand)
             stream.start()
             ending.callback(stream.stop)
@@ -36,15 +35,15 @@ def started(arm: FakeArm, patient: StreamSettings) -> Iterator[Callable[..., Arm
 
 
 @pytest.fixture
-def stream(started: Callable[..., ArmStream]) -> ArmStream:
+def stream(started):
     return started()
 
 
-def away(dz: float, yaw: float = 0.0) -> ToolPose:
+def away(dz, yaw=0.0):
     return ToolPose(START.position_m + np.array([0, 0, dz]), yaw)
 
 
-def test_a_ramp_is_straight_and_rests_at_both_ends() -> None:
+def test_a_ramp_is_straight_and_rests_at_both_ends():
     ramp = Ramp(away(0.0), away(-0.01, 0.2), 10.0, 0.04)
     z = [
         round(float(ramp.at(t).position_m[2] - 0.3), 5)
@@ -54,17 +53,15 @@ def test_a_ramp_is_straight_and_rests_at_both_ends() -> None:
     assert ramp.at(10.02).yaw_rad == pytest.approx(0.1)
 
 
-def test_a_mistake_in_a_backend_lets_the_arm_go_too(
-    arm: FakeArm, stream: ArmStream, eventually: Callable
-):
-    arm.set_target = lambda pose: 1 / 0  # type: ignore[method-assign]
+def test_a_mistake_in_a_backend_lets_the_arm_go_too(arm, stream, eventually):
+    arm.set_target = lambda pose: 1 / 0
     stream.submit(away(-0.01))
     eventually(lambda: bool(arm.stopped_at))
     with refused("other", match="ZeroDivisionError"):
         stream.submit(away(0.0))
 
 
-def test_late_commands_are_logged_once(arm, stream, eventually, caplog) -> None:
+def test_late_commands_are_logged_once(arm, stream, eventually, caplog):
     arm.success_rate = 0.5
     arm.mode = "move"
     first = stream.state.time_s
@@ -72,7 +69,7 @@ def test_late_commands_are_logged_once(arm, stream, eventually, caplog) -> None:
     assert sum("in time" in record.message for record in caplog.records) == 1
 
 
-def test_an_old_reading_is_not_given_out(arm: FakeArm) -> None:
+def test_an_old_reading_is_not_given_out(arm):
     stream = ArmStream(arm, StreamSettings(state_age_s=0.05))
     stream.start()
     stream.stop()
@@ -82,18 +79,18 @@ def test_an_old_reading_is_not_given_out(arm: FakeArm) -> None:
 
 
 class WatchedHand(Hand):
-    def __init__(self) -> None:
+    def __init__(self):
         self.hangs = False
-        self.stops: list[str] = []
+        self.stops = []
 
-    def tick(self) -> None:
+    def tick(self):
         if self.hangs:
             raise RobotError("the hand hangs", "hand_deadline")
 
-    def stop(self) -> None:
+    def stop(self):
         self.stops.append("stop")
 
-    def halt(self) -> None:
+    def halt(self):
         self.stops.append("halt")
 
 
@@ -114,13 +111,11 @@ def test_a_hold_the_watchdog_and_every_end_stop_the_hand_and_its_fault_ends_the_
         stream.submit(away(0.0))
 
 
-def tilted(pose: ToolPose, by_rad: float) -> np.ndarray:
+def tilted(pose, by_rad):
     return replace(pose, tilt_rad=np.array([0.6, 0.8, 0.0]) * by_rad).ee_to_base()
 
 
-def test_a_tilted_hand_is_refused_at_the_start_and_in_motion(
-    arm: FakeArm, stream: ArmStream, eventually: Callable
-):
+def test_a_tilted_hand_is_refused_at_the_start_and_in_motion(arm, stream, eventually):
     stream.submit(away(-0.01))
     eventually(lambda: bool(arm.targets))
     arm.follows = False
@@ -128,12 +123,12 @@ def test_a_tilted_hand_is_refused_at_the_start_and_in_motion(
         arm.pose = tilted(START, by_rad)  # slowly: a fast one is a jump
         time.sleep(0.02)
     eventually(lambda: stream.fault is not None)
-    assert stream.fault is not None and stream.fault.fault == "tilt"
+    assert stream.fault.fault == "tilt"
     with refused("tilt", match=r"within 9° of straight down, got 9°"):
         ArmStream(arm).read_first()
 
 
-def test_staying_never_turns_a_hand_and_a_wished_way_levels_it(arm: FakeArm) -> None:
+def test_staying_never_turns_a_hand_and_a_wished_way_levels_it(arm):
     now = [100.0]
     pose = tilted(START, 0.1)
     arm.pose = pose
@@ -151,7 +146,7 @@ def test_staying_never_turns_a_hand_and_a_wished_way_levels_it(arm: FakeArm) -> 
     assert tilts[-1] == pytest.approx(0.1 - 0.0013 * 29, abs=2e-3), "1 rad along each metre"
 
 
-def test_start_comes_first() -> None:
+def test_start_comes_first():
     stream = ArmStream(FakeArm())
     with pytest.raises(RobotError):
         stream.submit(ToolPose(np.zeros(3), 0.0))

@@ -1,16 +1,12 @@
 """The robot for any LeRobot policy: the right finger's newtons behind the axes, no marker images."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hand_fakes import FakeHand
-from robot_fakes import FakeArm
 
 from uniforce_datasets.synthetic import dots
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka import robot as module
-from uniforce_robots.franka.limits import StreamSettings
 from uniforce_robots.recorder.build import read_devices
 from uniforce_robots.sensors import UniforceTactileCameraConfig, UniforceUskinConfig
 from uniforce_vtla.errors import ContractError, RobotError
@@ -21,28 +17,26 @@ from uniforce_vtla.keys import AXES, force_axes
 class Finger:
     """As a tactile camera is to the robot."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.reference = np.repeat(dots(0)[..., None], 3, axis=2)
         self.current = np.repeat(dots(8)[..., None], 3, axis=2)
         self.is_connected = False
 
-    def read_latest(self) -> np.ndarray:
+    def read_latest(self):
         return self.current
 
-    def reference_image(self) -> np.ndarray:
+    def reference_image(self):
         return self.reference
 
 
-def fingers() -> dict:
+def fingers():
     left = UniforceUskinConfig(source="ws://127.0.0.1:1", finger="left")
     right = UniforceTactileCameraConfig(sensor="tactip", finger="right", source="/dev/video0")
     return {"tactile_left": left, "tactile_right": right}
 
 
 @pytest.fixture
-def robot(
-    arm: FakeArm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, patient: StreamSettings
-) -> UniforceFranka:
+def robot(arm, tmp_path, monkeypatch, patient):
     monkeypatch.setattr(module, "make_backend", lambda config: (arm, FakeHand()))
     config = UniforceFrankaConfig(
         id="test",
@@ -55,13 +49,13 @@ def robot(
     robot.cameras = {}
     monkeypatch.setattr(module, "require_open", lambda *given: None)
     robot.connect()
-    robot.cameras = {name: Finger() for name in fingers()}  # type: ignore[misc]
+    robot.cameras = {name: Finger() for name in fingers()}
     yield robot
     robot.cameras = {}
     robot.disconnect()
 
 
-def test_the_state_ends_with_newtons_and_shows_no_markers(robot: UniforceFranka) -> None:
+def test_the_state_ends_with_newtons_and_shows_no_markers(robot):
     names = [*AXES, *force_axes("right")]
     seen = robot.get_observation()
     assert list(robot.observation_features) == names == list(seen)
@@ -72,7 +66,7 @@ def test_the_state_ends_with_newtons_and_shows_no_markers(robot: UniforceFranka)
     np.testing.assert_allclose([seen[name] for name in names[5:]], wanted_N[0], atol=1e-5)
 
 
-def test_a_finger_that_cannot_be_read_stops_the_robot(robot: UniforceFranka) -> None:
+def test_a_finger_that_cannot_be_read_stops_the_robot(robot):
     robot.cameras["tactile_right"].reference[:] = 0
     with pytest.raises(ContractError, match="reference"):
         robot.get_observation()
@@ -81,7 +75,7 @@ def test_a_finger_that_cannot_be_read_stops_the_robot(robot: UniforceFranka) -> 
     assert caught.value.fault == "sensor"
 
 
-def test_settings_that_read_nothing_are_refused(tmp_path: Path) -> None:
+def test_settings_that_read_nothing_are_refused(tmp_path):
     left = {"tactile_left": fingers()["tactile_left"]}
     with pytest.raises(ContractError, match="finger: right"):
         UniforceFranka(UniforceFrankaConfig(cameras=left, touch_in_state=True))

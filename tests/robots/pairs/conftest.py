@@ -1,5 +1,3 @@
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,7 @@ RATE_HZ = 15.0
 
 
 @pytest.fixture
-def calm() -> GraspSignals:
+def calm():
     """A grasp in balance: closing to 6 N within a second at rest, then a slow pull of 2 N."""
     time = np.arange(T) / RATE_HZ
     led = np.clip((time - 1) / 0.3, 0, 1)
@@ -23,7 +21,7 @@ def calm() -> GraspSignals:
     return GraspSignals(load, load.copy(), motion, np.zeros((T, 3)), 0.3)
 
 
-def marker_image(seed: int) -> np.ndarray:
+def marker_image(seed):
     """A (480, 640) image of 48 dots, shifted a little by ``seed``."""
     image = np.zeros(MARKER_IMAGE_SHAPE, np.uint8)
     for row in range(40, 470, 70):
@@ -34,16 +32,13 @@ def marker_image(seed: int) -> np.ndarray:
     return image
 
 
-Chunk = tuple[int, Session, list[Pair]]
-
-
 @pytest.fixture
-def make_chunk() -> Callable[..., Chunk]:
-    def make(indenter: int = 0, session: int = 0, n: int = 3, seed: int = 0) -> Chunk:
+def make_chunk():
+    def make(indenter=0, session=0, n=3, seed=0):
         rng = np.random.default_rng(seed)
         references = {f: marker_image(100 * session + i) for i, f in enumerate(FINGERS)}
 
-        def pair(k: int) -> Pair:
+        def pair(k):
             images = {f: marker_image(seed + k + 3 * i) for i, f in enumerate(FINGERS)}
             frame = RigFrame(0, images, *rng.standard_normal((2, 3)), float(rng.uniform(1, 9)))
             force = {f: rng.uniform(0, 5, 3) for f in FINGERS}

@@ -1,7 +1,6 @@
 """Pairs from a Franka that is led by hand: what its rig says is used, and it is let go of."""
 
 import itertools
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -30,19 +29,19 @@ robot:
 
 
 @pytest.fixture
-def config(tmp_path: Path) -> RecordPairsConfig:
+def config(tmp_path):
     (tmp_path / "rig.yaml").write_text(RIG)
     return RecordPairsConfig(
         "franka", rig=str(tmp_path / "rig.yaml"), out=str(tmp_path / "pairs"), grip_N=7.0
     )
 
 
-def test_mounts_and_box_come_from_the_rig(config: RecordPairsConfig) -> None:
+def test_mounts_and_box_come_from_the_rig(config):
     robot = _robot(config, ["--robot.guards.step_m=0.02"])
     assert (robot.address, robot.guards.low[0], robot.guards.step_m) == ("127.0.0.7", 0.3, 0.02)
     assert set(robot.cameras) == {"tactile_left", "tactile_right"}  # nothing else is opened
-    assert robot.cameras["tactile_left"].flip  # type: ignore[attr-defined]
-    assert robot.cameras["tactile_right"].rotation_deg == 180  # type: ignore[attr-defined]
+    assert robot.cameras["tactile_left"].flip
+    assert robot.cameras["tactile_right"].rotation_deg == 180
     assert all(finger.reference_on_connect for finger in robot.fingers.values())
     assert (config.left_sensor, config.right_sensor) == (
         "uskin",
@@ -50,25 +49,25 @@ def test_mounts_and_box_come_from_the_rig(config: RecordPairsConfig) -> None:
     ) and robot.gripper.grip_force_N == 7.0
 
 
-def test_a_grip_of_the_rig_is_not_dropped(config: RecordPairsConfig) -> None:
+def test_a_grip_of_the_rig_is_not_dropped(config):
     assert _robot(config, ["--robot.gripper.grip_force_N=7"]).gripper.grip_force_N == 7.0
     with pytest.raises(ContractError, match=r"grip_N=7, got 3\.0"):
         _robot(config, ["--robot.gripper.grip_force_N=3"])
 
 
-def test_softer_gains_of_the_rig_are_not_dropped(tmp_path: Path) -> None:
+def test_softer_gains_of_the_rig_are_not_dropped(tmp_path):
     soft = Gains((50.0, 50.0, 50.0), clip_m=(0.01, 0.01, 0.01))
     robot = UniforceFrankaConfig(calibration_dir=tmp_path, gains=soft)
     guide = UniforceHandGuide(UniforceHandGuideConfig(calibration_dir=tmp_path))
     with pytest.raises(ContractError, match=r"uniforce_hand_guide.*50"):
         build.make_robot(robot, guide)
-    assert build.make_robot(robot, SimpleNamespace()).config.gains == soft  # type: ignore[arg-type]
+    assert build.make_robot(robot, SimpleNamespace()).config.gains == soft
     robot = UniforceFrankaConfig(calibration_dir=tmp_path)
     assert build.make_robot(robot, guide).config.gains == guide.wants_gains
 
 
 @pytest.mark.parametrize(
-    ("arguments", "reason"),
+    "arguments, reason",
     [
         (["robot=franka"], "tactile fingers of the rig"),
         (["robot=franka", "left_sensor=gelsight"], "left_sensor"),
@@ -77,15 +76,13 @@ def test_softer_gains_of_the_rig_are_not_dropped(tmp_path: Path) -> None:
     ],
 )
 def test_a_rig_without_fingers_and_settings_without_use_are_refused(
-    arguments: list[str], reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+    arguments, reason, tmp_path, capsys
+):
     assert main([*arguments, f"out={tmp_path / 'pairs'}"]) == 2
     assert reason in capsys.readouterr().err and not (tmp_path / "pairs").exists()
 
 
-def test_a_soft_robot_follows_and_gives_frames(
-    config: RecordPairsConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_soft_robot_follows_and_gives_frames(config, tmp_path, monkeypatch):
     monkeypatch.setattr(
         TerminalKeys,
         "start",
@@ -97,7 +94,7 @@ def test_a_soft_robot_follows_and_gives_frames(
     monkeypatch.setattr(
         build, "make_robot", lambda robot, guide: wanted.append(guide.wants_gains) or fake.robot
     )
-    with _robot_rig(config, SimpleNamespace(), 30.0) as rig:  # type: ignore[arg-type]
+    with _robot_rig(config, SimpleNamespace(), 30.0) as rig:
         assert rig.sensors == {"left": "gelsight", "right": "tactip"}
         assert {image.shape for image in rig.references().values()} == {(480, 640)}
         frames = list(itertools.islice(rig.frames("ball"), 5))

@@ -16,18 +16,18 @@ from uniforce_vtla.errors import ContractError
 LED = slice(22, 43)  # frames in which the hand leads
 
 
-def test_balance_is_left_alone(calm: GraspSignals) -> None:
+def test_balance_is_left_alone(calm):
     quality = PairJudge().judge(calm)
     assert not quality.flagged.any() and quality.error[LED].max() < 0.01
 
 
-def test_opposite_shear_is_flagged(calm: GraspSignals) -> None:
+def test_opposite_shear_is_flagged(calm):
     """A freely squeezed object: pads that face it askew shear it against each other."""
     askew = calm.left_N * [-1, -1, 1]
     assert PairJudge().judge(replace(calm, right_N=askew)).flagged[LED].all()
 
 
-def test_an_acceleration_along_the_closing_axis_is_mass_times_it(calm: GraspSignals) -> None:
+def test_an_acceleration_along_the_closing_axis_is_mass_times_it(calm):
     acceleration = calm.acceleration_m_s2.copy()
     acceleration[30, 0] = 5.0
     quality = PairJudge().judge(replace(calm, acceleration_m_s2=acceleration))
@@ -36,14 +36,14 @@ def test_an_acceleration_along_the_closing_axis_is_mass_times_it(calm: GraspSign
     assert not PairJudge().judge(replace(calm, acceleration_m_s2=acceleration)).flagged.any()
 
 
-def test_a_finger_that_does_not_touch_is_flagged(calm: GraspSignals) -> None:
+def test_a_finger_that_does_not_touch_is_flagged(calm):
     left = calm.left_N.copy()
     left[25:] = 0
     quality = PairJudge().judge(replace(calm, left_N=left))
     assert (quality.error[27:] == 2).all() and not quality.flagged[LED.start : 24].any()
 
 
-def test_a_strong_lean_is_flagged_and_a_light_one_is_not(calm: GraspSignals) -> None:
+def test_a_strong_lean_is_flagged_and_a_light_one_is_not(calm):
     """Normals overrule the acceleration only far beyond the session's own spread."""
     for lean, flagged in ((0.9, True), (0.1, False)):
         right = calm.right_N.copy()
@@ -54,13 +54,13 @@ def test_a_strong_lean_is_flagged_and_a_light_one_is_not(calm: GraspSignals) -> 
         )
 
 
-def test_the_grasp_itself_shows_how_normals_compare(calm: GraspSignals) -> None:
+def test_the_grasp_itself_shows_how_normals_compare(calm):
     # one unit reads half as much again, from the first touch on
     stiffer = calm.right_N * [1, 1, 1.5]
     assert not PairJudge().judge(replace(calm, right_N=stiffer)).flagged.any()
 
 
-def test_the_session_shows_how_shears_compare(calm: GraspSignals) -> None:
+def test_the_session_shows_how_shears_compare(calm):
     softer = replace(calm, right_N=calm.right_N * [0.5, 0.5, 1])
     judge = PairJudge()
     assert judge.judge(softer).flagged[LED].any()
@@ -69,7 +69,7 @@ def test_the_session_shows_how_shears_compare(calm: GraspSignals) -> None:
     assert not judge.judge(softer).flagged.any()
 
 
-def test_learning_is_not_led_astray_by_a_fifth_of_bad_grasps(calm: GraspSignals) -> None:
+def test_learning_is_not_led_astray_by_a_fifth_of_bad_grasps(calm):
     bad = replace(calm, right_N=calm.left_N * [-1, -1, 1])
     judge = PairJudge()
     for k in range(20):
@@ -77,7 +77,7 @@ def test_learning_is_not_led_astray_by_a_fifth_of_bad_grasps(calm: GraspSignals)
     assert not judge.judge(calm).flagged.any() and judge.judge(bad).flagged[LED].all()
 
 
-def test_a_grasp_may_be_judged_while_it_grows(calm: GraspSignals) -> None:
+def test_a_grasp_may_be_judged_while_it_grows(calm):
     for count in (1, 2, 3, 20):
         arrays = (calm.left_N, calm.right_N, calm.velocity_m_s, calm.acceleration_m_s2)
         part = GraspSignals(*(array[:count] for array in arrays), 0.3)
@@ -85,7 +85,7 @@ def test_a_grasp_may_be_judged_while_it_grows(calm: GraspSignals) -> None:
         assert len(quality.error) == count and np.isfinite(quality.error).all()
 
 
-def test_nothing_touched_is_no_error_and_no_crash(calm: GraspSignals) -> None:
+def test_nothing_touched_is_no_error_and_no_crash(calm):
     nothing = replace(calm, left_N=np.zeros_like(calm.left_N), right_N=np.zeros_like(calm.right_N))
     judge = PairJudge()
     judge.learn(nothing)
@@ -98,9 +98,9 @@ LIMITS = MotionLimits()
 
 
 @pytest.mark.parametrize(
-    ("what", "reason"), [("speed", "fast"), ("acceleration", "jerked"), ("grip", "no contact")]
+    "what, reason", [("speed", "fast"), ("acceleration", "jerked"), ("grip", "no contact")]
 )
-def test_each_limit_closes_it_and_says_why(what: str, reason: str) -> None:
+def test_each_limit_closes_it_and_says_why(what, reason):
     speed = STILL.copy()
     acceleration = STILL.copy()
     grip = HELD.copy()
@@ -111,7 +111,7 @@ def test_each_limit_closes_it_and_says_why(what: str, reason: str) -> None:
     assert reasons[10] == reason and not any(reasons[:10])
 
 
-def test_it_stays_closed_until_the_rubber_has_settled() -> None:
+def test_it_stays_closed_until_the_rubber_has_settled():
     speed = STILL.copy()
     speed[5] = 1.0
     reasons = quasi_static(speed, STILL, HELD, 30.0, MotionLimits(settle_s=0.1)).tolist()
@@ -121,20 +121,20 @@ def test_it_stays_closed_until_the_rubber_has_settled() -> None:
 
 
 @given(arrays(np.float64, (20, 3), elements=st.floats(-1, 1)), st.integers(1, 20))
-def test_it_never_looks_ahead(speed: np.ndarray, count: int) -> None:
+def test_it_never_looks_ahead(speed, count):
     whole = quasi_static(speed, STILL, HELD, 30.0, LIMITS)
     part = quasi_static(speed[:count], STILL[:count], HELD[:count], 30.0, LIMITS)
     assert (whole[:count] == part).all()
 
 
 @given(arrays(np.float64, (30, 3), elements=st.floats(-50, 50)))
-def test_every_pair_counts_once_wherever_it_lies(force: np.ndarray) -> None:
+def test_every_pair_counts_once_wherever_it_lies(force):
     coverage = Coverage()
     coverage.add(force)
     assert coverage.force.sum() == 30
 
 
-def test_missing_names_the_emptiest_cell() -> None:
+def test_missing_names_the_emptiest_cell():
     coverage = Coverage()
     coverage.force += ENOUGH
     coverage.force[3, 1] = 0

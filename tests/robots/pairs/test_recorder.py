@@ -1,9 +1,7 @@
 """Both rigs, and the whole recorder in simulation: it keeps good pairs, goes on, gives up."""
 
 import itertools
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,9 +18,9 @@ from uniforce_datasets.readers.uniforce_pairs import read_uniforce_pairs
 from uniforce_robots.fr3 import rotation_z
 from uniforce_robots.pairs.finger_force import FingerForce
 from uniforce_robots.pairs.guided_grasp import FAULTS, GraspSettings, draw_grasp
-from uniforce_robots.pairs.recorder import KEPT, PairRecorder, RecordingPlan, SessionReport, Status
+from uniforce_robots.pairs.recorder import KEPT, PairRecorder, RecordingPlan
 from uniforce_robots.pairs.rehearsal import LIMIT, Rehearsal, SimulatedRig, equilibrium_error
-from uniforce_robots.pairs.rig import HandMotion, RigFrame, RobotRig
+from uniforce_robots.pairs.rig import HandMotion, RobotRig
 from uniforce_robots.pairs.storage import PairStore
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError, SensorError
@@ -32,10 +30,8 @@ PLAN = RecordingPlan(pairs=12, chunk=6, crowded=1.0)
 QUICK = GraspSettings(frames=30)
 
 
-def rehearse(
-    root: Path, plan: RecordingPlan = PLAN, rig: SimulatedRig | None = None
-) -> tuple[SessionReport, list[Status]]:
-    seen: list[Status] = []
+def rehearse(root, plan=PLAN, rig=None):
+    seen = []
     rig = rig or SimulatedRig(Rehearsal("uskin", "tactip", seed=5, grasps=QUICK))
     with PairStore(root, "uskin", "tactip", NAMES, 15) as store:
         report = PairRecorder(rig, store, plan, seen.append).run()
@@ -43,7 +39,7 @@ def rehearse(
     return report, seen
 
 
-def test_it_records_exactly_what_was_asked_for(tmp_path: Path) -> None:
+def test_it_records_exactly_what_was_asked_for(tmp_path):
     report, seen = rehearse(tmp_path)
     assert report.outcomes[KEPT] == len(report.kept) == 24
     assert {pair.indenter for pair in read_uniforce_pairs(tmp_path / "uniforce_pairs")} == set(
@@ -54,15 +50,15 @@ def test_it_records_exactly_what_was_asked_for(tmp_path: Path) -> None:
     assert not again.kept  # nothing is missing, so nothing is recorded
 
 
-def test_a_lost_finger_costs_at_most_a_chunk(tmp_path: Path) -> None:
+def test_a_lost_finger_costs_at_most_a_chunk(tmp_path):
     rig = SimulatedRig(Rehearsal("uskin", "tactip", seed=5, grasps=QUICK))
     frames = rig.frames
 
-    def unplugged(indenter: str) -> Iterator[RigFrame]:
+    def unplugged(indenter):
         yield from itertools.islice(frames(indenter), 32)
         raise SensorError("unplugged")
 
-    rig.frames = unplugged  # type: ignore[method-assign]
+    rig.frames = unplugged
     with pytest.raises(SensorError):
         rehearse(tmp_path, replace(PLAN, pairs=30), rig)
     with PairStore(tmp_path, "uskin", "tactip", NAMES, 15) as store:
@@ -73,14 +69,14 @@ def test_a_lost_finger_costs_at_most_a_chunk(tmp_path: Path) -> None:
         )
 
 
-def test_a_crowded_cell_takes_no_more(tmp_path: Path) -> None:
+def test_a_crowded_cell_takes_no_more(tmp_path):
     plan = replace(PLAN, chunk=12, crowded=0.25)
     report, seen = rehearse(tmp_path, plan)
     assert report.outcomes["crowded"] > 0
     assert seen[-1].coverage.force.max() <= 3
 
 
-def test_hopeless_grasps_are_given_up_with_the_reason(tmp_path: Path) -> None:
+def test_hopeless_grasps_are_given_up_with_the_reason(tmp_path):
     askew = replace(QUICK, fault_share=1.0, faults=("free",))
     rig = SimulatedRig(Rehearsal("uskin", "tactip", seed=5, grasps=askew))
     with pytest.raises(DatasetError, match="out of balance"):
@@ -88,7 +84,7 @@ def test_hopeless_grasps_are_given_up_with_the_reason(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_flags_are_right_where_the_fault_is_plain() -> None:
+def test_flags_are_right_where_the_fault_is_plain():
     """Flags mean something at all; `benchmarks.pair_quality` measures how much."""
     settings = GraspSettings(faults=("free", "one_finger"), frames=30)
     scored = score_session(Rehearsal("uskin", "tactip", seed=11, grasps=settings), NAMES, 6)
@@ -98,7 +94,7 @@ def test_flags_are_right_where_the_fault_is_plain() -> None:
     assert turned["precision"] < found["precision"]  # the test can fail
 
 
-def test_a_reader_is_trained_saved_and_loaded(tmp_path: Path) -> None:
+def test_a_reader_is_trained_saved_and_loaded(tmp_path):
     training = ForceTraining(units=2, contacts=20, steps=60)
     fields, forces = training_contacts("uskin", training)
     model = train_finger_force(fields, forces, training)
@@ -114,7 +110,7 @@ def test_a_reader_is_trained_saved_and_loaded(tmp_path: Path) -> None:
         FingerForce.from_pretrained("thumb")
 
 
-def test_precision_and_recall_are_counted_right() -> None:
+def test_precision_and_recall_are_counted_right():
     flagged = np.array([1, 1, 1, 0, 0], bool)
     bad = np.array([1, 1, 0, 1, 0], bool)
     found = precision_recall(flagged, bad)
@@ -123,7 +119,7 @@ def test_precision_and_recall_are_counted_right() -> None:
 
 
 @pytest.mark.parametrize("fault", ["none", *FAULTS])
-def test_only_faults_break_the_balance(fault: str) -> None:
+def test_only_faults_break_the_balance(fault):
     settings = GraspSettings(fault_share=float(fault != "none"), faults=(fault,))
     rng = np.random.default_rng(0)
     bad = []
@@ -134,7 +130,7 @@ def test_only_faults_break_the_balance(fault: str) -> None:
     assert (np.mean(bad) < 0.005) if fault == "none" else (np.mean(bad) > 0.1)
 
 
-def test_what_a_pad_is_asked_for_it_can_carry() -> None:
+def test_what_a_pad_is_asked_for_it_can_carry():
     rng = np.random.default_rng(1)
     for _ in range(50):
         grasp = draw_grasp(rng, GraspSettings(), mass_kg=0.4)
@@ -143,7 +139,7 @@ def test_what_a_pad_is_asked_for_it_can_carry() -> None:
             assert (np.linalg.norm(load[:, :2], axis=1) <= 0.951 * load[:, 2] + 1e-9).all()
 
 
-def test_the_simulated_rig_carries_what_was_drawn_and_repeats_by_seed() -> None:
+def test_the_simulated_rig_carries_what_was_drawn_and_repeats_by_seed():
     settings = GraspSettings(frames=16, rest_s=0.5, fault_share=0.0)
     rigs = [SimulatedRig(Rehearsal("uskin", "tactip", seed=3, grasps=settings)) for _ in range(2)]
     frames = [list(itertools.islice(rig.frames("sphere"), 20)) for rig in rigs]
@@ -153,12 +149,12 @@ def test_the_simulated_rig_carries_what_was_drawn_and_repeats_by_seed() -> None:
     assert rigs[0].truths[0].error.max() < LIMIT
 
 
-def test_an_empty_error_is_not_divided_by_nothing() -> None:
+def test_an_empty_error_is_not_divided_by_nothing():
     assert equilibrium_error(np.zeros((3, 3)), np.zeros((3, 3))).tolist() == [0, 0, 0]
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, -np.pi / 2])
-def test_motion_is_read_off_the_poses_in_the_hands_frame(yaw: float) -> None:
+def test_motion_is_read_off_the_poses_in_the_hands_frame(yaw):
     motion = HandMotion()
     velocity = np.array([0.1, -0.05, 0.02])
     acceleration = np.array([0.5, 1.0, -0.3])
@@ -172,7 +168,7 @@ def test_motion_is_read_off_the_poses_in_the_hands_frame(yaw: float) -> None:
         motion(0.0, np.zeros(5))
 
 
-def test_a_grasp_ends_once_when_the_fingers_open() -> None:
+def test_a_grasp_ends_once_when_the_fingers_open():
     widths = [0.06, 0.05, 0.03, 0.02, 0.0205, 0.02, 0.03, 0.045, 0.06, 0.05, 0.02, 0.03]
     ticks = itertools.count()
     image = np.zeros((480, 640, 3), np.uint8)

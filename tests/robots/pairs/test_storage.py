@@ -1,8 +1,6 @@
 """Kept pairs: both forms hold the same images, and survive whatever stops the recorder."""
 
 import shutil
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,11 +13,10 @@ from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.keys import PAIR_ERROR, pair_force_key, tactile_key
 
 NAMES = ("sphere", "line")
-Make = Callable[..., tuple]
 
 
-def opened(root: Path, **changes: object) -> PairStore:
-    settings: dict = {
+def opened(root, **changes):
+    settings = {
         "left_sensor": "gelsight",
         "right_sensor": "tactip",
         "indenters": NAMES,
@@ -28,12 +25,12 @@ def opened(root: Path, **changes: object) -> PairStore:
     return PairStore(root, **(settings | changes))
 
 
-def layout(root: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def layout(root):
     found = read_uniforce_pairs(root / "uniforce_pairs", PairConfig())
     return {f"{r.name}/{r.indenter}": (r.left_frames, r.right_frames) for r in found}
 
 
-def test_both_forms_give_the_images_back(tmp_path: Path, make_chunk: Make) -> None:
+def test_both_forms_give_the_images_back(tmp_path, make_chunk):
     chunk = make_chunk(n=4)
     pairs = chunk[2]
     with opened(tmp_path) as store:
@@ -55,7 +52,7 @@ def test_both_forms_give_the_images_back(tmp_path: Path, make_chunk: Make) -> No
     assert np.allclose(stored_error, [pair.error for pair in pairs], atol=1e-6)
 
 
-def test_it_goes_on_where_it_stopped(tmp_path: Path, make_chunk: Make) -> None:
+def test_it_goes_on_where_it_stopped(tmp_path, make_chunk):
     with opened(tmp_path) as store:
         store.add(*make_chunk(0, 0, 3))
         store.add(*make_chunk(1, 0, 2, seed=5))
@@ -69,9 +66,7 @@ def test_it_goes_on_where_it_stopped(tmp_path: Path, make_chunk: Make) -> None:
 
 
 @pytest.mark.parametrize("damage", ["behind", "half a pair", "ahead", "gone"])
-def test_a_layout_a_kill_left_wrong_is_mended_from_the_dataset(
-    tmp_path: Path, make_chunk: Make, damage: str
-):
+def test_a_layout_a_kill_left_wrong_is_mended_from_the_dataset(tmp_path, make_chunk, damage):
     with opened(tmp_path) as store:
         store.add(*make_chunk(n=3))
         store.add(*make_chunk(n=3, seed=7))
@@ -92,13 +87,13 @@ def test_a_layout_a_kill_left_wrong_is_mended_from_the_dataset(
         assert all(np.array_equal(a, b) for a, b in zip(pair, found[name], strict=True))
 
 
-def test_two_sensors_of_one_kind_are_kept_apart(tmp_path: Path, make_chunk: Make) -> None:
+def test_two_sensors_of_one_kind_are_kept_apart(tmp_path, make_chunk):
     with opened(tmp_path, left_sensor="tactip") as store:
         store.add(*make_chunk())
     assert list(layout(tmp_path)) == ["uniforce/session_000/tactip_l_tactip_r/sphere"]
 
 
-def test_what_does_not_fit_is_refused(tmp_path: Path, make_chunk: Make) -> None:
+def test_what_does_not_fit_is_refused(tmp_path, make_chunk):
     with opened(tmp_path) as store:
         with pytest.raises(ContractError, match="indenter 2"):
             store.add(*make_chunk(indenter=2))

@@ -1,10 +1,8 @@
 """A rig without hardware: fake arm and hand, captures that break on command, a scripted person."""
 
 import time
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -17,7 +15,7 @@ from uniforce_robots import sensors
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka import robot as robot_module
 from uniforce_robots.franka.limits import StreamSettings
-from uniforce_robots.recorder.operators import Command, Event, Operator, Phase
+from uniforce_robots.recorder.operators import Event, Operator
 from uniforce_robots.recorder.robot_rig import RobotRig
 from uniforce_robots.standins.scene import Scene, frame_cycle
 from uniforce_vtla.keys import AXES
@@ -27,7 +25,7 @@ SMALL = (96, 128)  # rows, columns of the scene cameras: tests encode on a busy 
 
 
 @cache
-def gel_frames(sensor: str) -> tuple[np.ndarray, ...]:
+def gel_frames(sensor):
     """A still gel with a little camera noise, BGR; no two frames alike."""
     frame = frame_cycle(sensor, Scene(press_s=0.0, rest_s=0.1), 20)[0]
     rng = np.random.default_rng(0)
@@ -38,7 +36,7 @@ def gel_frames(sensor: str) -> tuple[np.ndarray, ...]:
 
 
 @cache
-def room_frames() -> tuple[np.ndarray, ...]:
+def room_frames():
     ramp = np.linspace(0, 200, SMALL[1], dtype=np.uint8)
     return tuple(
         np.ascontiguousarray(np.broadcast_to(np.roll(ramp, n)[None, :, None], (*SMALL, 3)))
@@ -49,17 +47,17 @@ def room_frames() -> tuple[np.ndarray, ...]:
 class FakeCapture(ScriptedCapture):
     """Deliver frames at a rate; ``fault``: "", "stop" (failed reads), "stall" or "freeze"."""
 
-    def __init__(self, frames: tuple[np.ndarray, ...], rate_hz: float = FPS) -> None:
+    def __init__(self, frames, rate_hz=FPS):
         super().__init__()
         self.frames = frames
         self.period_s = 1 / rate_hz
         self.fault = ""
         self._due_s = time.monotonic()
 
-    def isOpened(self) -> bool:  # noqa: N802
+    def isOpened(self):  # noqa: N802
         return self.fault != "stop"
 
-    def read(self) -> tuple[bool, np.ndarray | None]:
+    def read(self):
         time.sleep(max(self._due_s - time.monotonic(), 0))
         self._due_s = max(self._due_s + self.period_s, time.monotonic())
         if self.fault == "stall":
@@ -71,7 +69,7 @@ class FakeCapture(ScriptedCapture):
 
 
 class FakeRig:
-    def __init__(self, folder: Path, monkeypatch) -> None:
+    def __init__(self, folder, monkeypatch):
         self.arm = FakeArm()
         self.hand = FakeHand(takes_s=0.02)
         monkeypatch.setattr(robot_module, "make_backend", lambda config: (self.arm, self.hand))
@@ -104,7 +102,7 @@ class FakeRig:
         }
         self.rig = RobotRig(self.robot)
 
-    def _factory(self, name: str) -> Callable[[str], FakeCapture]:
+    def _factory(self, name):
         return lambda source: self.captures[name]
 
 
@@ -120,11 +118,11 @@ class Sway(Teleoperator):
     config_class = SwayConfig
     name = "recording_test"
 
-    def __init__(self, config: SwayConfig) -> None:
+    def __init__(self, config):
         super().__init__(config)
         self.width_m = config.width_m
-        self.starts: list[dict[str, float]] = []  # LeRobot's own commands know no start
-        self.error: Exception | None = None
+        self.starts = []  # LeRobot's own commands know no start
+        self.error = None
         self.calls = 0
 
     action_features = dict.fromkeys(AXES, float)
@@ -132,22 +130,22 @@ class Sway(Teleoperator):
     is_calibrated = True
     is_connected = False
 
-    def connect(self, calibrate: bool = True) -> None:
+    def connect(self, calibrate=True):
         self.is_connected = True
 
-    def disconnect(self) -> None:
+    def disconnect(self):
         self.is_connected = False
 
-    def calibrate(self, *_: object) -> None:
+    def calibrate(self, *_):
         pass
 
     configure = send_feedback = calibrate
 
-    def start_from(self, axes: dict[str, float]) -> None:
+    def start_from(self, axes):
         self.starts.append(axes)
         self.calls = 0
 
-    def get_action(self) -> dict[str, float]:
+    def get_action(self):
         if self.error is not None:
             raise self.error
         self.calls += 1
@@ -159,7 +157,7 @@ class Sway(Teleoperator):
         }
 
 
-def sway(folder: Path) -> Sway:
+def sway(folder):
     """Return one that leaves nothing in anybody's home."""
     return Sway(SwayConfig(id="test", calibration_dir=folder))
 
@@ -167,12 +165,12 @@ def sway(folder: Path) -> Sway:
 class Script(Operator):
     """Say what a function says, given the phase and how often it was asked in it."""
 
-    def __init__(self, say: Callable[[Phase, int], Sequence[Command | Event]]) -> None:
+    def __init__(self, say):
         self._say = say
-        self._phase: Phase | None = None
+        self._phase = None
         self._asked = 0
 
-    def poll(self, phase: Phase) -> list[Event]:
+    def poll(self, phase):
         self._asked = self._asked + 1 if phase == self._phase else 0
         self._phase = phase
         return [e if isinstance(e, Event) else Event(e) for e in self._say(phase, self._asked)]

@@ -1,7 +1,5 @@
 """``uniforce record`` itself: the scene steered by a teleoperator, and what it refuses."""
 
-from pathlib import Path
-
 import pytest
 import recording_fakes  # noqa: F401  registers the teleoperator recording_test
 
@@ -19,25 +17,30 @@ QUICK = [
 
 
 @pytest.mark.slow
-def test_a_scene_by_hand_and_its_resume(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_scene_by_hand_and_its_resume(tmp_path, capsys, refuses):
     root = tmp_path / "data"
     own = [
         f"teleop.calibration_dir={tmp_path}",
         "teleop.id=a",
         "teleop.width_m=0.07",
         "reserve_MB=1",
+        "right_sensor=tactip:drawing",
     ]
-    assert main([*QUICK, *own, f"root={root}", "episodes=1"]) == 0
+    left = "left_sensor=gelsight:drawing"
+    assert main([*QUICK, *own, left, f"root={root}", "episodes=1"]) == 0
     assert "1 of 1 episodes" in capsys.readouterr().out
-    assert main([*QUICK, *own, f"resume={root}", "episodes=2", "prompts=[tidy up]"]) == 0
+    assert main([*QUICK, *own, left, f"resume={root}", "episodes=2", "prompts=[tidy up]"]) == 0
     assert open_dataset(root).num_episodes == 2 and read_card(root, 1)["prompt"] == "tidy up"
     assert read_card(root, 1)["settings"]["rig"]["teleop.width_m"] == 0.07
-    assert main([*QUICK, *own, f"root={root}", "episodes=3", "left_sensor=uskin"]) == 2
-    assert "scene.left_sensor 'gelsight' → 'uskin'" in capsys.readouterr().err
+    refuses(
+        main,
+        [*QUICK, *own, f"root={root}", "episodes=3", "left_sensor=uskin"],
+        "scene.left_sensor 'gelsight:drawing' → 'uskin'",
+    )
 
 
 @pytest.mark.parametrize(
-    ("words", "reason"),
+    "words, reason",
     [
         (["robot=moon"], "sim | franka"),
         (["robot=franka"], "works on a robot"),
@@ -68,10 +71,9 @@ def test_a_scene_by_hand_and_its_resume(tmp_path: Path, capsys: pytest.CaptureFi
         ),
     ],
 )
-def test_what_cannot_be_is_refused_with_a_reason(words, reason, tmp_path, capsys) -> None:
+def test_what_cannot_be_is_refused_with_a_reason(words, reason, tmp_path, refuses):
     home = [f"teleop.calibration_dir={tmp_path}", "teleop.id=a"]
-    assert main([*words, *home, f"root={tmp_path / 'data'}"]) == 2
-    assert reason in capsys.readouterr().err
+    refuses(main, [*words, *home, f"root={tmp_path / 'data'}"], reason)
     assert not (tmp_path / "data").exists()
 
 
@@ -79,7 +81,7 @@ def test_what_cannot_be_is_refused_with_a_reason(words, reason, tmp_path, capsys
 @pytest.mark.parametrize("words", [["level=easy"], QUICK])
 def test_a_root_that_cannot_be_ends_before_the_first_episode(
     words, root, tmp_path, capsys, monkeypatch
-) -> None:
+):
     file = tmp_path / "file"
     full = tmp_path / "full"
     file.write_text("mine")

@@ -3,9 +3,6 @@
 import io
 import os
 import time
-from collections.abc import Callable
-from pathlib import Path
-from typing import Literal
 from unittest.mock import Mock
 
 import numpy as np
@@ -34,15 +31,15 @@ MB = 10**6
 
 
 @pytest.fixture
-def guard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[float], DiskGuard]:
-    def make(free_MB: float) -> DiskGuard:
+def guard(tmp_path, monkeypatch):
+    def make(free_MB):
         monkeypatch.setattr(disk_guard, "free_bytes", lambda path: int(free_MB * MB))
         return DiskGuard(tmp_path, dataset_features(), 0, 100)
 
     return make
 
 
-def test_an_episode_needs_room_and_a_reserve(guard: Callable[[float], DiskGuard]) -> None:
+def test_an_episode_needs_room_and_a_reserve(guard):
     assert "GB free" in guard(9000).before_episode(900, 0)
     with pytest.raises(errors.DiskFullError, match="reserve"):
         guard(101).before_episode(900, 0)
@@ -51,23 +48,19 @@ def test_an_episode_needs_room_and_a_reserve(guard: Callable[[float], DiskGuard]
         guard(99).check()
 
 
-def test_what_was_recorded_is_the_best_estimate(
-    tmp_path: Path, guard: Callable[[float], DiskGuard]
-) -> None:
+def test_what_was_recorded_is_the_best_estimate(tmp_path, guard):
     (tmp_path / "video.mp4").write_bytes(b"0" * 3 * MB)
     assert guard(9000).estimate_MB(200, 100) == pytest.approx(6.0)
     assert 5 < guard(9000).estimate_MB(900, 0) < 100
 
 
-def fault(
-    kind: Literal["camera", "touch"], device: str, error: errors.SensorError
-) -> errors.UniForceError:
+def fault(kind, device, error):
     with pytest.raises(DeviceError, match=device) as caught, named(kind, device):
         raise error
     return caught.value
 
 
-def test_every_fault_has_a_name_that_datasets_know() -> None:
+def test_every_fault_has_a_name_that_datasets_know():
     """Those that a session can't be brought to: the rest is seen there."""
     faults = {
         "lost_camera": fault("camera", "front", LostSensorError("x")),
@@ -82,7 +75,7 @@ def test_every_fault_has_a_name_that_datasets_know() -> None:
     assert set(faults) <= set(ABORT_CAUSES) and len(set(ABORT_CAUSES)) == len(ABORT_CAUSES)
 
 
-def test_a_teleoperator_of_other_axes_is_refused(tmp_path: Path) -> None:
+def test_a_teleoperator_of_other_axes_is_refused(tmp_path):
     with pytest.raises(errors.ContractError, match=r"x\.pos"):
         Steering(Joints(SwayConfig(id="test", calibration_dir=tmp_path)))
 
@@ -92,7 +85,7 @@ class Joints(Sway):
 
 
 class NoNumber:
-    def __float__(self) -> float:
+    def __float__(self):
         raise ZeroDivisionError
 
 
@@ -111,10 +104,8 @@ RETURNS = (
 @pytest.mark.parametrize(
     "kind", [RuntimeError, KeyError, AttributeError, AssertionError, errors.SensorError]
 )
-def test_a_teleoperator_may_raise_anything(
-    tmp_path: Path, method: str, kind: type[Exception], caplog
-) -> None:
-    def broken(*_: object) -> None:
+def test_a_teleoperator_may_raise_anything(tmp_path, method, kind, caplog):
+    def broken(*_):
         raise kind("device said nothing")
 
     teleop = sway(tmp_path)
@@ -132,15 +123,15 @@ def test_a_teleoperator_may_raise_anything(
 
 
 @pytest.mark.parametrize("action", RETURNS, ids=repr)
-def test_a_teleoperator_may_return_anything(tmp_path: Path, action: object) -> None:
+def test_a_teleoperator_may_return_anything(tmp_path, action):
     teleop = sway(tmp_path)
-    teleop.get_action = lambda: action  # type: ignore[assignment, method-assign, return-value]
+    teleop.get_action = lambda: action
     with pytest.raises(errors.TeleoperatorError, match="recording_test"):
         Steering(teleop).target(np.zeros(5))
 
 
 @pytest.mark.parametrize("axis, far", [(AXES[0], 0.08), (AXES[3], 0.5), (AXES[4], 0.04)])
-def test_a_leader_of_anybodys_starts_where_the_robot_is(axis: str, far: float) -> None:
+def test_a_leader_of_anybodys_starts_where_the_robot_is(axis, far):
     """Else the robot would go to it through whatever is there."""
     teleop = Mock(Teleoperator, feedback_features={}, action_features=Sway.action_features)
     teleop.name = "leader"
@@ -149,24 +140,24 @@ def test_a_leader_of_anybodys_starts_where_the_robot_is(axis: str, far: float) -
         Steering(teleop).start_from(np.zeros(5))
 
 
-def test_nobody_catches_the_end_of_the_program(tmp_path: Path) -> None:
+def test_nobody_catches_the_end_of_the_program(tmp_path):
     teleop = sway(tmp_path)
-    teleop.error = KeyboardInterrupt()  # type: ignore[assignment]
+    teleop.error = KeyboardInterrupt()
     with pytest.raises(KeyboardInterrupt):
         Steering(teleop).target(np.zeros(5))
 
 
-def seen(force_N: float) -> Observation:
+def seen(force_N):
     picture = Picture(np.zeros((4, 4, 3), np.uint8), 0, 0.95)
     touch = FingerTouch(np.zeros((480, 640), np.uint8), 0, 0.98, np.zeros((480, 640), np.uint8))
     axes = np.array([0, 0, 0, 0, 0.04])
     fingers = {"left": touch, "right": touch}
     force = np.array([0, 0, force_N])
     cameras = {"front": picture}
-    return Observation(1.0, axes, cameras, fingers, force_N=force)  # type: ignore[arg-type]
+    return Observation(1.0, axes, cameras, fingers, force_N=force)
 
 
-def test_the_line_shows_force_against_its_limit() -> None:
+def test_the_line_shows_force_against_its_limit():
     out = io.StringIO()
     lines = {}
     view = LiveView(out)
@@ -187,16 +178,16 @@ def test_the_line_shows_force_against_its_limit() -> None:
 class Terminal(io.StringIO):
     has_hung_up = False
 
-    def isatty(self) -> bool:
+    def isatty(self):
         return True
 
-    def write(self, text: str) -> int:
+    def write(self, text):
         if self.has_hung_up:
             raise OSError
         return super().write(text)
 
 
-def test_the_mode_stands_on_the_screen() -> None:
+def test_the_mode_stands_on_the_screen():
     view = LiveView(out := Terminal())
     for phase, note, shown in (
         (Phase.PAUSED, None, "paused"),
@@ -215,7 +206,7 @@ def test_the_mode_stands_on_the_screen() -> None:
     view.show(seen(1.0), 30)
 
 
-def test_every_teleoperator_can_be_named() -> None:
+def test_every_teleoperator_can_be_named():
     """Ours need no settings; one of LeRobot's, where loaded, may say which it needs."""
     names = teleoperator_names()
     assert "recording_test" in names
@@ -226,7 +217,7 @@ def test_every_teleoperator_can_be_named() -> None:
             assert not registered.startswith("uniforce_") and "required field" in str(error)
 
 
-def test_a_little_garbage_is_borne_and_much_is_not() -> None:
+def test_a_little_garbage_is_borne_and_much_is_not():
     watch = GarbageWatch("tactile_left")
     for step in range(300):
         watch.look(step / 30, step // 8)  # four a second
@@ -235,22 +226,20 @@ def test_a_little_garbage_is_borne_and_much_is_not() -> None:
             watch.look(10 + step / 30, 38 + step)
 
 
-def typed(
-    operator: KeyOperator, keys: TerminalKeys, *pressed: str, phase: Phase = Phase.RUNNING
-) -> list[Event]:
+def typed(operator, keys, *pressed, phase=Phase.RUNNING):
     for key in pressed:
         keys.press(key)
     return operator.poll(phase)
 
 
 @pytest.fixture
-def person() -> tuple[KeyOperator, TerminalKeys]:
-    keys = TerminalKeys({"w": (0, 1)}, lambda: keys.now_s)  # type: ignore[attr-defined]
-    keys.now_s = 0.0  # type: ignore[attr-defined]
+def person():
+    keys = TerminalKeys({"w": (0, 1)}, lambda: keys.now_s)
+    keys.now_s = 0.0
     return KeyOperator(keys, ["slow", "slipped"]), keys
 
 
-def test_keys_mean_commands_and_unknown_ones_nothing(person: tuple) -> None:
+def test_keys_mean_commands_and_unknown_ones_nothing(person):
     events = typed(*person, "space", "w", "up", "Y", "esc")
     assert [event.command for event in events] == [Command.GO, Command.SUCCESS, Command.HOLD]
     assert typed(*person, "2", "3") == [Event(Command.NOTE, "slipped")]
@@ -261,7 +250,7 @@ HELD = Event(Command.HOLD)
 
 
 @pytest.mark.parametrize("phase", Phase)
-def test_a_note_holds_the_arm_and_may_hold_command_keys(person: tuple, phase: Phase) -> None:
+def test_a_note_holds_the_arm_and_may_hold_command_keys(person, phase):
     operator, _ = person
     operator.poll(phase)
     assert typed(*person, "T", "Y", "w", phase=phase) == [HELD] and operator.note == "Yw"
@@ -277,13 +266,13 @@ def test_a_note_holds_the_arm_and_may_hold_command_keys(person: tuple, phase: Ph
     )
 
 
-def left(operator: KeyOperator, keys: TerminalKeys) -> Phase:
-    keys.now_s = 2 * NOTE_S  # type: ignore[attr-defined]
+def left(operator, keys):
+    keys.now_s = 2 * NOTE_S
     return Phase.PAUSED
 
 
 @pytest.mark.parametrize("ends", [left, lambda *_: Phase.JUDGING, lambda *_: Phase.RUNNING])
-def test_no_note_swallows_commands_for_ever(person: tuple, ends: Callable[..., Phase]) -> None:
+def test_no_note_swallows_commands_for_ever(person, ends):
     operator, keys = person
     typed(*person, "t", "a")
     assert not operator.poll(Phase.PAUSED)
@@ -294,20 +283,20 @@ def test_no_note_swallows_commands_for_ever(person: tuple, ends: Callable[..., P
     )
 
 
-def test_no_terminal_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_terminal_is_refused(monkeypatch):
     monkeypatch.setattr("sys.stdin.isatty", lambda: False, raising=False)
     with pytest.raises(ContractError, match="operator=unattended"):
         KeyOperator().start()
 
 
-def test_a_real_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_real_terminal(monkeypatch):
     master, slave = os.openpty()
     with os.fdopen(slave) as terminal:
         monkeypatch.setattr("sys.stdin", terminal)
         operator = KeyOperator()
         operator.start()
         os.write(master, b"y q")
-        said: list[Event] = []
+        said = []
         deadline_s = time.monotonic() + 30.0
         while len(said) < 3 and time.monotonic() < deadline_s:
             said += operator.poll(Phase.RUNNING)
@@ -319,24 +308,24 @@ def test_a_real_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Clock:
-    def __init__(self) -> None:
+    def __init__(self):
         self.now_s = 100.0
-        self.slept: list[float] = []
+        self.slept = []
 
-    def __call__(self) -> float:
+    def __call__(self):
         return self.now_s
 
-    def sleep(self, seconds: float) -> None:
+    def sleep(self, seconds):
         self.slept.append(seconds)
         self.now_s += seconds
 
 
-def ticker(paced: bool = True) -> tuple[Clock, Ticker]:
+def ticker(paced=True):
     clock = Clock()
     return clock, Ticker(10.0, paced, clock, clock.sleep)
 
 
-def test_deadlines_are_absolute() -> None:
+def test_deadlines_are_absolute():
     clock, beat = ticker()
     for work_s in (0.03, 0.08, 0.0, 0.05):
         beat.wait()
@@ -346,7 +335,7 @@ def test_deadlines_are_absolute() -> None:
     assert beat.stats.jitter_max_ms == pytest.approx(0, abs=1e-6)
 
 
-def test_what_is_late_and_what_is_missed() -> None:
+def test_what_is_late_and_what_is_missed():
     clock, beat = ticker()
     assert beat.stats.late_share == beat.stats.mean_hz == 0
     beat.wait()
@@ -360,7 +349,7 @@ def test_what_is_late_and_what_is_missed() -> None:
     assert beat.wait() == 0 and clock.now_s == pytest.approx(100.5), "back on the grid"
 
 
-def test_a_pause_does_not_count() -> None:
+def test_a_pause_does_not_count():
     clock, beat = ticker()
     beat.wait()
     beat.wait()
@@ -370,7 +359,7 @@ def test_a_pause_does_not_count() -> None:
     assert beat.stats.mean_hz == pytest.approx(10.0) and beat.stats.missed == 0
 
 
-def test_a_scene_does_not_wait() -> None:
+def test_a_scene_does_not_wait():
     clock, beat = ticker(paced=False)
     for _ in range(3):
         beat.wait()

@@ -5,7 +5,6 @@ machine with time.
 """
 
 import importlib.util
-from collections.abc import Iterator
 
 import pytest
 
@@ -32,7 +31,7 @@ INJECTED = ("arm_reflex", "camera_stops", "uskin_garbage", "uskin_unplugged")
 
 
 @pytest.fixture(scope="module")
-def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+def rig(tmp_path_factory):
     work = tmp_path_factory.mktemp("trials")
     # any machine keeps up with it
     gentle = Plan(work=str(work), episodes=2, episode_s=2.0, fps=5, patience=20.0, uskin_hz=50.0)
@@ -40,7 +39,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
         yield rig
 
 
-def test_two_episodes_end_to_end(rig: Rig) -> None:
+def test_two_episodes_end_to_end(rig):
     root = rig.plan.folder / "two"
     found = record(rig, root)
     assert found["exit_code"] == 0
@@ -50,7 +49,7 @@ def test_two_episodes_end_to_end(rig: Rig) -> None:
     assert load_in_stock_lerobot(root)["loads_in_stock_lerobot"]
 
 
-def test_three_kills_cost_no_saved_episode(rig: Rig) -> None:
+def test_three_kills_cost_no_saved_episode(rig):
     # all of it mid-tick, the loop mid-save, the storing process in between
     for number in (0, 4, 8):
         seen = kill9.kill_once(rig, rig.plan.folder / "killed", number)
@@ -58,7 +57,7 @@ def test_three_kills_cost_no_saved_episode(rig: Rig) -> None:
     assert kill9.finish(rig, rig.plan.folder / "killed")["exit_code"] == 0
 
 
-def test_faults_hold_the_arm_and_are_labelled(rig: Rig) -> None:
+def test_faults_hold_the_arm_and_are_labelled(rig):
     """One session: a person goes on after each fault."""
     ledger = Ledger(rig.plan.folder / "found")
     rig.new_arm()
@@ -73,6 +72,6 @@ def test_faults_hold_the_arm_and_are_labelled(rig: Rig) -> None:
         assert ledger.read(name)[0]["right_outcome"], (name, ledger.read(name))
 
 
-def test_an_arm_that_is_gone_ends_the_session(rig: Rig) -> None:
+def test_an_arm_that_is_gone_ends_the_session(rig):
     seen = server_death(bench_of("server_death", 0, rig))
     assert seen["right_outcome"], seen

@@ -5,10 +5,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable
 from contextlib import nullcontext
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,8 +19,8 @@ from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_datasets.source import read_source, stored_frames
 from uniforce_robots.recorder import disk_guard
 from uniforce_robots.recorder.assemble import run_session
-from uniforce_robots.recorder.operators import VERDICTS, Command, Event, Operator, Phase, Unattended
-from uniforce_robots.recorder.session import SessionEnd, SessionSettings
+from uniforce_robots.recorder.operators import VERDICTS, Command, Event, Phase, Unattended
+from uniforce_robots.recorder.session import SessionSettings
 from uniforce_robots.recorder.sim_rig import SimRig
 from uniforce_robots.recorder.store import StoreSettings, open_recorder
 from uniforce_robots.sensors.faults import WrongSensorError
@@ -35,39 +32,45 @@ SHORT_S = 0.5
 
 
 @pytest.fixture
-def fake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeRig:
+def fake(tmp_path, monkeypatch):
     return FakeRig(tmp_path / "calibration", monkeypatch)
 
 
-def go(
-    fake: FakeRig,
-    root: Path,
-    operator: Operator,
-    teleop: Any = None,
-    out: Any = None,
-    **settings: Any,
-) -> SessionEnd:
-    plain = {
-        "episodes": 1,
-        "episode_s": SHORT_S,
-        "prompts": ("wipe",),
-        "unwell_s": 1.0,
-        "late_share": 1.0,
-    }
-    teleop = teleop or sway(root.parent)
-    store = StoreSettings(root, "local/test", reserve_MB=1.0)
-    wanted = SessionSettings(**(plain | settings))  # type: ignore[arg-type]
-    end = run_session(fake.rig, teleop, operator, store, wanted, out=out, open_store=open_recorder)
-    assert not fake.robot.is_connected and not teleop.is_connected
-    assert not [t.name for t in threading.enumerate() if t.name in ("arm-stream", "hand")]
-    return end
+@pytest.fixture
+def root(tmp_path):
+    """Where the dataset of a session goes."""
+    return tmp_path / "data"
 
 
-def test_two_episodes_then_one_more(fake: FakeRig, tmp_path: Path) -> None:
-    root = tmp_path / "data"
-    end = go(fake, root, Unattended("success"), episodes=2, prompts=("wipe", "clean the board"))
+@pytest.fixture
+def go(fake, root):
+    """Return a function that runs a session on the fake robot and leaves nothing running."""
+
+    def run(operator, teleop=None, out=None, **settings):
+        plain = {
+            "episodes": 1,
+            "episode_s": SHORT_S,
+            "prompts": ("wipe",),
+            "unwell_s": 1.0,
+            "late_share": 1.0,
+        }
+        teleop = teleop or sway(root.parent)
+        store = StoreSettings(root, "local/test", reserve_MB=1.0)
+        wanted = SessionSettings(**(plain | settings))
+        end = run_session(
+            fake.rig, teleop, operator, store, wanted, out=out, open_store=open_recorder
+        )
+        assert not fake.robot.is_connected and not teleop.is_connected
+        assert not [t.name for t in threading.enumerate() if t.name in ("arm-stream", "hand")]
+        return end
+
+    return run
+
+
+def test_two_episodes_then_one_more(go, root):
+    end = go(Unattended("success"), episodes=2, prompts=("wipe", "clean the board"))
     assert end.exit_code == 0 and [e.label for e in end.endings] == ["success"] * 2
-    assert go(fake, root, Unattended("success"), episodes=3).message == "3 of 3 episodes"
+    assert go(Unattended("success"), episodes=3).message == "3 of 3 episodes"
     dataset = open_dataset(root, return_uint8=True)
     assert dataset.num_episodes == 3 and len(dataset) == 45
     assert {dataset[i]["task"] for i in (0, 15)} == {"wipe", "clean the board"}
@@ -78,8 +81,8 @@ def test_two_episodes_then_one_more(fake: FakeRig, tmp_path: Path) -> None:
         assert read_card(root, episode)["label"] == "success"
 
 
-def test_what_a_row_holds(fake: FakeRig, tmp_path: Path) -> None:
-    go(fake, tmp_path / "data", Unattended("success"))
+def test_what_a_row_holds(go, root):
+    go(Unattended("success"))
     times = tuple(
         key(source)
         for key in (keys.time_key, keys.age_key, keys.index_key)
@@ -87,7 +90,7 @@ def test_what_a_row_holds(fake: FakeRig, tmp_path: Path) -> None:
     )
     wanted = (keys.STATE, keys.ACTION, keys.STAMPS, *times)
     wanted += keys.measured_key("wrench"), keys.measured_key("hand")
-    columns = read_source(tmp_path / "data").columns(wanted)
+    columns = read_source(root).columns(wanted)
     ticks = columns[keys.STAMPS]
     assert (np.diff(ticks, axis=1) >= 0).all() and ticks[0, 0] < 0.1
     # how steadily, a busy machine can't say: see docs/recording.md
@@ -104,20 +107,20 @@ def test_what_a_row_holds(fake: FakeRig, tmp_path: Path) -> None:
 
 
 def test_an_episode_that_missed_many_ticks_is_aborted_and_does_not_count(
-    fake, tmp_path, monkeypatch
-) -> None:
+    tmp_path, monkeypatch, go, root
+):
     teleop = sway(tmp_path)
     quick = teleop.get_action
     monkeypatch.setattr(teleop, "get_action", lambda: time.sleep(2.5 / 30) or quick())
     console = io.StringIO()
-    end = go(fake, tmp_path / "data", Unattended("success"), teleop, out=console, late_share=0.1)
+    end = go(Unattended("success"), teleop, out=console, late_share=0.1)
     assert end.exit_code == 3 and "missed" in end.message and "3 times in a row" in end.message
     assert "stored aborted:late" in console.getvalue() and "0/1 episodes" in console.getvalue()
-    assert labels(tmp_path / "data") == ["aborted:late"] * 3
-    assert read_card(tmp_path / "data", 0)["label"] == "aborted:late"
+    assert labels(root) == ["aborted:late"] * 3
+    assert read_card(root, 0)["label"] == "aborted:late"
 
 
-def labels(root: Path) -> list[str]:
+def labels(root):
     source = read_source(root)
     columns = source.columns((keys.OUTCOME, keys.CAUSE))
     starts = [episode.start for episode in source.episodes]
@@ -126,7 +129,7 @@ def labels(root: Path) -> list[str]:
     return [o if c == "none" else f"{o}:{c}" for o, c in zip(outcomes, causes, strict=True)]
 
 
-def at(phase: Phase, asked: int, command: Command) -> Callable[[Phase, int], list[Command]]:
+def at(phase, asked, command):
     """Begin whenever waiting; say the command once, at that question of that phase."""
     return lambda now, n: (
         [Command.GO] if now is Phase.WAITING else [command] * (now is phase and n == asked)
@@ -134,13 +137,13 @@ def at(phase: Phase, asked: int, command: Command) -> Callable[[Phase, int], lis
 
 
 @pytest.mark.parametrize("command", VERDICTS)
-def test_keys_judge_an_episode(fake: FakeRig, tmp_path: Path, command: Command) -> None:
-    end = go(fake, tmp_path / "data", Script(at(Phase.RUNNING, 6, command)), episode_s=30.0)
-    assert end.exit_code == 0 and labels(tmp_path / "data") == [VERDICTS[command]]
-    assert read_source(tmp_path / "data").num_frames == 6
+def test_keys_judge_an_episode(command, go, root):
+    end = go(Script(at(Phase.RUNNING, 6, command)), episode_s=30.0)
+    assert end.exit_code == 0 and labels(root) == [VERDICTS[command]]
+    assert read_source(root).num_frames == 6
 
 
-BREAKS: dict[str, tuple[str, str, str]] = {  # what breaks, how, the cause that is stored
+BREAKS = {  # what breaks, how, the cause that is stored
     "camera unplugged": ("front", "stop", "camera"),
     "camera silent": ("front", "stall", "stale_camera"),
     "camera frozen": ("front", "freeze", "frozen_camera"),
@@ -153,26 +156,24 @@ BREAKS: dict[str, tuple[str, str, str]] = {  # what breaks, how, the cause that 
 }
 
 
-def break_it(fake: FakeRig, teleop: Sway, what: str, how: str) -> None:
+def break_it(fake, teleop, what, how):
     if what == "arm":
         fake.arm.mode = how
     elif what == "teleop":
         teleop.error = KeyError(how)
     elif what == "rig":
-        fake.rig.observe = {}  # type: ignore[method-assign, assignment]
+        fake.rig.observe = {}
     else:
         fake.captures[what].fault = how
 
 
 @pytest.mark.parametrize("name", BREAKS)
-def test_a_fault_ends_the_episode_held_and_labelled(
-    fake: FakeRig, tmp_path: Path, name: str
-) -> None:
+def test_a_fault_ends_the_episode_held_and_labelled(fake, tmp_path, name, go, root):
     what, how, cause = BREAKS[name]
     teleop = sway(tmp_path)
     begun = []
 
-    def say(phase: Phase, asked: int) -> list[Command]:
+    def say(phase, asked):
         if phase is Phase.WAITING:
             begun.append(phase)
             return [Command.GO if len(begun) == 1 else Command.QUIT]
@@ -180,20 +181,20 @@ def test_a_fault_ends_the_episode_held_and_labelled(
             break_it(fake, teleop, what, how)
         return []
 
-    end = go(fake, tmp_path / "data", Script(say), teleop, episode_s=5.0)
+    end = go(Script(say), teleop, episode_s=5.0)
     assert end.exit_code == 0 and len(end.endings) == 1, end
     ending = end.endings[0]
     assert ending.label.startswith("aborted:") and cause in ending.label, ending
     assert ending.held_s < 0.5
-    assert labels(tmp_path / "data") == [ending.label]
-    assert cause in read_card(tmp_path / "data", 0)["label"]
+    assert labels(root) == [ending.label]
+    assert cause in read_card(root, 0)["label"]
 
 
-def scripted(*lines: tuple[Phase, int, Command | Event]) -> Script:
+def scripted(*lines):
     """Begin whenever waiting; say each line once, when its phase is asked so often."""
     left = list(lines)
 
-    def say(phase: Phase, asked: int) -> list[Command | Event]:
+    def say(phase, asked):
         if phase is Phase.WAITING and asked == 0:
             return [Command.GO]
         if left and left[0][:2] == (phase, asked):
@@ -203,7 +204,7 @@ def scripted(*lines: tuple[Phase, int, Command | Event]) -> Script:
     return Script(say)
 
 
-def test_discard_rerecord_pause_and_notes(fake: FakeRig, tmp_path: Path) -> None:
+def test_discard_rerecord_pause_and_notes(tmp_path, go, root):
     operator = scripted(
         (Phase.RUNNING, 3, Command.DISCARD),
         (Phase.RUNNING, 4, Command.RERECORD),
@@ -213,18 +214,18 @@ def test_discard_rerecord_pause_and_notes(fake: FakeRig, tmp_path: Path) -> None
         (Phase.RUNNING, 3, Command.SUCCESS),
     )
     teleop = sway(tmp_path)
-    end = go(fake, tmp_path / "data", operator, teleop, episode_s=30.0)
+    end = go(operator, teleop, episode_s=30.0)
     assert [e.label for e in end.endings] == ["discard", "rerecord", "success"]
     assert end.endings[2].pauses == 1 and len(teleop.starts) == 4, "three episodes and one going on"
-    card = read_card(tmp_path / "data", 0)
+    card = read_card(root, 0)
     assert card["notes"] == ["slow"] and card["prompt"] == "wipe" and card["guards"]["sensor"] == 0
-    stamps = read_source(tmp_path / "data").columns((keys.STAMPS,))[keys.STAMPS][:, 0]
+    stamps = read_source(root).columns((keys.STAMPS,))[keys.STAMPS][:, 0]
     assert np.diff(stamps).max() > 5 / 30, "the pause shows"
 
 
-def test_a_pause_ends_once_the_device_is_at_rest(fake: FakeRig, tmp_path: Path) -> None:
+def test_a_pause_ends_once_the_device_is_at_rest(tmp_path, go):
     class Deflected(Sway):
-        def start_from(self, axes: dict[str, float]) -> None:
+        def start_from(self, axes):
             super().start_from(axes)
             if len(self.starts) == 2:
                 raise TeleoperatorError("let go", "far")
@@ -237,14 +238,12 @@ def test_a_pause_ends_once_the_device_is_at_rest(fake: FakeRig, tmp_path: Path) 
         (Phase.RUNNING, 2, Command.SUCCESS),
     )
     teleop = Deflected(SwayConfig(id="test", calibration_dir=tmp_path))
-    end = go(fake, tmp_path / "data", operator, teleop, episode_s=30.0, drive_between=False)
+    end = go(operator, teleop, episode_s=30.0, drive_between=False)
     assert [e.label for e in end.endings] == ["success"] and len(teleop.starts) == 3
 
 
 @pytest.mark.parametrize("interruption", ["fault", "hold", "robot"])
-def test_between_episodes_steering_goes_on_at_a_persons_word(
-    fake, tmp_path: Path, interruption: str
-) -> None:
+def test_between_episodes_steering_goes_on_at_a_persons_word(fake, tmp_path, interruption, go):
     teleop = sway(tmp_path)
     calls = {}
     out = io.StringIO()
@@ -252,7 +251,7 @@ def test_between_episodes_steering_goes_on_at_a_persons_word(
     if interruption == "hold":
         orders[5] = Command.HOLD
 
-    def say(phase: Phase, asked: int) -> list[Event]:
+    def say(phase, asked):
         calls[asked] = len(teleop.starts), teleop.calls
         if asked == 5:
             teleop.error = KeyError("unplugged") if interruption == "fault" else None
@@ -262,7 +261,7 @@ def test_between_episodes_steering_goes_on_at_a_persons_word(
             fake.arm.mode = "idle"
         return [Event(orders[asked], "early")] if asked in orders else []
 
-    end = go(fake, tmp_path / "data", Script(say), teleop, out)
+    end = go(Script(say), teleop, out)
     assert end.exit_code == 0 and not end.endings
     assert calls[5] == (1, 5), "driven"
     assert calls[8] == calls[28], "plugged in again, but nobody said so"
@@ -274,9 +273,7 @@ def test_between_episodes_steering_goes_on_at_a_persons_word(
 
 
 @pytest.mark.parametrize("name", ["Open the gripper", "bad_touch"])
-def test_nothing_begins_out_of_free_air_nor_from_a_moving_gel(
-    fake: FakeRig, tmp_path: Path, name: str
-) -> None:
+def test_nothing_begins_out_of_free_air_nor_from_a_moving_gel(fake, name, go):
     finger = fake.captures["tactile_left"]
     if name == "bad_touch":
         finger.frames = tuple(
@@ -284,41 +281,38 @@ def test_nothing_begins_out_of_free_air_nor_from_a_moving_gel(
         )
     else:
         fake.hand.width_m = 0.03
-    end = go(fake, tmp_path / "data", Unattended("success"), unwell_s=0.3)
+    end = go(Unattended("success"), unwell_s=0.3)
     assert end.exit_code == 3 and name in end.message and not end.endings
 
 
-def test_an_open_hand_is_asked_for_again(fake: FakeRig, tmp_path: Path) -> None:
+def test_an_open_hand_is_asked_for_again(fake, go):
     fake.hand.width_m = 0.03
-    asked: list[Phase] = []
+    asked = []
 
-    def say(phase: Phase, n: int) -> list[Command]:
+    def say(phase, n):
         asked.append(phase)
         fake.hand.width_m = 0.03 if len(asked) < 3 else 0.08  # refused, opened, begun
         return [Command.GO] if phase is Phase.WAITING else [Command.SUCCESS] * (n == 3)
 
-    end = go(fake, tmp_path / "data", Script(say), drive_between=False)
+    end = go(Script(say), drive_between=False)
     assert end.exit_code == 0 and asked.count(Phase.WAITING) >= 2
 
 
-def test_a_full_disk_stops_at_the_next_tick_and_what_was_saved_stays(
-    fake, tmp_path, monkeypatch
-) -> None:
-    root = tmp_path / "data"
-    go(fake, root, Unattended("success"))
+def test_a_full_disk_stops_at_the_next_tick_and_what_was_saved_stays(monkeypatch, go, root):
+    go(Unattended("success"))
     room = iter([10**12] * 8)
     monkeypatch.setattr(disk_guard, "free_bytes", lambda path: next(room, 10))
-    end = go(fake, root, Unattended("success"), episodes=2, episode_s=5.0)
+    end = go(Unattended("success"), episodes=2, episode_s=5.0)
     assert end.exit_code == 4 and labels(root) == ["success", "aborted:disk_full"]
     assert end.endings[0].held_s < 0.1
-    end = go(fake, root, Unattended("success"), episodes=2)
+    end = go(Unattended("success"), episodes=2)
     assert end.exit_code == 4 and not end.endings, "no room for another one"
 
 
-def acting(act: Callable[[], object], success_at: int | None = None) -> Script:
+def acting(act, success_at=None):
     """Begin whenever waiting; do something at the fifth tick, and call it a success later."""
 
-    def say(phase: Phase, asked: int) -> list[Command]:
+    def say(phase, asked):
         if phase is Phase.WAITING:
             return [Command.GO]
         if phase is Phase.RUNNING and asked == 5:
@@ -332,12 +326,12 @@ def acting(act: Callable[[], object], success_at: int | None = None) -> Script:
     "come", ["INT", "TERM", "HUP", "HUP HUP HUP", "TERM HUP", "INT INT", "HUP TERM INT"]
 )
 def test_a_stop_from_outside_ends_the_episode_in_order_unless_somebody_insists(
-    fake, tmp_path, come: str
-) -> None:
+    fake, come, go, root
+):
     """Whoever reads what is shown may be gone by then."""
     reader, writer = os.pipe()
 
-    def interrupt() -> None:
+    def interrupt():
         os.close(reader)
         for name in come.split():
             signal.raise_signal(signal.Signals[f"SIG{name}"])
@@ -345,76 +339,65 @@ def test_a_stop_from_outside_ends_the_episode_in_order_unless_somebody_insists(
     before = [signal.getsignal(number) for number in STOPS]
     insists = len(come.replace("HUP", "").split()) > 1
     with open(writer, "w") as out, pytest.raises(KeyboardInterrupt) if insists else nullcontext():
-        end = go(fake, tmp_path / "data", acting(interrupt), out=out, episode_s=5.0)
-        assert end.exit_code == 130 and labels(tmp_path / "data") == ["aborted:interrupt"]
-    assert not fake.robot.is_connected and insists is not (tmp_path / "data" / "data").exists()
+        end = go(acting(interrupt), out=out, episode_s=5.0)
+        assert end.exit_code == 130 and labels(root) == ["aborted:interrupt"]
+    assert not fake.robot.is_connected and insists is not (root / "data").exists()
     assert [signal.getsignal(number) for number in STOPS] == before
 
 
-def test_nohup_goes_on_without_its_terminal(fake: FakeRig, tmp_path: Path) -> None:
+def test_nohup_goes_on_without_its_terminal(go):
     hang_up = acting(lambda: signal.raise_signal(signal.SIGHUP), success_at=8)
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        assert go(fake, tmp_path / "data", hang_up).exit_code == 0
+        assert go(hang_up).exit_code == 0
     finally:
         signal.signal(signal.SIGHUP, before)
 
 
-def test_a_terminal_that_takes_its_keyboard_along_is_an_interrupt_too(
-    fake: FakeRig, tmp_path: Path
-) -> None:
+def test_a_terminal_that_takes_its_keyboard_along_is_an_interrupt_too(fake, tmp_path, go, root):
     teleop = sway(tmp_path)
     breaks = acting(lambda: setattr(teleop, "error", RuntimeError("hung up")))
     own_hold = fake.rig.hold
 
-    def hold() -> None:
+    def hold():
         if teleop.error is not None:
             signal.raise_signal(signal.SIGHUP)
         own_hold()
 
-    fake.rig.hold = hold  # type: ignore[method-assign]
-    assert go(fake, tmp_path / "data", breaks, teleop, episode_s=5.0).exit_code == 130
-    assert labels(tmp_path / "data") == ["aborted:interrupt"]
+    fake.rig.hold = hold
+    assert go(breaks, teleop, episode_s=5.0).exit_code == 130
+    assert labels(root) == ["aborted:interrupt"]
 
 
-def test_a_row_that_the_store_refuses_late_ends_the_session_in_order(
-    fake, tmp_path, monkeypatch
-) -> None:
-    def refuse(*_: object) -> None:
+def test_a_row_that_the_store_refuses_late_ends_the_session_in_order(monkeypatch, go):
+    def refuse(*_):
         raise ContractError("state: expected finite numbers")
 
     monkeypatch.setattr(EpisodeRecorder, "save", refuse)
-    end = go(fake, tmp_path / "data", Unattended("success"))
+    end = go(Unattended("success"))
     assert end.exit_code == 3 and "finite" in end.message and len(end.endings) == 1
 
 
-def test_another_sensor_than_configured_is_refused_before_anything_moves(
-    fake: FakeRig, tmp_path: Path
-):
+def test_another_sensor_than_configured_is_refused_before_anything_moves(fake, go):
     captures = fake.captures
     captures["tactile_left"], captures["tactile_right"] = (
         captures["tactile_right"],
         captures["tactile_left"],
     )
     with pytest.raises(WrongSensorError, match="Another sensor answers"):
-        go(fake, tmp_path / "data", Unattended("success"))
+        go(Unattended("success"))
     assert not fake.arm.targets and not fake.robot.is_connected
 
 
-def test_another_setting_of_the_rig_is_refused_before_the_first_episode(
-    fake: FakeRig, tmp_path: Path
-) -> None:
+def test_another_setting_of_the_rig_is_refused_before_the_first_episode(fake, go, root):
     """Also what the robot itself says once it is connected."""
-    root = tmp_path / "data"
     load_kg = [0.7]
-    fake.robot.stored_facts = lambda: {"load_kg": load_kg[0]}  # type: ignore[attr-defined]
-    assert go(fake, root, Unattended("success"), rig={"robot.gain": 1}).exit_code == 0
+    fake.robot.stored_facts = lambda: {"load_kg": load_kg[0]}
+    assert go(Unattended("success"), rig={"robot.gain": 1}).exit_code == 0
     load_kg[0] = 0.9
     with pytest.raises(ContractError, match=r"robot.gain 1 → 2, robot.stored.load_kg 0.7 → 0.9"):
-        go(fake, root, Unattended("success"), episodes=2, rig={"robot.gain": 2})
-    end = go(
-        fake, root, Unattended("success"), episodes=2, rig={"robot.gain": 2}, accept_changes=True
-    )
+        go(Unattended("success"), episodes=2, rig={"robot.gain": 2})
+    end = go(Unattended("success"), episodes=2, rig={"robot.gain": 2}, accept_changes=True)
     assert end.exit_code == 0
     known = [read_card(root, episode)["settings"] for episode in (0, 1)]
     assert (
@@ -427,9 +410,8 @@ def test_another_setting_of_the_rig_is_refused_before_the_first_episode(
 STEPS = 6
 
 
-def test_a_scene_is_recorded_like_a_robot(tmp_path: Path) -> None:
+def test_a_scene_is_recorded_like_a_robot(tmp_path, root):
     rig = SimRig(WipeEnv("easy", max_steps=STEPS), paced=False)
-    root = tmp_path / "data"
     store = StoreSettings(root, "local/test", reserve_MB=1.0)
     settings = SessionSettings(episodes=2, episode_s=10.0)
     parts = rig, sway(tmp_path), Unattended("success"), store, settings

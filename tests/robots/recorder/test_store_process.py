@@ -3,9 +3,7 @@
 import os
 import signal
 import time
-from collections.abc import Iterator
 from contextlib import closing
-from pathlib import Path
 
 import numpy as np
 import psutil
@@ -13,7 +11,6 @@ import pytest
 
 from uniforce_datasets.lossless import open_dataset
 from uniforce_datasets.synthetic import dots, record_synthetic
-from uniforce_robots.recorder.episode import Store
 from uniforce_robots.recorder.rig import RigFacts
 from uniforce_robots.recorder.rows import RECORDERS_OWN, rig_features
 from uniforce_robots.recorder.store import StoreProcess, StoreSettings, open_recorder
@@ -28,7 +25,7 @@ FACTS = RigFacts("test", 30, WORN, CAMERAS, windows={"left": 3}, paced=False)
 REFERENCE = dots(0)
 
 
-def row(step: int, facts: RigFacts = FACTS) -> dict[str, np.ndarray]:
+def row(step, facts=FACTS):
     features = rig_features(facts)
     plain = {k: f for k, f in features.items() if k not in RECORDERS_OWN and f["dtype"] != "video"}
     numbers = {k: np.full(f["shape"], step + 1, f["dtype"]) for k, f in plain.items()}
@@ -40,18 +37,18 @@ def row(step: int, facts: RigFacts = FACTS) -> dict[str, np.ndarray]:
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Iterator[StoreProcess]:
+def store(tmp_path):
     with closing(StoreProcess(FACTS, StoreSettings(tmp_path / "data", "local/test"))) as store:
         yield store
 
 
 @pytest.mark.parametrize("name", ["left", "right", "tactile_left", "tactile_right_ref"])
-def test_no_scene_camera_shares_a_fingers_columns(name: str) -> None:
+def test_no_scene_camera_shares_a_fingers_columns(name):
     with pytest.raises(ContractError, match=f"cameras: .*, got {name}"):
         rig_features(RigFacts("test", 30, WORN, {"front": (48, 64, 3), name: (48, 64, 3)}))
 
 
-def record(store: Store, steps: int = 4) -> None:
+def record(store, steps=4):
     memory = {key: value.copy() for key, value in row(0).items()}
     for step in range(steps):
         for key, value in row(step).items():
@@ -60,13 +57,13 @@ def record(store: Store, steps: int = 4) -> None:
     store.save(True, "success", 3, card={"label": "success"})
 
 
-def signal_all(store: StoreProcess) -> None:
+def signal_all(store):
     for number in STOPS:
         os.kill(store.pid, number)
 
 
 @pytest.mark.slow
-def test_it_stores_what_the_recorder_itself_would(store: StoreProcess, tmp_path: Path) -> None:
+def test_it_stores_what_the_recorder_itself_would(store, tmp_path):
     """Also with signals while it starts and later, and rows refused at once or in the child."""
     signal_all(store)
     record(store)
@@ -98,9 +95,7 @@ def test_it_stores_what_the_recorder_itself_would(store: StoreProcess, tmp_path:
 
 
 @pytest.mark.slow
-def test_a_killed_process_is_an_error_and_loses_the_running_episode_only(
-    store: StoreProcess, tmp_path: Path
-):
+def test_a_killed_process_is_an_error_and_loses_the_running_episode_only(store, tmp_path):
     record(store)
     store.add(row(0), "wipe")
     os.kill(store.pid, signal.SIGKILL)
@@ -112,7 +107,7 @@ def test_a_killed_process_is_an_error_and_loses_the_running_episode_only(
 
 
 @pytest.mark.slow
-def test_what_is_wrong_at_the_start_is_raised(tmp_path: Path) -> None:
+def test_what_is_wrong_at_the_start_is_raised(tmp_path):
     settings = StoreSettings(record_synthetic(tmp_path / "other", 1, 2), "local/test")
     with (
         closing(StoreProcess(FACTS, settings)) as store,
@@ -124,7 +119,7 @@ def test_what_is_wrong_at_the_start_is_raised(tmp_path: Path) -> None:
         StoreProcess(FACTS, StoreSettings(tmp_path, "local/test"))
 
 
-def test_one_that_is_not_ready_ends_at_once(tmp_path: Path) -> None:
+def test_one_that_is_not_ready_ends_at_once(tmp_path):
     begun = time.monotonic()
     StoreProcess(FACTS, StoreSettings(tmp_path / "data", "local/test")).close()
     assert time.monotonic() - begun < 5.0, "it didn't wait for imports"

@@ -11,7 +11,7 @@ from benchmarks.recorder.rig import arm_clock, find_hold
 from benchmarks.recorder.verdict import bars
 
 
-def wire(stops_s: float, until_s: float = 3.0) -> list[dict]:
+def wire(stops_s, until_s=3.0):
     """An arm that goes round at 63 mm/s from second 0 and stops for good."""
     lines = []
     for time_s in np.arange(0, until_s, 1e-3):
@@ -24,14 +24,14 @@ def wire(stops_s: float, until_s: float = 3.0) -> list[dict]:
     return lines
 
 
-def test_the_hold_is_when_the_arm_began_to_brake_for_good() -> None:
+def test_the_hold_is_when_the_arm_began_to_brake_for_good():
     hold = find_hold(wire(stops_s=1.4), fault_s=1.0)
     assert hold == {"hold_s": pytest.approx(0.4, abs=0.03), "rest_s": pytest.approx(0.4, abs=0.03)}
     assert find_hold(wire(stops_s=0.5), fault_s=1.0) == {"hold_s": 0.0, "rest_s": 0.0}
     assert arm_clock(wire(stops_s=0.5)) == pytest.approx(0.5, abs=0.01)
 
 
-def test_braking_is_no_more_following() -> None:
+def test_braking_is_no_more_following():
     lines = wire(stops_s=1.4)
     end = np.array(lines[-1]["position_m"])
     slide = np.array([0, 0.006, 0])
@@ -41,16 +41,16 @@ def test_braking_is_no_more_following() -> None:
                 end + slide * (1 - math.exp((1.4 - line["time_s"]) / 0.1))
             ).tolist()
     hold = find_hold(lines, fault_s=1.0)
-    assert hold is not None and hold["hold_s"] < 0.5 and 0.55 < hold["rest_s"] < 0.65
+    assert hold["hold_s"] < 0.5 and 0.55 < hold["rest_s"] < 0.65
 
 
-def test_an_arm_that_goes_on_was_not_held() -> None:
+def test_an_arm_that_goes_on_was_not_held():
     assert find_hold(wire(stops_s=9.0), fault_s=1.0) is None
     assert find_hold(wire(stops_s=2.9), fault_s=1.0) is None, "0.1 s of rest proves nothing"
     assert find_hold([], fault_s=1.0) is None
 
 
-def test_verdicts() -> None:
+def test_verdicts():
     plain = {"right_outcome": True, "label": "aborted:x", "exit_code": 3}
     findings = [plain | {"hold_s": 0.1 * n} for n in range(10)]
     result = {

@@ -1,22 +1,20 @@
 """How much of a core this machine gives us: deadlines scale with it."""
 
 import time
-from collections.abc import Callable, Iterator
 
 import pytest
 
-from uniforce_robots.sensors.reader import ReaderLimits, SampleReader, SampleSource
-from uniforce_robots.standins.process import StandIn
+from uniforce_robots.sensors.reader import ReaderLimits, SampleReader
 from uniforce_robots.standins.scene import Scene, taxel_cycle
 from uniforce_vtla.errors import SensorError
 
 OUTCOME_S = 0.5  # a fault must show within this on a machine that has time for us
-TIMES = 10  # each fault is injected
+TIMES = 5  # each fault is injected
 RATE_HZ = 100.0  # of the stand-ins of tests/robots/conftest.py
 
 
 @pytest.fixture(scope="session")
-def cpu_share() -> float:
+def cpu_share():
     """Return the share of a core a busy loop got, 0 … 1: deadlines in milliseconds need one."""
     wall_s = time.perf_counter()
     cpu_s = time.process_time()
@@ -26,14 +24,14 @@ def cpu_share() -> float:
 
 
 @pytest.fixture
-def outcome(cpu_share: float) -> Callable[..., SensorError]:
+def outcome(cpu_share):
     """Return a function that calls another until it raises ``kind``, within a deadline.
 
     Another sensor error may come first: on a busy machine a sample grows stale before its cause is
     known.
     """
 
-    def wait(ask: Callable[[], object], kind: type[SensorError] = SensorError) -> SensorError:
+    def wait(ask, kind=SensorError):
         deadline_s = time.monotonic() + OUTCOME_S / cpu_share
         while time.monotonic() < deadline_s:
             try:
@@ -50,8 +48,8 @@ def outcome(cpu_share: float) -> Callable[..., SensorError]:
 
 
 @pytest.fixture
-def recovers(cpu_share: float) -> Callable[[Callable[[], object]], None]:
-    def wait(ask: Callable[[], object]) -> None:
+def recovers(cpu_share):
+    def wait(ask):
         deadline_s = time.monotonic() + 3.0 + 1.0 / cpu_share
         while True:
             try:
@@ -66,21 +64,14 @@ def recovers(cpu_share: float) -> Callable[[Callable[[], object]], None]:
 
 
 @pytest.fixture
-def fails_and_recovers(outcome: Callable, recovers: Callable) -> Callable[..., None]:
-    """Return a function that breaks a stand-in ten times; sees its error, then a new sample.
+def fails_and_recovers(outcome, recovers):
+    """Return a function that breaks a stand-in five times; sees its error, then a new sample.
 
     ``newest`` gives a sample younger than so many ms, ``wait_newer`` one after an index within so
     many ms.
     """
 
-    def check(
-        stand_in: StandIn,
-        fault: str,
-        kind: type,
-        newest: Callable,
-        wait_newer: Callable,
-        age_ms: float,
-    ):
+    def check(stand_in, fault, kind, newest, wait_newer, age_ms):
         for _ in range(TIMES):
             stand_in.inject(fault)
             error = outcome(lambda: newest(age_ms), kind)
@@ -93,11 +84,11 @@ def fails_and_recovers(outcome: Callable, recovers: Callable) -> Callable[..., N
 
 
 @pytest.fixture
-def costs_no_scan() -> Callable[..., None]:
-    """Return a function that injects a fault ten times; every scan must be the stand-in's."""
+def costs_no_scan():
+    """Return a function that injects a fault five times; every scan must be the stand-in's."""
     truth = {scan.tobytes() for scan in taxel_cycle(Scene(), RATE_HZ)}
 
-    def check(stand_in: StandIn, fault: str, reader: SampleReader) -> None:
+    def check(stand_in, fault, reader):
         for _ in range(TIMES):
             stand_in.inject(fault)
             before = reader.newest(1e4).index
@@ -109,7 +100,7 @@ def costs_no_scan() -> Callable[..., None]:
 
 
 @pytest.fixture
-def reader(source: SampleSource) -> Iterator[SampleReader]:
+def reader(source):
     """Read the source that a module names; there is a sample already."""
     reader = SampleReader(source, ReaderLimits(frozen_after=20, backoff_s=0.02, backoff_max_s=0.1))
     reader.start()

@@ -2,8 +2,6 @@
 
 import threading
 import time
-from collections.abc import Iterable
-from contextlib import ExitStack
 from itertools import cycle
 
 import numpy as np
@@ -15,34 +13,34 @@ from uniforce_robots.sensors.reader import SampleSource, Stamped, now_ns
 class ScriptedCapture:
     """Remember each ``set``; count up in pixels while it ``changes``, fail unless it ``works``."""
 
-    def __init__(self, rows: int = 48, columns: int = 64) -> None:
-        self.asked: list[tuple[int, float]] = []
-        self.values: dict[int, float] = {}
-        self.refuses: set[int] = set()
+    def __init__(self, rows=48, columns=64):
+        self.asked = []
+        self.values = {}
+        self.refuses = set()
         self.opens = self.works = self.changes = True
         self.count = self.released = 0
         self.frame = np.zeros((rows, columns, 3), np.uint8)
         self.frame[:, :4] = 255  # a mark at the left edge
 
-    def isOpened(self) -> bool:  # noqa: N802
+    def isOpened(self):  # noqa: N802
         return self.opens
 
-    def set(self, prop: int, value: float) -> bool:
+    def set(self, prop, value):
         self.asked.append((prop, value))
         if prop not in self.refuses:
             self.values[prop] = value
         return prop not in self.refuses
 
-    def get(self, prop: int) -> float:
+    def get(self, prop):
         return self.values.get(prop, 0.0)
 
-    def read(self) -> tuple[bool, np.ndarray | None]:
+    def read(self):
         time.sleep(0.002)
         self.count += self.changes
         self.frame[:, 4:, 0] = self.count % 250  # blue in OpenCV's order
         return (True, self.frame.copy()) if self.works else (False, None)
 
-    def release(self) -> None:
+    def release(self):
         self.released += 1
 
 
@@ -51,15 +49,16 @@ RETURNS = {
     "text": "frames",
     "no array": [Stamped(0, "frame")],
     "other": [Stamped(0, np.zeros(9))],
-}  # type: ignore[arg-type]
+}
+
+
+COUNTING = tuple(np.arange(1000).reshape(-1, 1))
 
 
 class ScriptedSource(SampleSource):
     """Give ``samples`` over and over, one every 3 ms, in the ``mode`` that a test sets."""
 
-    def __init__(
-        self, samples: Iterable[np.ndarray] = tuple(np.arange(1000).reshape(-1, 1))
-    ) -> None:
+    def __init__(self, samples=COUNTING):
         super().__init__("scripted")
         self._samples = cycle(samples)
         self._last = next(self._samples)
@@ -68,7 +67,7 @@ class ScriptedSource(SampleSource):
         self.closed = 0
         self.returns = threading.Event()
 
-    def _connect(self, undo: ExitStack) -> None:
+    def _connect(self, undo):
         if self.mode == "bug":
             raise ZeroDivisionError
         if self.mode == "gone":
@@ -76,16 +75,16 @@ class ScriptedSource(SampleSource):
         self.opened += 1
         undo.callback(self._count_closing)
 
-    def _count_closing(self) -> None:
+    def _count_closing(self):
         self.closed += 1
         if self.mode == "bug":
             raise ZeroDivisionError
 
-    def read(self) -> list[Stamped]:
+    def read(self):
         if self.mode == "gone":
             raise LostSensorError("scripted: expected data, got an unplugged cable. Plug it in.")
         if self.mode in RETURNS:
-            return RETURNS[self.mode]  # type: ignore[return-value]
+            return RETURNS[self.mode]
         if self.mode == "bug":
             raise ZeroDivisionError
         if self.mode == "hangs":

@@ -1,8 +1,5 @@
 """Camera settings and failures, with a scripted capture; the scene camera."""
 
-from collections.abc import Callable
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -24,20 +21,20 @@ SIZE = {"capture_width": 64, "capture_height": 48}
 
 
 @pytest.fixture
-def capture() -> ScriptedCapture:
+def capture():
     return ScriptedCapture()
 
 
 @pytest.fixture
-def make(capture: ScriptedCapture) -> Callable[..., CameraSource]:
-    def build(**options: object) -> CameraSource:
+def make(capture):
+    def build(**options):
         config = UniforceTactileCameraConfig(source="/dev/video9", **(SIZE | options))
         return CameraSource(config, lambda source: capture)
 
     return build
 
 
-def test_settings_are_asked_in_the_order_drivers_accept(capture: ScriptedCapture, make: Callable):
+def test_settings_are_asked_in_the_order_drivers_accept(capture, make):
     source = make()
     source.open()
     order = [prop for prop, _ in capture.asked]
@@ -64,24 +61,22 @@ REFUSED |= {
 }
 
 
-@pytest.mark.parametrize(("prop", "name"), REFUSED.items())
-def test_a_refused_setting_is_an_error_that_names_it(
-    capture: ScriptedCapture, make: Callable, prop: int, name: str
-):
+@pytest.mark.parametrize("prop, name", REFUSED.items())
+def test_a_refused_setting_is_an_error_that_names_it(capture, make, prop, name):
     capture.refuses = {prop}
     with pytest.raises(WrongSensorError, match=name):
         make().open()
     assert capture.released == 1
 
 
-def test_null_leaves_a_control_alone(capture: ScriptedCapture, make: Callable):
+def test_null_leaves_a_control_alone(capture, make):
     make(fourcc=None, exposure_100us=None, white_balance_K=None, gain=None).open()
     asked = {prop for prop, _ in capture.asked}
     exposure = {cv2.CAP_PROP_EXPOSURE, cv2.CAP_PROP_AUTO_EXPOSURE}
     assert not asked & (exposure | {cv2.CAP_PROP_AUTO_WB, cv2.CAP_PROP_GAIN})
 
 
-def test_frames_are_rgb_and_stamped_on_arrival(make: Callable):
+def test_frames_are_rgb_and_stamped_on_arrival(make):
     source = make()
     before = now_ns()
     source.open()
@@ -90,13 +85,13 @@ def test_frames_are_rgb_and_stamped_on_arrival(make: Callable):
     assert source.counts.samples == 1
 
 
-def test_a_camera_that_does_not_open(capture: ScriptedCapture, make: Callable):
+def test_a_camera_that_does_not_open(capture, make):
     capture.opens = False
     with pytest.raises(LostSensorError, match="doesn't open"):
         make().open()
 
 
-def test_failed_reads_in_a_row_mean_it_is_gone(capture: ScriptedCapture, make: Callable):
+def test_failed_reads_in_a_row_mean_it_is_gone(capture, make):
     source = make()
     source.open()
     capture.works = False
@@ -106,7 +101,7 @@ def test_failed_reads_in_a_row_mean_it_is_gone(capture: ScriptedCapture, make: C
     assert source.counts.bad == FAILED_READS
 
 
-def test_a_frame_of_another_size(capture: ScriptedCapture, make: Callable):
+def test_a_frame_of_another_size(capture, make):
     source = make()
     source.open()
     capture.frame = np.zeros((240, 320, 3), np.uint8)
@@ -115,9 +110,7 @@ def test_a_frame_of_another_size(capture: ScriptedCapture, make: Callable):
 
 
 @pytest.mark.parametrize("source", ["1", "/dev/video1", "linked"])
-def test_a_metadata_node_is_named_as_such(
-    capture, tmp_path: Path, monkeypatch, source: str
-) -> None:
+def test_a_metadata_node_is_named_as_such(capture, tmp_path, monkeypatch, source):
     for number, (index, usb) in enumerate(((0, "c270"), (1, "c270"), (0, "c920"))):
         node = tmp_path / f"video{number}"
         node.mkdir()
@@ -141,19 +134,19 @@ def test_an_absent_device_is_named():
 
 
 @pytest.mark.parametrize("address", ["http://", "https://127.0.0.1/x", "http://127.0.0.1:port/"])
-def test_addresses_that_cannot_be(address: str):
+def test_addresses_that_cannot_be(address):
     with pytest.raises(LostSensorError, match="http://host:port"):
         StreamSource(UniforceTactileCameraConfig(source=address)).open()
 
 
-def camera(capture: ScriptedCapture, **options: object) -> UniforceSceneCamera:
+def camera(capture, **options):
     plain = {"source": "0", "width": 64, "height": 48, "max_age_ms": 1000.0}
     return UniforceSceneCamera(
         UniforceSceneCameraConfig(**(plain | options)), lambda source: capture
-    )  # type: ignore[arg-type]
+    )
 
 
-def test_the_middle_is_cut_out_and_made_smaller() -> None:
+def test_the_middle_is_cut_out_and_made_smaller():
     with camera(
         ScriptedCapture(), width=24, height=24, capture_width=64, capture_height=48
     ) as device:
@@ -162,6 +155,6 @@ def test_the_middle_is_cut_out_and_made_smaller() -> None:
         assert image.max() < 255, "the left edge isn't in the middle"
 
 
-@pytest.mark.parametrize(("aspect", "shape"), [(1.0, (48, 48)), (2.0, (32, 64)), (4 / 3, (48, 64))])
-def test_the_middle_is_the_largest_one(aspect: float, shape: tuple[int, int]) -> None:
+@pytest.mark.parametrize("aspect, shape", [(1.0, (48, 48)), (2.0, (32, 64)), (4 / 3, (48, 64))])
+def test_the_middle_is_the_largest_one(aspect, shape):
     assert middle(np.zeros((48, 64, 3), np.uint8), aspect).shape[:2] == shape

@@ -1,9 +1,7 @@
 """Stock ``lerobot-record`` with our camera: exact tactile video, or no episode at all."""
 
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import av
@@ -16,7 +14,6 @@ from lerobot.scripts import lerobot_record
 
 import uniforce_robots.sensors  # noqa: F401  (registers the cameras)
 from uniforce_robots.sensors.lossy_recording import LOSSLESS
-from uniforce_robots.standins.process import StandIn
 from uniforce_vtla.errors import DatasetError
 from uniforce_vtla.keys import AXES
 
@@ -36,46 +33,46 @@ class StillRobot(Robot):
     is_calibrated = True
     is_connected = False
 
-    def __init__(self, config: StillRobotConfig) -> None:
+    def __init__(self, config):
         super().__init__(config)
         self.cameras = make_cameras_from_configs(config.cameras)
 
-    def calibrate(self) -> None: ...
+    def calibrate(self): ...
 
     configure = calibrate
 
-    def connect(self, calibrate: bool = True) -> None:
+    def connect(self, calibrate=True):
         for camera in self.cameras.values():
             camera.connect()
         self.is_connected = True
 
-    def disconnect(self) -> None:
+    def disconnect(self):
         for camera in self.cameras.values():
             camera.disconnect()
         self.is_connected = False
 
     @property
-    def observation_features(self) -> dict[str, Any]:
+    def observation_features(self):
         return self.action_features | {
             name: (c.height, c.width, 3) for name, c in self.cameras.items()
         }
 
-    def get_observation(self) -> dict[str, Any]:
+    def get_observation(self):
         return dict.fromkeys(AXES, 0.0) | {
             name: c.read_latest(60_000) for name, c in self.cameras.items()
         }
 
-    def send_action(self, action: dict[str, float]) -> dict[str, float]:
+    def send_action(self, action):
         return action
 
 
 @pytest.fixture
-def record(mjpeg: StandIn, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Path]:
+def record(mjpeg, tmp_path, monkeypatch):
     """Run ``lerobot-record`` for half a second with more flags; return the dataset's folder."""
     monkeypatch.setitem(sys.modules, HERE, sys.modules[__name__])
     monkeypatch.setattr(StillRobotConfig, "__module__", HERE)
 
-    def run(*flags: str, delivers: str = "markers") -> Path:
+    def run(*flags, delivers="markers"):
         camera = (
             f"{{type: uniforce_tactile, sensor: tactip, finger: right, source: '{mjpeg.address}', "
             f"delivers: {delivers}, capture_width: 640, capture_height: 480, connect_ms: 60000, "
@@ -104,7 +101,7 @@ def record(mjpeg: StandIn, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> C
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("flags", "delivers"),
+    "flags, delivers",
     [
         ([], "markers"),
         (["--dataset.rgb_encoder.vcodec=libsvtav1", "--dataset.rgb_encoder.crf=0"], "markers"),
@@ -115,14 +112,14 @@ def record(mjpeg: StandIn, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> C
 )
 def test_a_recording_with_loss_is_refused_before_its_first_episode(
     record, tmp_path, flags, delivers
-) -> None:
+):
     with pytest.raises(DatasetError, match=r"uniforce record, or add .*--dataset.video=false"):
         record(*flags, delivers=delivers)
     assert {path.name for path in (tmp_path / "data").rglob("*.*")} == {"info.json"}
 
 
 @pytest.mark.slow
-def test_the_flags_it_names_store_tactile_video_exactly(record: Callable[..., Path]) -> None:
+def test_the_flags_it_names_store_tactile_video_exactly(record):
     root = record(*LOSSLESS.split())
     video = next(root.rglob("*.mp4"))
     with av.open(str(video)) as stored:
@@ -133,7 +130,7 @@ def test_the_flags_it_names_store_tactile_video_exactly(record: Callable[..., Pa
 
 
 @pytest.mark.slow
-def test_images_beside_the_rows_are_exact_too(record: Callable[..., Path]) -> None:
+def test_images_beside_the_rows_are_exact_too(record):
     root = record("--dataset.video=false")
     info = (root / "meta/info.json").read_text()
     assert not list(root.rglob("*.mp4")) and '"dtype": "image"' in info

@@ -24,7 +24,7 @@ STREAM = HEADER + b"".join(part(image) for image in IMAGES) + b"--uniforceframe\
 
 @examples(60)
 @given(cuts=st.lists(st.integers(0, len(STREAM)), max_size=20))
-def test_how_the_stream_is_cut_makes_no_difference(cuts: list[int]):
+def test_how_the_stream_is_cut_makes_no_difference(cuts):
     reader = MultipartJpeg("cam")
     edges = [0, *sorted(cuts), len(STREAM)]
     assert [
@@ -35,13 +35,13 @@ def test_how_the_stream_is_cut_makes_no_difference(cuts: list[int]):
 @pytest.mark.parametrize(
     "boundary", [b'"uniforceframe"', b"--uniforceframe", b"uniforceframe; charset=x"]
 )
-def test_boundaries_as_servers_write_them(boundary: bytes):
+def test_boundaries_as_servers_write_them(boundary):
     data = STREAM.replace(b"boundary=uniforceframe", b"boundary=" + boundary, 1)
     assert len(MultipartJpeg("cam").feed(data)) == 4
 
 
 @pytest.mark.parametrize(
-    ("answer", "says"),
+    "answer, says",
     [
         (b"HTTP/1.0 404 Not Found\r\n\r\n", "404"),
         (b"HTTP/1.0 200 OK\r\nContent-Type: text/html\r\n\r\n", "text/html"),
@@ -54,7 +54,7 @@ def test_boundaries_as_servers_write_them(boundary: bytes):
         (HEADER + b"--uniforceframe\r\nContent-Type: image/jpeg\r\n\r\n", "Content-Length"),
     ],
 )
-def test_what_is_no_mjpeg_stream_is_a_typed_error(answer: bytes, says: str):
+def test_what_is_no_mjpeg_stream_is_a_typed_error(answer, says):
     with pytest.raises(ProtocolError, match=says):
         MultipartJpeg("cam").feed(answer)
 
@@ -62,7 +62,7 @@ def test_what_is_no_mjpeg_stream_is_a_typed_error(answer: bytes, says: str):
 def test_only_a_jpeg_of_sensible_size_is_decoded():
     jpeg = encode(np.full((48, 64, 3), 90, np.uint8))
     image = decode_bgr(jpeg)
-    assert image is not None and image.shape == (48, 64, 3)
+    assert image.shape == (48, 64, 3)
     at = jpeg.index(b"\xff\xc0") + 5
     assert decode_bgr(jpeg[:at] + b"\xff\xff\xff\xff" + jpeg[at + 4 :]) is None  # 65,535 px a side
     assert (
@@ -72,11 +72,11 @@ def test_only_a_jpeg_of_sensible_size_is_decoded():
     )
 
 
-def test_a_login_in_the_address_is_sent_and_never_part_of_the_path() -> None:
+def test_a_login_in_the_address_is_sent_and_never_part_of_the_path():
     with socket.create_server(("127.0.0.1", 0)) as server:
-        requests: list[bytes] = []
+        requests = []
 
-        def serve() -> None:
+        def serve():
             connection, _ = server.accept()
             with connection:
                 requests.append(connection.recv(4096))

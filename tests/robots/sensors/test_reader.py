@@ -2,7 +2,6 @@
 
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +18,7 @@ from uniforce_vtla.errors import ContractError, SensorError
 LIMITS = ReaderLimits(capacity=16, frozen_after=5, silent_s=0.3, backoff_s=0.01, backoff_max_s=0.02)
 
 
-def filled(count: int, capacity: int = 8) -> SampleReader:
+def filled(count, capacity=8):
     reader = SampleReader(ScriptedSource(), ReaderLimits(capacity))
     reader.keep([Stamped(1_000_000 * (i + 1), np.array([i, -i], np.int32)) for i in range(count)])
     return reader
@@ -27,7 +26,7 @@ def filled(count: int, capacity: int = 8) -> SampleReader:
 
 @examples(60)
 @given(count=st.integers(0, 40), capacity=st.integers(2, 9), since=st.integers(-1, 45))
-def test_what_is_kept_is_the_end_of_a_list(count: int, capacity: int, since: int):
+def test_what_is_kept_is_the_end_of_a_list(count, capacity, since):
     expected = list(range(count))[since + 1 :][-capacity:]
     later = [(stamp_ns, raw[0]) for stamp_ns, raw in filled(count, capacity).since(since)]
     assert later == [(1_000_000 * (i + 1), i) for i in expected]
@@ -39,7 +38,7 @@ def test_the_rate_is_measured():
 
 
 @pytest.mark.parametrize("limit", [{"silent_s": float("nan")}, {"frozen_after": -1}])
-def test_limits_that_are_none(limit: dict):
+def test_limits_that_are_none(limit):
     with pytest.raises(ContractError, match=next(iter(limit))):
         ReaderLimits(**limit)
 
@@ -90,7 +89,7 @@ def test_waiting_ends_with_the_next_sample(pair):
 
 
 @pytest.mark.parametrize(
-    ("mode", "kind", "says"),
+    "mode, kind, says",
     [
         ("gone", faults.LostSensorError, "Plug it in"),
         ("silent", faults.StaleSensorError, "scripted"),
@@ -107,9 +106,7 @@ def test_waiting_ends_with_the_next_sample(pair):
         ],
     ],
 )
-def test_each_fault_has_its_error_and_recovers_by_itself(
-    pair, outcome, recovers, mode, kind, says
-) -> None:
+def test_each_fault_has_its_error_and_recovers_by_itself(pair, outcome, recovers, mode, kind, says):
     source, reader = pair
     for _ in range(10):
         source.mode = mode
@@ -119,9 +116,7 @@ def test_each_fault_has_its_error_and_recovers_by_itself(
     assert reader.reconnects >= (10 if mode == "gone" else 0)
 
 
-def test_a_driver_that_hangs_gets_no_second_thread(
-    pair, monkeypatch: pytest.MonkeyPatch, outcome, recovers
-) -> None:
+def test_a_driver_that_hangs_gets_no_second_thread(pair, monkeypatch, outcome, recovers):
     source, reader = pair
     monkeypatch.setattr("uniforce_robots.sensors.reader.JOIN_S", 0.05)
     source.mode = "hangs"
@@ -139,7 +134,7 @@ def test_a_driver_that_hangs_gets_no_second_thread(
     assert (source.opened, source.closed) == (2, 1)
 
 
-def test_starts_and_stops_from_many_threads_leave_one_reader(pair) -> None:
+def test_starts_and_stops_from_many_threads_leave_one_reader(pair):
     _, reader = pair
     threads = [threading.Thread(target=call) for call in (reader.start, reader.stop) * 20]
     for thread in threads:
@@ -153,11 +148,11 @@ def test_starts_and_stops_from_many_threads_leave_one_reader(pair) -> None:
     assert not [t for t in threading.enumerate() if t.name == "reader of scripted"]
 
 
-def test_a_long_silence_reopens_the_device(pair, recovers: Callable):
+def test_a_long_silence_reopens_the_device(pair, recovers):
     source, _ = pair
     source.mode = "silent"
 
-    def reopened() -> None:
+    def reopened():
         if source.opened < 2:
             raise SensorError("not yet")
 
@@ -165,8 +160,8 @@ def test_a_long_silence_reopens_the_device(pair, recovers: Callable):
     assert source.closed >= 1
 
 
-@pytest.mark.parametrize(("mode", "says"), [("gone", "Plug it in"), ("bug", "ZeroDivisionError")])
-def test_a_device_that_does_not_open_fails_at_once(mode: str, says: str):
+@pytest.mark.parametrize("mode, says", [("gone", "Plug it in"), ("bug", "ZeroDivisionError")])
+def test_a_device_that_does_not_open_fails_at_once(mode, says):
     source = ScriptedSource()
     source.mode = mode
     reader = SampleReader(source, LIMITS)
@@ -195,7 +190,7 @@ def test_stopping_closes_the_device_and_nothing_is_delivered_after(pair):
     reader.wait_newer(source.counts.samples - 1, 30_000)
 
 
-def test_a_backlog_is_an_error_only_while_it_lasts(monkeypatch: pytest.MonkeyPatch):
+def test_a_backlog_is_an_error_only_while_it_lasts(monkeypatch):
     clock = [0.0]
     source = ScriptedSource()
     source.max_behind_s = 0.25

@@ -1,7 +1,5 @@
 """The uSkin as a LeRobot camera: marker image, reference, orientation; the chain to a latent."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,7 +10,6 @@ from scripted import ScriptedSource
 
 from uniforce_robots.sensors import UniforceUskin, UniforceUskinConfig
 from uniforce_robots.sensors.config_uniforce import Orientation
-from uniforce_robots.standins.process import StandIn
 from uniforce_robots.standins.scene import Scene, taxel_cycle
 from uniforce_vtla.errors import ContractError, SensorError
 from uniforce_vtla.markers import Canonicalizer
@@ -21,12 +18,12 @@ from uniforce_vtla.tokenizer.api import Tokenizer
 FREE = taxel_cycle(Scene(press_s=0), 50)[0]
 
 
-def config(**options: object) -> UniforceUskinConfig:
+def config(**options):
     plain = {"source": "x", "reference_samples": 5, "connect_ms": 30_000.0, "max_age_ms": 1000.0}
     return UniforceUskinConfig(**(plain | options))
 
 
-def test_a_robot_lists_it_like_any_camera(slcan: StandIn):
+def test_a_robot_lists_it_like_any_camera(slcan):
     cfg = config(source=slcan.address, reference_on_connect=False)
     camera = make_cameras_from_configs({"tactile_left": cfg})["tactile_left"]
     assert isinstance(camera, UniforceUskin) and (camera.height, camera.width) == (480, 640)
@@ -60,7 +57,7 @@ def test_a_reference_is_refused_in_contact():
     assert not camera.is_connected
 
 
-def test_a_steady_touch_is_refused_against_a_resting_level(tmp_path: Path):
+def test_a_steady_touch_is_refused_against_a_resting_level(tmp_path):
     pressed = np.tile(FREE + np.array([0, 0, 900]), (50, 1, 1)) + np.arange(50)[:, None, None] % 3
     np.save(tmp_path / "rest.npy", FREE)
     for name, kind, says in (
@@ -101,7 +98,7 @@ COUNTS = st.integers(0, 2**32 - 1).map(
 
 @examples(30)
 @given(COUNTS, st.sampled_from([90, 180, 270]), st.booleans())
-def test_turning_counts_turns_the_picture(counts: np.ndarray, turn: int, flip: bool):
+def test_turning_counts_turns_the_picture(counts, turn, flip):
     """Disc positions, in pitches about the middle, must turn as a square picture does."""
     small = (counts // 64).astype(np.uint16)  # no clipping, or turned and unturned differ
     zero = np.full((16, 3), 0, np.uint16)
@@ -114,7 +111,7 @@ def test_turning_counts_turns_the_picture(counts: np.ndarray, turn: int, flip: b
     assert distance.min(axis=1).max() < 1e-6 and distance.min(axis=0).max() < 1e-6
 
 
-def _centred(delta: np.ndarray) -> np.ndarray:
+def _centred(delta):
     """Return (16, 2) disc positions, x right and y up, in pitches about the patch's middle."""
     taxel = np.arange(16)
     rest = np.stack([taxel % 4, taxel // 4], axis=1) - 1.5

@@ -1,10 +1,9 @@
-"""uSkin through xela_server: every form its messages take, every fault ten times."""
+"""uSkin through xela_server: every form its messages take, every fault five times."""
 
 import itertools
 import json
 import socket
 import threading
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -15,24 +14,22 @@ from standins.xela import fragmented, frame, greeting
 from websockets.frames import Opcode
 
 from uniforce_robots.sensors import faults
-from uniforce_robots.sensors.reader import SampleReader
 from uniforce_robots.sensors.uskin_server import (
     MAX_MESSAGE_BYTES,
     ServerUSkin,
     XelaMessages,
     read_message,
 )
-from uniforce_robots.standins.process import StandIn
 from uniforce_vtla.errors import ContractError, SensorError
 
 RATE_HZ = 100.0  # of the shared stand-in
 MAX_AGE_MS = 100.0
-TIMES = 10
+TIMES = 5
 SCAN = np.random.default_rng(0).integers(0, 65_536, (16, 3)).astype(np.uint16)
 
 
 @pytest.fixture
-def source(xela: StandIn) -> ServerUSkin:
+def source(xela):
     return ServerUSkin(xela.address)
 
 
@@ -43,18 +40,16 @@ WRONG |= dict.fromkeys(("short", "absent"), faults.WrongSensorError)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("fault", "kind"), (DEAD | WRONG).items())
+@pytest.mark.parametrize("fault, kind", (DEAD | WRONG).items())
 def test_a_dead_or_wrong_server_is_a_typed_error_and_comes_back(
-    xela: StandIn, reader: SampleReader, fails_and_recovers: Callable, fault: str, kind: type
+    xela, reader, fails_and_recovers, fault, kind
 ):
     fails_and_recovers(xela, fault, kind, reader.newest, reader.wait_newer, MAX_AGE_MS)
 
 
 @pytest.mark.slow
-def test_a_closed_connection_is_opened_again(
-    xela: StandIn, reader: SampleReader, recovers: Callable
-):
-    def back(times: int) -> None:
+def test_a_closed_connection_is_opened_again(xela, reader, recovers):
+    def back(times):
         if reader.reconnects < times:
             raise SensorError("not yet")
         reader.newest(1e4)
@@ -69,27 +64,27 @@ def test_a_closed_connection_is_opened_again(
 @pytest.mark.parametrize(
     "fault", ["none", "list", "integers", "null", "fragments", "ping", "garbage"]
 )
-def test_every_form_of_message_is_understood(
-    xela: StandIn, reader: SampleReader, costs_no_scan, fault: str
-):
+def test_every_form_of_message_is_understood(xela, reader, costs_no_scan, fault):
     costs_no_scan(xela, fault, reader)
     assert (reader.counts.bad > 0) == (fault == "garbage") and reader.reconnects == 0
 
 
-def routine(data: object) -> str:
+def routine(data):
     return json.dumps({"type": "routine", "1": {"data": data}})
 
 
 @pytest.mark.parametrize(
-    ("text", "kind"),
+    "text, kind",
     [
         ("", faults.ProtocolError),
-        ("[" * 100_000, faults.ProtocolError),
+        ("[" * 500_000, faults.ProtocolError),
+        ('{"a":' * 200_000, faults.ProtocolError),
+        ("9" * 100_000, faults.ProtocolError),
         ("[1]", faults.ProtocolError),
         (json.dumps({"type": "routine"}), faults.WrongSensorError),
         *(
             (routine(data), faults.ProtocolError)
-            for data in (None, ["+1"] * 48, [True] * 48, [65_536] * 48)
+            for data in (None, [[]] * 48, ["+1"] * 48, [True] * 48, [65_536] * 48)
         ),
         (routine("1,2,3"), faults.WrongSensorError),
         (
@@ -98,13 +93,13 @@ def routine(data: object) -> str:
         ),
     ],
 )
-def test_messages_that_are_no_scan(text: str, kind: type):
+def test_messages_that_are_no_scan(text, kind):
     with pytest.raises(kind):
         read_message(text, "1", "uskin")
 
 
 @pytest.mark.parametrize("address", ["", ":5000", "host:x", "host:0", "host:70000"])
-def test_addresses_that_cannot_be(address: str):
+def test_addresses_that_cannot_be(address):
     with pytest.raises(ContractError, match="host:port"):
         ServerUSkin(address)
 
@@ -115,7 +110,7 @@ def test_addresses_that_cannot_be(address: str):
 TEXTS = ["", "short", "x" * 126, "y" * 70_000]
 
 
-def open_messages() -> XelaMessages:
+def open_messages():
     client = XelaMessages("127.0.0.1", 5000, "server")
     client.feed(greeting(b"".join(client.protocol.data_to_send())))
     return client
@@ -123,7 +118,7 @@ def open_messages() -> XelaMessages:
 
 @examples(60)
 @given(cuts=st.lists(st.integers(0, 70_300), max_size=12), pieces=st.integers(1, 4))
-def test_how_frames_are_cut_makes_no_difference(cuts: list[int], pieces: int):
+def test_how_frames_are_cut_makes_no_difference(cuts, pieces):
     data = b"".join(fragmented(text.encode(), pieces) for text in TEXTS)
     client = open_messages()
     edges = sorted({0, *(min(c, len(data)) for c in cuts), len(data)})
@@ -146,7 +141,7 @@ def test_how_frames_are_cut_makes_no_difference(cuts: list[int], pieces: int):
         b"\x81\x02\xff\xfe",  # no UTF-8
     ],
 )
-def test_what_the_rfc_forbids_is_a_typed_error(data: bytes):
+def test_what_the_rfc_forbids_is_a_typed_error(data):
     with pytest.raises(faults.ProtocolError):
         open_messages().feed(data)
 
@@ -165,10 +160,10 @@ def test_fragments_without_end_stay_bounded():
 @pytest.mark.parametrize(
     "answer", [b"HTTP/1.1 200 OK\r\n\r\n", b"x" * 9000, b"", b"HTTP/1.1 101 S\r\n\r\n"]
 )
-def test_what_is_no_websocket_server_is_a_typed_error(answer: bytes):
+def test_what_is_no_websocket_server_is_a_typed_error(answer):
     with socket.create_server(("127.0.0.1", 0)) as listener:
 
-        def serve() -> None:
+        def serve():
             connection, _ = listener.accept()
             with connection:
                 connection.recv(4096)

@@ -1,10 +1,8 @@
-"""uSkin over SLCAN against the stand-in: exact data, every fault ten times, the full rate."""
+"""uSkin over SLCAN against the stand-in: exact data, every fault five times, the full rate."""
 
 import itertools
 import os
 import warnings
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,24 +17,22 @@ from uniforce_robots.sensors.faults import (
     ProtocolError,
     StaleSensorError,
 )
-from uniforce_robots.sensors.reader import SampleReader
 from uniforce_robots.sensors.uskin_slcan import MAX_TAIL_BYTES, SlcanScans, SlcanUSkin
-from uniforce_robots.standins.process import StandIn
 from uniforce_robots.standins.scene import Scene, taxel_cycle
 from uniforce_robots.standins.slcan import scan_lines
 from uniforce_vtla.errors import ContractError
 
 RATE_HZ = 100.0  # of tests/robots/conftest.py
 MAX_AGE_MS = 100.0
-TIMES = 10
+TIMES = 5
 
 
 @pytest.fixture
-def source(slcan: StandIn) -> SlcanUSkin:
+def source(slcan):
     return SlcanUSkin(slcan.address)
 
 
-def test_scans_are_those_of_the_contact_simulator_in_order(reader: SampleReader):
+def test_scans_are_those_of_the_contact_simulator_in_order(reader):
     truth = [scan.tobytes() for scan in taxel_cycle(Scene(), RATE_HZ)]
     reader.wait_newer(50, 30_000)
     stamps_ns, scans = zip(*reader.since(-1), strict=True)
@@ -51,9 +47,9 @@ DEAD |= {"freeze": FrozenSensorError, "unplug": LostSensorError}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("fault", "kind"), DEAD.items())
+@pytest.mark.parametrize("fault, kind", DEAD.items())
 def test_a_dead_patch_is_a_typed_error_and_comes_back(
-    slcan: StandIn, reader: SampleReader, fails_and_recovers: Callable, fault: str, kind: type
+    slcan, reader, fails_and_recovers, fault, kind
 ):
     fails_and_recovers(slcan, fault, kind, reader.newest, reader.wait_newer, MAX_AGE_MS)
     if fault in ("missing", "duplicate"):
@@ -63,22 +59,20 @@ def test_a_dead_patch_is_a_typed_error_and_comes_back(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", ["bel", "garbage", "split"])
-def test_a_noisy_line_costs_no_scan(
-    slcan: StandIn, reader: SampleReader, costs_no_scan, fault: str
-):
+def test_a_noisy_line_costs_no_scan(slcan, reader, costs_no_scan, fault):
     costs_no_scan(slcan, fault, reader)
     assert (reader.counts.bad > 0) == (fault == "garbage")
 
 
-@pytest.mark.parametrize(("fault", "says"), [("refuse", "refused"), ("mute", "no answer")])
-def test_an_adapter_that_does_not_answer(slcan: StandIn, source: SlcanUSkin, fault: str, says: str):
+@pytest.mark.parametrize("fault, says", [("refuse", "refused"), ("mute", "no answer")])
+def test_an_adapter_that_does_not_answer(slcan, source, fault, says):
     slcan.inject(fault)
     for _ in range(TIMES if fault == "refuse" else 2):
         with pytest.raises(ProtocolError, match=says):
             source.open()
 
 
-def test_no_port_and_a_port_that_is_none(tmp_path: Path):
+def test_no_port_and_a_port_that_is_none(tmp_path):
     with pytest.raises(LostSensorError, match="xela_server"):
         SlcanUSkin(str(tmp_path / "absent")).open()
     (tmp_path / "file").touch()
@@ -86,7 +80,7 @@ def test_no_port_and_a_port_that_is_none(tmp_path: Path):
         SlcanUSkin(str(tmp_path / "file")).open()
 
 
-def test_a_reader_that_cannot_keep_up_says_so(slcan: StandIn, monkeypatch: pytest.MonkeyPatch):
+def test_a_reader_that_cannot_keep_up_says_so(slcan, monkeypatch):
     """Scans that waited in the kernel would carry stamps that make them look new."""
     # whatever comes is a full read
     monkeypatch.setattr("uniforce_robots.sensors.uskin_slcan.FULL_BYTES", 1)
@@ -99,7 +93,7 @@ def test_a_reader_that_cannot_keep_up_says_so(slcan: StandIn, monkeypatch: pytes
     source.close()
 
 
-def test_a_held_port_is_refused(slcan: StandIn, reader: SampleReader):
+def test_a_held_port_is_refused(slcan, reader):
     with pytest.raises(LostSensorError, match="lock"):
         SlcanUSkin(slcan.address).open()
     assert reader.newest(1e4).raw.shape == (16, 3)
@@ -108,27 +102,27 @@ def test_a_held_port_is_refused(slcan: StandIn, reader: SampleReader):
 class _Adapter:
     """A port on which the first scans come in one piece with the last acknowledgement."""
 
-    def __init__(self, *_: object, **__: object) -> None:
+    def __init__(self, *_, **__):
         self._out = b""
 
     @property
-    def in_waiting(self) -> int:
+    def in_waiting(self):
         return len(self._out)
 
-    def reset_input_buffer(self) -> None: ...
+    def reset_input_buffer(self): ...
 
-    def close(self) -> None: ...
+    def close(self): ...
 
-    def write(self, line: bytes) -> None:
+    def write(self, line):
         self._out += b"\r" + STREAM[:HALF_A_LINE] if line == b"O\r" else b"\r"
 
-    def read(self, _: int) -> bytes:
+    def read(self, _):
         chunk = self._out
         self._out = b""
         return chunk
 
 
-def test_scans_that_come_with_the_acknowledgement_are_kept(monkeypatch: pytest.MonkeyPatch):
+def test_scans_that_come_with_the_acknowledgement_are_kept(monkeypatch):
     monkeypatch.setattr("serial.Serial", _Adapter)
     source = SlcanUSkin("anywhere", controller=4)
     source.open()
@@ -158,7 +152,7 @@ STREAM = b"".join(b"".join(lines) for lines in LINES)
 HALF_A_LINE = len(STREAM) * 5 // 12 + 9
 
 
-def new_scans() -> SlcanScans:
+def new_scans():
     return SlcanScans(4)
 
 
@@ -172,7 +166,7 @@ def test_a_line_of_a_real_patch():
 
 @examples(40)
 @given(st.lists(st.integers(0, len(STREAM)), max_size=30))
-def test_how_the_stream_is_cut_makes_no_difference(cuts: list[int]):
+def test_how_the_stream_is_cut_makes_no_difference(cuts):
     scans = new_scans()
     edges = [0, *sorted(cuts), len(STREAM)]
     got = [scan for a, b in itertools.pairwise(edges) for scan in scans.feed(STREAM[a:b])]
@@ -184,7 +178,7 @@ def test_how_the_stream_is_cut_makes_no_difference(cuts: list[int]):
 @given(
     st.lists(st.tuples(st.integers(0, 95), st.sampled_from(["drop", "twice", "noise"])), max_size=6)
 )
-def test_whatever_breaks_taxels_of_two_scans_never_mix(faults: list[tuple[int, str]]):
+def test_whatever_breaks_taxels_of_two_scans_never_mix(faults):
     lines = [line for scan in LINES for line in scan]
     for at, fault in sorted(faults, reverse=True):
         line = lines[at : at + 1]  # empty where the last one was dropped before
@@ -195,14 +189,14 @@ def test_whatever_breaks_taxels_of_two_scans_never_mix(faults: list[tuple[int, s
 
 
 @pytest.mark.parametrize(
-    ("broken", "lost"),
+    "broken, lost",
     [
         (LINES[0][:7] + LINES[0][8:], 1),  # one missing
         ([*LINES[0][:4], *LINES[0][3:]], 1),  # one doubled
         (LINES[0][9:], 0),  # joined in the middle
     ],
 )
-def test_broken_scans_are_counted_and_whole_ones_delivered(broken: list[bytes], lost: int):
+def test_broken_scans_are_counted_and_whole_ones_delivered(broken, lost):
     scans = new_scans()
     assert (
         np.array_equal(scans.feed(b"".join(broken + LINES[1])), CYCLE[1:2])
@@ -227,7 +221,7 @@ def test_adapter_time_stamps_are_allowed():
 @pytest.mark.parametrize(
     "line", [b"t00489", b"t0048937E317E1593120G", b"t0048 37E317E1593120F", b"hello"]
 )
-def test_nonsense_is_counted_as_bad(line: bytes):
+def test_nonsense_is_counted_as_bad(line):
     scans = new_scans()
     assert not scans.feed(line + b"\r") and scans.counts.bad == 1
 

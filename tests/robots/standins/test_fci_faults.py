@@ -1,7 +1,5 @@
 """When a fault begins and ends, in the robot's own milliseconds, and the arm's state after it."""
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 
@@ -11,12 +9,12 @@ from uniforce_robots.standins.fci.protocol import ARM_VERSION
 
 
 @pytest.fixture
-def fci(address: str) -> Iterator[HostileStandIn]:
+def fci(address):
     with HostileStandIn(address) as standin:
         yield standin
 
 
-def test_an_arm_knows_when_it_moved_last(address: str) -> None:
+def test_an_arm_knows_when_it_moved_last(address):
     service = HostileArm(address, ARM_VERSION, Journal(None))
     # the last one creeps
     for speed_rad_s, held_ms, moving_ms in ((0.0, 0, None), (0.1, None, 2), (1e-3, 3, 2)):
@@ -31,7 +29,7 @@ def test_an_arm_knows_when_it_moved_last(address: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["earthquake", ["reflex"], None])
-def test_an_unknown_fault_is_refused(fci: HostileStandIn, name: object) -> None:
+def test_an_unknown_fault_is_refused(fci, name):
     with pytest.raises(ValueError, match="Error"):
         fci.do("fault", name=name)
     assert fci.do("look")["fault"] == {"name": NONE, "last": NONE, "at_ms": None, "at_s": None}

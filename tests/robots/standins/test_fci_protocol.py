@@ -13,7 +13,7 @@ from properties import examples
 from uniforce_robots.standins.fci import protocol as p
 
 
-def test_a_message_may_arrive_in_pieces() -> None:
+def test_a_message_may_arrive_in_pieces():
     whole = p.ARM_HEADER.encode(p.Message(1, 5, b"abc"))
     for cut in range(len(whole)):
         message, rest = p.ARM_HEADER.decode(whole[:cut])
@@ -22,7 +22,7 @@ def test_a_message_may_arrive_in_pieces() -> None:
 
 
 @pytest.mark.parametrize("size", [0, 11, 2**32 - 1])
-def test_an_impossible_size_is_refused(size: int) -> None:
+def test_an_impossible_size_is_refused(size):
     with pytest.raises(p.ProtocolError, match="message size"):
         p.ARM_HEADER.decode(p.ARM_HEADER.layout.pack(1, 1, size))
 
@@ -49,7 +49,7 @@ SIZES = [4, 10, 12, 16, 23, 40, 104, 113, 371, 416, 1377]
 @pytest.mark.parametrize("decode", DECODERS)
 @examples(60)
 @given(data=st.data())
-def test_garbage_is_decoded_or_refused_by_name(decode, data) -> None:
+def test_garbage_is_decoded_or_refused_by_name(decode, data):
     size = data.draw(st.sampled_from(SIZES) | st.integers(0, 1500))
     garbage = data.draw(st.randoms(use_true_random=False)).randbytes(size)
     try:
@@ -58,7 +58,7 @@ def test_garbage_is_decoded_or_refused_by_name(decode, data) -> None:
         assert "expected" in str(error)
 
 
-def test_numbers_that_are_none_are_refused() -> None:
+def test_numbers_that_are_none_are_refused():
     with pytest.raises(p.ProtocolError, match="finite"):
         p.RobotCommand.decode(encode_command(p.RobotCommand(1, tau_J_d=np.full(7, np.nan))))
     with pytest.raises(p.ProtocolError, match="finite"):

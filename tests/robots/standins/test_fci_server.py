@@ -17,11 +17,11 @@ STARTED = bytes([p.MoveStatus.MOTION_STARTED])
 PREEMPTED = bytes([p.MoveStatus.PREEMPTED])
 
 
-def rest(state: p.RobotState) -> p.RobotCommand:
+def rest(state):
     return p.RobotCommand(state.message_id)
 
 
-def test_what_makes_no_sense_is_refused(fci: StandIn) -> None:
+def test_what_makes_no_sense_is_refused(fci):
     invalid = bytes([p.SetterStatus.INVALID_ARGUMENT])
     with RawArm(fci.address) as arm:
         for command in [*p.SETTERS, 99]:
@@ -36,7 +36,7 @@ def test_what_makes_no_sense_is_refused(fci: StandIn) -> None:
         assert hand.status_of(p.HandCommand.HOMING) == p.HandStatus.SUCCESS
 
 
-def test_a_second_move_preempts_the_first_and_stop_the_second(fci: StandIn) -> None:
+def test_a_second_move_preempts_the_first_and_stop_the_second(fci):
     with RawArm(fci.address) as arm:
         first = arm.start()
         arm.loop(rest, 3)
@@ -52,7 +52,7 @@ def test_a_second_move_preempts_the_first_and_stop_the_second(fci: StandIn) -> N
         assert [(a.command_id, a.payload) for a in answers] == [(stop, b"\0"), (second, PREEMPTED)]
 
 
-def test_guiding_refuses_motion_and_lets_itself_be_pushed(fci: StandIn) -> None:
+def test_guiding_refuses_motion_and_lets_itself_be_pushed(fci):
     with RawArm(fci.address) as arm:
         before = fci.do("guide")["arm"]
         refused = arm.move()
@@ -62,7 +62,7 @@ def test_guiding_refuses_motion_and_lets_itself_be_pushed(fci: StandIn) -> None:
         wait_until(lambda: fci.do("look")["arm"]["position_m"][2] < z - 0.003, 60)
 
 
-def test_a_client_that_leaves_stops_the_arm_and_makes_room_for_the_next(fci: StandIn) -> None:
+def test_a_client_that_leaves_stops_the_arm_and_makes_room_for_the_next(fci):
     with RawArm(fci.address) as arm:
         arm.state()
         arm.start()
@@ -73,7 +73,7 @@ def test_a_client_that_leaves_stops_the_arm_and_makes_room_for_the_next(fci: Sta
         assert arm.state().mode == p.RobotMode.IDLE
 
 
-def test_a_mute_server_accepts_and_says_nothing(address: str) -> None:
+def test_a_mute_server_accepts_and_says_nothing(address):
     with StandIn(address, "--mute") as fci:
         with socket.create_connection((address, p.ARM_PORT), 5.0) as client:
             client.sendall(p.ARM_HEADER.encode(p.Message(0, 1, p.CONNECT.pack(10, 4000))))
@@ -84,7 +84,7 @@ def test_a_mute_server_accepts_and_says_nothing(address: str) -> None:
         wait_until(lambda: answers(address), 60, "a server that has seen its first client leave")
 
 
-def answers(address: str) -> bool:
+def answers(address):
     try:
         with RawArm(address) as arm:
             return arm.status == p.ConnectStatus.SUCCESS
@@ -92,7 +92,7 @@ def answers(address: str) -> bool:
         return False
 
 
-def test_orders_that_make_no_sense_are_refused(fci: StandIn) -> None:
+def test_orders_that_make_no_sense_are_refused(fci):
     for order in (
         {"what": "fly"},
         {"what": "wrench", "newtons": [1]},

@@ -13,7 +13,7 @@ NAMES = ("slcan", "standins.xela", "mjpeg")
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
-def test_each_is_ready_obeys_and_ends(name: str):
+def test_each_is_ready_obeys_and_ends(name):
     with StandIn(name, "press_s=0", "rest_s=0.5") as stand_in:
         assert stand_in.address.startswith(("/tmp/", "127.0.0.1:", "http://127.0.0.1:")), (
             "this machine only"

@@ -20,7 +20,7 @@ def test_a_cycle_begins_in_free_air_and_presses_after():
 
 
 @pytest.mark.parametrize("where", QUARTERS)
-def test_a_place_is_where_the_marker_image_shows_it(where: str):
+def test_a_place_is_where_the_marker_image_shows_it(where):
     free = taxel_cycle(Scene(press_s=0), 2)[0]
     pressed = taxel_cycle(Scene(where=where, hold=True), 2)[0]
     pair = Canonicalizer("uskin").pair(free, pressed, "left")

@@ -3,12 +3,8 @@
 import os
 import tempfile
 import time
-from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 
 # LeRobot's base class makes a calibration folder below its cache as soon as a teleoperator is made
@@ -18,13 +14,13 @@ from uniforce_vtla.errors import TeleoperatorError
 
 
 @pytest.fixture
-def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[bytes], None]]:
+def terminal(monkeypatch):
     master, slave = os.openpty()
     stdin = os.fdopen(slave, "r", closefd=False)
     monkeypatch.setattr("sys.stdin", stdin)
     open_ends = {master, slave}
 
-    def type_keys(keys: bytes) -> None:
+    def type_keys(keys):
         if keys:
             os.write(master, keys)
         else:  # hang up
@@ -37,15 +33,13 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[bytes], None
 
 
 @pytest.fixture
-def connected(
-    tmp_path: Path, request: pytest.FixtureRequest, terminal: object
-) -> Iterator[Callable[[str], Any]]:
+def connected(tmp_path, request, terminal):
     """Return a function: registered name → that teleoperator, connected until the end."""
     import teleop_fakes
 
     with ExitStack() as closing:
 
-        def make(name: str) -> Any:
+        def make(name):
             teleoperator = teleop_fakes.make(name, request, tmp_path)
             teleoperator.connect()
             closing.callback(teleoperator.disconnect)
@@ -55,7 +49,7 @@ def connected(
 
 
 @pytest.fixture
-def measured() -> np.ndarray:
+def measured():
     """(5,) where the robot is: the GELLO stand-in's home posture, fingers open."""
     import teleop_fakes
 
@@ -63,10 +57,10 @@ def measured() -> np.ndarray:
 
 
 @pytest.fixture
-def started(connected: Callable[[str], Any], measured: np.ndarray) -> Callable[[str], Any]:
+def started(connected, measured):
     """Return a function: registered name → that teleoperator, started where the robot is."""
 
-    def start(name: str) -> Any:
+    def start(name):
         device = connected(name)
         device.start_from(measured)
         return device
@@ -75,8 +69,8 @@ def started(connected: Callable[[str], Any], measured: np.ndarray) -> Callable[[
 
 
 @pytest.fixture
-def until() -> Callable[..., Any]:
-    def wait(ask: Callable[[], Any], says: Callable[[Any], bool], timeout_s: float = 20.0) -> Any:
+def until():
+    def wait(ask, says, timeout_s=20.0):
         deadline = time.monotonic() + timeout_s
         while not says(answer := ask()):
             assert time.monotonic() < deadline, answer
@@ -86,7 +80,7 @@ def until() -> Callable[..., Any]:
     return wait
 
 
-def fault_or_none(ask: Callable[[], Any]) -> str:
+def fault_or_none(ask):
     """Return the fault asking meets, "" where it meets none."""
     try:
         ask()
@@ -96,13 +90,13 @@ def fault_or_none(ask: Callable[[], Any]) -> str:
 
 
 @pytest.fixture
-def fault_of(until: Callable[..., Any]) -> Callable[[Callable[[], Any]], str]:
+def fault_of(until):
     """Return a function that asks until a TeleoperatorError comes, and says its fault."""
     return lambda ask: until(lambda: fault_or_none(ask), bool)
 
 
 @pytest.fixture
-def starts(until: Callable[..., Any], measured: np.ndarray) -> Callable[[Any], None]:
+def starts(until, measured):
     return lambda device: until(
         lambda: fault_or_none(lambda: device.start_from(measured)), lambda f: not f
     )

@@ -1,10 +1,6 @@
 """How each teleoperator is made for a test."""
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
-import pytest
 from lerobot.teleoperators import make_teleoperator_from_config
 
 import uniforce_robots.teleop as ours
@@ -12,12 +8,12 @@ from uniforce_robots.fr3 import HAND_TO_FLANGE, HOME_q_rad
 from uniforce_robots.teleop.gello import tool_axes
 
 
-def home_axes() -> np.ndarray:
+def home_axes():
     return np.array([*tool_axes(HOME_q_rad, float(HAND_TO_FLANGE[2, 3])), 0.08])
 
 
 # name: config, and which setting is the address of which stand-in
-CONFIGS: dict[str, tuple[Any, dict[str, str]]] = {
+CONFIGS = {
     "uniforce_keyboard": (ours.UniforceKeyboardConfig, {}),
     "uniforce_hand_guide": (ours.UniforceHandGuideConfig, {}),
     "uniforce_spacemouse": (ours.UniforceSpaceMouseConfig, {"device": "spacemouse"}),
@@ -25,7 +21,7 @@ CONFIGS: dict[str, tuple[Any, dict[str, str]]] = {
 }
 
 
-def make(name: str, request: pytest.FixtureRequest, folder: Path) -> Any:
+def make(name, request, folder):
     config, standins = CONFIGS[name]
     where = {
         setting: request.getfixturevalue(standin).address for setting, standin in standins.items()

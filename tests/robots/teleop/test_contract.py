@@ -2,8 +2,6 @@
 
 import threading
 import time
-from collections.abc import Callable
-from typing import Any
 
 import draccus
 import numpy as np
@@ -23,23 +21,21 @@ NAMES = sorted(
 LARGEST_STEP = np.array([0.03, 0.03, 0.03, 0.2, 0.03])  # of one call: limits × the longest gap
 
 
-def test_every_registered_one_is_tested_here() -> None:
+def test_every_registered_one_is_tested_here():
     from teleop_fakes import CONFIGS
 
     assert sorted(CONFIGS) == NAMES
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_lerobots_own_commands_can_name_it(name: str) -> None:
+def test_lerobots_own_commands_can_name_it(name):
     """Their parser reads class sources for help texts, and breaks over some."""
     flags = ["--robot.type=uniforce_franka", f"--teleop.type={name}"]
     assert draccus.parse(TeleoperateConfig, args=flags).teleop.type == name
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_life_of_a_teleoperator(
-    name: str, connected: Callable[[str], Any], measured: np.ndarray
-) -> None:
+def test_life_of_a_teleoperator(name, connected, measured):
     threads = set(threading.enumerate())
     device = connected(name)
     assert isinstance(device, Teleoperator) and device.name == name and device.is_connected
@@ -78,7 +74,7 @@ def test_life_of_a_teleoperator(
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_start_that_is_no_pose_is_refused(name: str, connected: Callable[[str], Any]) -> None:
+def test_a_start_that_is_no_pose_is_refused(name, connected):
     device = connected(name)
     for wrong in (np.full(5, np.nan), np.zeros(4), {"x.pos": 0.0}):
         with pytest.raises(TeleoperatorError):
@@ -100,7 +96,7 @@ FAULTS = {
 )
 def test_faults_stay_until_the_next_start(
     name, fault, connected, measured, fault_of, starts, request
-) -> None:
+):
     device = connected(f"uniforce_{name}")
     stand_in = request.getfixturevalue(name)
     device.start_from(measured)
@@ -116,9 +112,7 @@ def test_faults_stay_until_the_next_start(
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_loss_that_no_tick_saw_is_one_too(
-    name: str, connected: Callable[[str], Any], measured: np.ndarray, starts
-):
+def test_a_loss_that_no_tick_saw_is_one_too(name, connected, measured, starts):
     device = connected(name)
     device.start_from(measured)
     device.device.reconnects = 1

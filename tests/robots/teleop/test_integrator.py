@@ -20,7 +20,7 @@ times = st.floats(-1, 1e4)
 
 @examples(200)
 @given(poses, st.lists(st.tuples(moves, times, st.booleans()), max_size=20))
-def test_no_jump_whatever_is_asked(start: np.ndarray, orders: list) -> None:
+def test_no_jump_whatever_is_asked(start, orders):
     integrator = TargetIntegrator()
     integrator.start_from(start)
     assert np.array_equal(integrator.target, start)
@@ -35,7 +35,7 @@ def test_no_jump_whatever_is_asked(start: np.ndarray, orders: list) -> None:
 
 @examples(100)
 @given(st.lists(arrays(np.float64, 5, elements=st.floats(-1, 1)), min_size=1, max_size=300))
-def test_a_target_pushed_against_a_robot_that_stays_does_not_run_on(rates: list) -> None:
+def test_a_target_pushed_against_a_robot_that_stays_does_not_run_on(rates):
     measured = np.array([0.5, 0.0, 0.2, 0.0, 0.05])
     integrator = TargetIntegrator()
     integrator.start_from(measured)
@@ -48,7 +48,7 @@ def test_a_target_pushed_against_a_robot_that_stays_does_not_run_on(rates: list)
 @given(
     arrays(np.float64, 5, elements=st.floats(0, 1)), arrays(np.float64, 5, elements=st.floats(0, 1))
 )
-def test_a_goal_in_the_box_is_reached_in_time(from_share: np.ndarray, to_share: np.ndarray) -> None:
+def test_a_goal_in_the_box_is_reached_in_time(from_share, to_share):
     low = np.array(LIMITS.low)
     high = np.array(LIMITS.high)
     start = low + from_share * (high - low)
@@ -61,7 +61,7 @@ def test_a_goal_in_the_box_is_reached_in_time(from_share: np.ndarray, to_share: 
     assert np.allclose(integrator.target, goal, atol=1e-9)
 
 
-def test_speed_is_metres_per_second() -> None:
+def test_speed_is_metres_per_second():
     integrator = TargetIntegrator()
     integrator.start_from(np.array([0.5, 0, 0.2, 0, 0.05]))
     for _ in range(30):
@@ -69,7 +69,7 @@ def test_speed_is_metres_per_second() -> None:
     assert target[0] == pytest.approx(0.5 + LIMITS.speed[0])
 
 
-def test_three_positions_keep_their_direction() -> None:
+def test_three_positions_keep_their_direction():
     integrator = TargetIntegrator()
     start = np.array([0.5, 0, 0.2, 0, 0.05])
     integrator.start_from(start)
@@ -77,7 +77,7 @@ def test_three_positions_keep_their_direction() -> None:
     assert step[1] / step[0] == pytest.approx(0.5)
 
 
-def test_a_leash_lets_go_towards_the_robot() -> None:
+def test_a_leash_lets_go_towards_the_robot():
     integrator = TargetIntegrator()
     start = np.array([0.5, 0, 0.2, 0, 0.05])
     integrator.start_from(start)
@@ -91,6 +91,6 @@ def test_a_leash_lets_go_towards_the_robot() -> None:
     "wrong",
     [{"speed": (1, 2)}, {"low": (np.nan,) * 5}, {"low": (1.0,) * 5}, {"leash": (-1.0,) * 5}],
 )
-def test_impossible_limits_are_refused(wrong: dict) -> None:
+def test_impossible_limits_are_refused(wrong):
     with pytest.raises(ContractError):
         TargetLimits(**wrong)

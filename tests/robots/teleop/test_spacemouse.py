@@ -4,10 +4,7 @@ import itertools
 import os
 import socket
 import time
-from collections.abc import Callable, Iterator
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +16,6 @@ from standins.spacemouse import reports
 
 import uniforce_robots.teleop as ours
 from uniforce_robots.sensors.faults import LostSensorError, WrongSensorError
-from uniforce_robots.standins.process import StandIn
 from uniforce_robots.teleop import spacemouse as spacemouse_module
 from uniforce_robots.teleop.spacemouse import (
     LARGEST_COUNT,
@@ -35,7 +31,7 @@ counts = st.tuples(*[st.integers(-350, 350)] * 6)
 
 
 @given(counts, st.integers(0, 3), st.sampled_from(["three", "six"]))
-def test_both_layouts_say_the_same(axes: tuple, buttons: int, layout: str) -> None:
+def test_both_layouts_say_the_same(axes, buttons, layout):
     reader = SpaceMouseSource()
     assert all(reader.feed(report) for report in reports(axes, buttons, layout))
     assert reader.state.tolist() == [*axes, buttons & 1, buttons >> 1]
@@ -43,7 +39,7 @@ def test_both_layouts_say_the_same(axes: tuple, buttons: int, layout: str) -> No
 
 @examples(300)
 @given(st.lists(st.binary(max_size=64), max_size=20))
-def test_any_bytes_leave_a_possible_state(chunks: list) -> None:
+def test_any_bytes_leave_a_possible_state(chunks):
     reader = SpaceMouseSource()
     for chunk in chunks:
         reader.feed(chunk)
@@ -53,13 +49,11 @@ def test_any_bytes_leave_a_possible_state(chunks: list) -> None:
 
 
 @pytest.fixture
-def mouse(started: Callable[[str], Any]) -> Any:
+def mouse(started):
     return started("uniforce_spacemouse")
 
 
-def test_a_push_moves_and_letting_go_stops(
-    mouse: Any, spacemouse: StandIn, measured: np.ndarray, until: Callable[..., Any]
-) -> None:
+def test_a_push_moves_and_letting_go_stops(mouse, spacemouse, measured, until):
     spacemouse.inject("push")  # pushed away from the person: forward, +x
     until(lambda: mouse.get_action()["x.pos"], lambda x: x > measured[0] + 0.01)
     spacemouse.inject("none")
@@ -70,16 +64,12 @@ def test_a_push_moves_and_letting_go_stops(
     assert here["y.pos"] == measured[1] and here["yaw.pos"] == measured[3]
 
 
-def test_the_left_button_closes(
-    mouse: Any, spacemouse: StandIn, measured: np.ndarray, until: Callable
-):
+def test_the_left_button_closes(mouse, spacemouse, measured, until):
     spacemouse.inject("close")
     until(lambda: mouse.get_action()["width.pos"], lambda width: width < measured[4] - 0.005)
 
 
-def test_a_queue_is_drained_before_it_is_followed(
-    mouse: Any, spacemouse: StandIn, until: Callable
-) -> None:
+def test_a_queue_is_drained_before_it_is_followed(mouse, spacemouse, until):
     """Forty reports per beat, no question: once the cap is let go, the next answer is rest."""
     spacemouse.inject("burst")
     time.sleep(0.5)
@@ -88,25 +78,19 @@ def test_a_queue_is_drained_before_it_is_followed(
     assert mouse.device.counts.samples > 500
 
 
-def test_a_deflected_cap_that_falls_silent_is_stale(
-    mouse: Any, spacemouse: StandIn, until: Callable[..., Any], fault_of: Callable[..., str]
-) -> None:
+def test_a_deflected_cap_that_falls_silent_is_stale(mouse, spacemouse, until, fault_of):
     spacemouse.inject("push")
     until(mouse.rates, lambda rates: rates.any())
     spacemouse.inject("freeze")
     assert fault_of(mouse.get_action) == "stale"
 
 
-def test_no_start_with_a_deflected_cap(
-    mouse: Any, spacemouse: StandIn, measured: np.ndarray, fault_of: Callable[..., str]
-) -> None:
+def test_no_start_with_a_deflected_cap(mouse, spacemouse, measured, fault_of):
     spacemouse.inject("push")
     assert fault_of(lambda: mouse.start_from(measured)) == "far"
 
 
-def test_two_buttons_that_cancel_each_other_are_not_at_rest(
-    measured: np.ndarray, fault_of: Callable[..., str]
-) -> None:
+def test_two_buttons_that_cancel_each_other_are_not_at_rest(measured, fault_of):
     """Letting go of one of them would move the fingers, and that is no new wish."""
     pressed = SimpleNamespace(raw=np.array([0.0] * 6 + [1.0, 1.0]), age_ms=0.0)
     mouse = UniforceSpaceMouse(UniforceSpaceMouseConfig())
@@ -130,19 +114,16 @@ def test_a_plug_that_comes_back_with_a_pushed_cap_starts_nothing(
     assert mouse.get_action()["x.pos"] == measured[0]
 
 
-Nodes = Callable[..., list[socket.socket]]
-
-
 @pytest.fixture
-def nodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Nodes]:
+def nodes(tmp_path, monkeypatch):
     """Return a function: facts of each hidraw node → its far end, in a temporary kernel folder."""
-    ends: dict[str, tuple[socket.socket, socket.socket]] = {}
+    ends = {}
     monkeypatch.setattr(spacemouse_module, "SYS_HIDRAW", tmp_path)
     monkeypatch.setattr(find_spacemice, "__defaults__", (tmp_path,))
     monkeypatch.setattr(spacemouse_module, "_open", lambda path: os.dup(ends[path][0].fileno()))
     monkeypatch.setattr(spacemouse_module, "MOVE_S", 0.2)
 
-    def make(*facts: str, descriptor: bytes = b"") -> list[socket.socket]:
+    def make(*facts, descriptor=b""):
         for number, lines in enumerate(facts):
             device = tmp_path / f"hidraw{number}" / "device"
             device.mkdir(parents=True)
@@ -161,15 +142,15 @@ MOUSE = "HID_ID=0003:0000256F:0000C635\nHID_NAME=SpaceMouse\n"
 KEYBOARD = "HID_ID=0003:0000046D:0000C31C\nHID_NAME=K120\n"
 
 
-def read_until(source: SpaceMouseSource, says: Callable[[list], bool]) -> list:
-    samples: list = []
+def read_until(source, says):
+    samples = []
     deadline_s = time.monotonic() + 5
     while not says(samples) and time.monotonic() < deadline_s:
         samples += source.read()
     return [sample.raw.tolist() for sample in samples]
 
 
-def test_rest_is_silence_and_half_a_state_is_none(nodes: Nodes) -> None:
+def test_rest_is_silence_and_half_a_state_is_none(nodes):
     (device,) = nodes(MOUSE)
     source = SpaceMouseSource()
     source.open()
@@ -184,9 +165,7 @@ def test_rest_is_silence_and_half_a_state_is_none(nodes: Nodes) -> None:
     source.close()
 
 
-def test_of_a_receivers_nodes_the_one_that_moves_is_read_then_and_later(
-    nodes: Nodes, monkeypatch
-) -> None:
+def test_of_a_receivers_nodes_the_one_that_moves_is_read_then_and_later(nodes, monkeypatch):
     receiver = "HID_ID=0003:0000256F:0000C652\nHID_NAME=Universal Receiver\nHID_PHYS=usb-3/input"
     ends = nodes(*[f"{receiver}{n}\n" for n in range(3)])
     source = SpaceMouseSource()
@@ -202,7 +181,7 @@ def test_of_a_receivers_nodes_the_one_that_moves_is_read_then_and_later(
 
 
 @pytest.mark.parametrize(
-    ("facts", "descriptor", "is_one"),
+    "facts, descriptor, is_one",
     [
         (MOUSE, b"", True),
         ("HID_ID=0003:0000046D:0000C626\nHID_NAME=SpaceNavigator\n", b"", True),
@@ -211,9 +190,7 @@ def test_of_a_receivers_nodes_the_one_that_moves_is_read_then_and_later(
         (MOUSE, b"\x05\x01\x09\x06", False),  # a keyboard of the same maker
     ],
 )
-def test_a_spacemouse_is_what_the_kernel_says_it_is(
-    facts, descriptor, is_one, nodes: Nodes, tmp_path: Path
-) -> None:
+def test_a_spacemouse_is_what_the_kernel_says_it_is(facts, descriptor, is_one, nodes, tmp_path):
     nodes(facts, descriptor=descriptor)
     (tmp_path / "hidraw1").mkdir()  # says nothing of itself
     assert (
@@ -226,7 +203,7 @@ def test_a_spacemouse_is_what_the_kernel_says_it_is(
             SpaceMouseSource(named).open()
 
 
-def test_no_device_says_what_to_do(tmp_path: Path) -> None:
+def test_no_device_says_what_to_do(tmp_path):
     device = ours.UniforceSpaceMouse(
         ours.UniforceSpaceMouseConfig(device=str(tmp_path / "none"), calibration_dir=tmp_path)
     )
