@@ -13,7 +13,7 @@ import pytest
 import torch
 from lerobot.datasets import factory
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
-from lerobot.scripts import lerobot_train
+from lerobot.scripts import lerobot_eval, lerobot_train
 from safetensors.torch import load_file, save_file
 
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy
@@ -229,31 +229,47 @@ def test_command_line_becomes_lerobots():
     assert resumed == ["--resume=true", "--config_path=a=b.json"]
 
 
+# π0.5's own settings in a small network
+AS_BASE = [
+    "policy.touch.start_at_base=true",
+    "policy.action.form=absolute",
+    "policy.action.objective=flow",
+    "policy.sampler.noise_scale=1",
+]
+
+
 @pytest.mark.skipif(
     importlib.util.find_spec("peft") is None, reason="peft isn't installed (an extra)"
 )
-def test_lora_through_lerobots_trainer_is_merged_when_shared(
+def test_ten_steps_of_lora_are_saved_loaded_merged_and_rolled_out(
     dataset, tokenizer_path, tmp_path, monkeypatch
 ):
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
-    gated = [*policy_settings(tokenizer_path), "policy.touch.start_at_base=true"]
-    lerobot_training.train([*gated, *run_settings(dataset, tmp_path / "start")])
-    start = tmp_path / "start/checkpoints/last/pretrained_model"
+    started = [*policy_settings(tokenizer_path), *AS_BASE]
+    lerobot_training.train([*started, *run_settings(dataset, tmp_path / "start")])
+    start = tmp_path / "start" / LAST
     more = [f"policy.path={start}", "policy.device=cpu", "--peft.method_type=LORA", "--peft.r=2"]
-    lerobot_training.train([*more, *run_settings(dataset, tmp_path / "lora")])
-    trained = tmp_path / "lora/checkpoints/last/pretrained_model"
-    assert (trained / "adapter_model.safetensors").exists() and not (
-        trained / "model.safetensors"
-    ).exists()
-    assert share.main([f"checkpoint={trained}", f"out={tmp_path / 'shared'}"]) == 0
-    merged, before = (
-        load_file(folder / "model.safetensors") for folder in (tmp_path / "shared", start)
-    )
+    lerobot_training.train([*more, *run_settings(dataset, tmp_path / "lora", steps=10)])
+    trained = tmp_path / "lora" / LAST
+    assert (trained / "adapter_model.safetensors").exists()
+    assert not (trained / "model.safetensors").exists()
+    shared = tmp_path / "shared"
+    assert share.main([f"checkpoint={trained}", f"out={shared}"]) == 0
+    merged = load_file(shared / "model.safetensors")
+    before = load_file(start / "model.safetensors")
     assert merged.keys() == before.keys()
     moved = {name for name in merged if not torch.equal(merged[name], before[name])}
-    assert any("gemma_expert" in name for name in moved) and "model.touch_gate.gate" in moved
+    assert any("gemma_expert" in name for name in moved)
+    assert "model.touch_gate.gate" in moved
     assert not any("vision_tower" in name or "tactile_encoder" in name for name in moved)
-    assert not PI05UniforcePolicy.from_pretrained(tmp_path / "shared").config.use_peft
+    assert not PI05UniforcePolicy.from_pretrained(shared).config.use_peft
+    words = [f"--policy.path={shared}", "--policy.device=cpu", f"--output_dir={tmp_path / 'eval'}"]
+    words += ["--env.type=uniforce_wiping", "--env.episode_length=4", "--eval.n_episodes=1"]
+    words += ["--eval.batch_size=1", "--eval.use_async_envs=false"]
+    monkeypatch.setattr(sys, "argv", ["lerobot-eval", *words])
+    lerobot_eval.main()
+    (scene,) = json.loads((tmp_path / "eval" / "eval_info.json").read_text())["per_task"]
+    assert len(scene["metrics"]["successes"]) == 1
 
 
 @pytest.mark.slow  # two processes import LeRobot, 10 s each
