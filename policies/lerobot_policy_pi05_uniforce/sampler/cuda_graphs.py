@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
-from torch._dynamo.exc import TorchDynamoException
 from torch.nn import functional as F  # noqa: N812
 
 from lerobot_policy_pi05_uniforce.sampler.layers import StepTable
@@ -122,7 +121,7 @@ class GraphedSampler:
             compiled = functools.partial(run, through=self._compiled)
             try:
                 return Recording(compiled, buffers, self.recordings.capture)
-            except TorchDynamoException as error:
+            except RuntimeError as error:  # of dynamo, inductor, Triton or its C compiler
                 self._sampler.compiles = False
                 reason = str(error).partition("\n")[0][:200]
                 logger.warning("torch.compile fails, kernels run as they are: %s", reason)
