@@ -182,10 +182,7 @@ def test_eval_scores_the_shipped_policy_with_another_sensor(run: Run) -> None:
 
 @pytest.mark.realtime
 @has_client
-def test_rollout_drives_the_robot(
-    run: Run, arm: ArmStandIn, trained: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_rollout_drives_the_robot(run: Run, arm: ArmStandIn, trained: Path) -> None:
     before_m = arm.do("look")["arm"]["position_m"]
-    run("rollout")
-    assert "Rollout finished" in capsys.readouterr().err
+    run("rollout")  # it raises what ends it early
     assert not np.allclose(arm.do("look")["arm"]["position_m"], before_m, atol=1e-5)

@@ -87,6 +87,10 @@ class UniforceTokenizerProcessorStep(TokenizerProcessorStep):
         name = PACKAGED if self.tokenizer_name == PACKAGED else SAVED
         return {**super().get_config(), "tokenizer_name": name}
 
+    def save_artifacts(self, _: Path) -> dict[str, str]:
+        """Save no folder beside the state, as LeRobot's main would: files are in the state."""
+        return {}
+
     def state_dict(self) -> dict[str, Tensor]:
         """Return the tokenizer's files as (n,) uint8; nothing for the packaged one."""
         if self.tokenizer_name != PACKAGED and not self._files:

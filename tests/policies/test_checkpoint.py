@@ -264,6 +264,7 @@ def test_a_tokenizer_of_ones_own_moves_with_the_preprocessor(tmp_path) -> None:
     assert len(packaged) < VOCABULARY
     own = UniforceTokenizerProcessorStep(tokenizer_name=str(tmp_path), max_length=16)
     assert own.get_config()["tokenizer_name"] == SAVED
+    assert own.save_artifacts(tmp_path / "none") == {}, "LeRobot's main would save a folder"
     again = UniforceTokenizerProcessorStep(**own.get_config())
     with pytest.raises(CheckpointError, match="text tokenizer"):
         again._tokenize_text("wipe")
