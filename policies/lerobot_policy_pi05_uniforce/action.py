@@ -202,7 +202,10 @@ def check_within(
         raise RolloutError(expected(f"action, axis {axis}", wanted, came, do))
 
 
-@ProcessorStepRegistry.register(name="uniforce_check_action")
+CHECK_ACTION = "uniforce_check_action"
+
+
+@ProcessorStepRegistry.register(name=CHECK_ACTION)
 @dataclass
 class CheckActionStep(PolicyActionProcessorStep):
     """Let an action pass that is finite and within the demos' range, widened on each side.

@@ -18,8 +18,12 @@ from lerobot.datasets import factory
 from lerobot.scripts import lerobot_train
 from lerobot.utils.constants import PRETRAINED_MODEL_DIR
 
+from lerobot_policy_pi05_uniforce.action import CHECK_ACTION
+from lerobot_policy_pi05_uniforce.checkpoint import PROCESSORS, TYPE
+from lerobot_policy_pi05_uniforce.weights import CONFIG
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.file_hashes import write_hashes
+from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import VIEW_MARKER
 from uniforce_vtla.options import shortened
 from uniforce_vtla.results_file import PROVENANCE, provenance, write_json
@@ -105,10 +109,30 @@ def _stock_dataset(stock: Any, cfg: Any) -> Any:
 
 
 def _save_hashed(stock: Any, checkpoint_dir: Path, **given: Any) -> None:
-    """Save a checkpoint, its provenance and its ``hashes.json``.
+    """Save a checkpoint, its range of actions, its provenance and its ``hashes.json``.
 
     Here, since LeRobot saves the processors after the policy.
     """
     stock(checkpoint_dir=checkpoint_dir, **given)
-    write_json(checkpoint_dir / PRETRAINED_MODEL_DIR / PROVENANCE, provenance())
-    write_hashes(checkpoint_dir / PRETRAINED_MODEL_DIR)
+    folder = checkpoint_dir / PRETRAINED_MODEL_DIR
+    store_action_range(folder)
+    write_json(folder / PROVENANCE, provenance())
+    write_hashes(folder)
+
+
+def store_action_range(folder: Path) -> None:
+    """Write the range of a checkpoint's own demonstrations into its check of actions.
+
+    Fine-tuning loads the processors of the checkpoint that it starts from. LeRobot renews their
+    statistics and not this range, and rollouts would stop where only the new data went.
+    """
+    settings = read_object(folder / CONFIG, ContractError)
+    bounds = settings.get("action", {}).get("target_range")
+    if settings.get("type") != TYPE or not bounds:
+        return
+    path = folder / PROCESSORS[1]
+    processor = read_object(path, ContractError)
+    for step in processor["steps"]:
+        if step["registry_name"] == CHECK_ACTION and step["config"]["low"]:
+            step["config"]["low"], step["config"]["high"] = bounds
+    write_json(path, processor)

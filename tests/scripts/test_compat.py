@@ -3,6 +3,7 @@
 import ast
 import importlib
 import inspect
+import json
 import pkgutil
 import re
 from collections.abc import Iterator
@@ -12,7 +13,10 @@ from types import ModuleType
 
 import pytest
 
-from uniforce_cli.compat import PRIVATE
+from lerobot_policy_pi05_uniforce.action import CHECK_ACTION
+from lerobot_policy_pi05_uniforce.checkpoint import PROCESSORS, TYPE
+from lerobot_policy_pi05_uniforce.weights import CONFIG
+from uniforce_cli.compat import PRIVATE, store_action_range
 
 ROOMS = (
     "uniforce_vtla",
@@ -119,3 +123,22 @@ def test_no_private_name_of_lerobot_is_used_unlisted() -> None:
     assert not of_lerobot - {"_version", "_device"}  # torch's, psutil's
     text = "\n".join(texts)
     assert not [name for name in listed if not re.search(rf"\b{name}\b", text)], "no longer used"
+
+
+def test_a_fine_tuned_policy_may_act_where_its_own_demonstrations_did(tmp_path: Path) -> None:
+    stored = {"low": [0.0], "high": [1.0], "margin": 0.5}
+    steps = [{"registry_name": "device_processor", "config": {}}]
+    steps.append({"registry_name": CHECK_ACTION, "config": stored})
+    (tmp_path / PROCESSORS[1]).write_text(json.dumps({"steps": steps}))
+    settings = {"type": TYPE, "action": {"target_range": [[0.2], [3.0]]}}
+    (tmp_path / CONFIG).write_text(json.dumps(settings))
+    store_action_range(tmp_path)
+    found = json.loads((tmp_path / PROCESSORS[1]).read_text())["steps"]
+    assert found[1]["config"] == stored | {"low": [0.2], "high": [3.0]}
+    assert found[0] == steps[0]
+
+
+def test_another_policys_processors_are_left_alone(tmp_path: Path) -> None:
+    (tmp_path / CONFIG).write_text(json.dumps({"type": "act"}))
+    store_action_range(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [CONFIG]
