@@ -1,7 +1,7 @@
 """A second device for tests on a CPU: tensors that say ``meta`` and compute, and that refuse to meet those of the CPU.
 
 A tensor made without ``device=``, or brought to the CPU on the way, meets one of the device sooner or later and fails
-as on a GPU. What crosses to the host is counted: reading a number makes a GPU's queue run dry.
+as on a GPU. Transfers to the host are counted: reading a number makes a GPU's queue run dry.
 """
 
 import contextlib

@@ -40,7 +40,7 @@ HALF_SECOND = 15  # readings at 30 Hz
 
 @dataclass(frozen=True)
 class ForceReading:
-    """What a finger felt in one frame."""
+    """Reading of one frame of a finger."""
 
     latent: np.ndarray  # (K, L) float32, calibrated and pooled
     # (3,) on the pad, in the finger's own frame: x right, y down, z into the pad

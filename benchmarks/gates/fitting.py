@@ -1,4 +1,4 @@
-"""What the cleverest scripts learn on other scenes: stiffness, press from height, an observer."""
+"""Fits of the cleverest scripts, made on other scenes: stiffness, press from height, an observer."""
 
 import itertools
 import json
