@@ -24,7 +24,7 @@ EVERYWHERE = RewriteSettings(share=1.0, **SPANS)
 
 @pytest.fixture
 def env():
-    env = WipeEnv("touch")
+    env = WipeEnv("touch", drawn=())
     env.start(SEED)
     return env
 
@@ -67,7 +67,7 @@ def test_a_board_that_is_clean_is_wiped_once(env):
 
 
 def test_ink_that_never_goes_is_given_up():
-    env = WipeEnv("easy", max_steps=round(40 * CONTROL_HZ))
+    env = WipeEnv("easy", drawn=(), max_steps=round(40 * CONTROL_HZ))
     env.start(SEED)
     phases = run(env, lambda ink, wiping: ink.rewrite(np.zeros(2), np.array([0.2, 0.3]), 1.0))
     assert phases.count("wipe") == 1 + LOOKS_BACK and phases[-1] == "done"

@@ -10,7 +10,7 @@ from lerobot_env_uniforce_wiping.sequence import Z
 
 @pytest.fixture
 def env():
-    return WipeEnv("easy")
+    return WipeEnv("easy", drawn=())
 
 
 def commands(env, push_in, by_m, fall_s=4.0):

@@ -156,7 +156,7 @@ def test_step_reports_success_and_metrics_every_time():
 
 @pytest.mark.parametrize("seed", EASY_SEEDS)
 def test_expert_wipes_clean_with_smooth_and_slow_targets(seed):
-    env = WipeEnv()
+    env = WipeEnv(drawn=())
     speed = np.abs(np.diff(list(walk(env, WipeExpert(), seed)), axis=0)) * 30
     assert env.result().clean, env.result().reasons
     assert speed[:, 2].max() <= 0.080 and np.hypot(speed[:, 0], speed[:, 1]).max() <= 0.120
@@ -175,7 +175,7 @@ def test_runs_without_gl_and_loads_mujoco_with_the_first_scene_only():
 
 def descent(seed, noise, level="touch"):
     """Return measured and commanded height (n, 2), m, of an expert going down to the eraser."""
-    env = WipeEnv(level)
+    env = WipeEnv(level, drawn=())
     expert = WipeExpert(noise=noise)
     env.start(seed)
     expert.reset(env)
@@ -208,7 +208,7 @@ def test_a_hand_that_arrives_beside_its_row_comes_to_it(monkeypatch):
     """A policy arrives there, too; without demos of the way back it takes a wrong row."""
     beside_m = np.array([0.008, -0.016])
     monkeypatch.setattr(WipeExpert, "_stray", lambda self: beside_m)
-    env = WipeEnv("touch")
+    env = WipeEnv("touch", drawn=())
     expert = WipeExpert()
     env.start(SEED)
     expert.reset(env)
@@ -257,7 +257,7 @@ def test_features_follow_the_keys():
 def test_a_late_expert_answers_to_what_it_felt_before():
     """Recorded experts feel as late as pictures are: what they answer to can then be seen."""
     exact = ExpertNoise(force_sd_N=0.0, force_gain_sd=0.0)
-    env = WipeEnv("easy")
+    env = WipeEnv("easy", drawn=())
     expert = WipeExpert(noise=exact, late_steps=2)
     env.start(SEED)
     expert.reset(env)

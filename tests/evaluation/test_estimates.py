@@ -80,7 +80,7 @@ def test_what_cannot_be_judged_is_refused():
 )
 def test_true_forces_tell_the_simulators_events(press_N, grip_N, seed):
     """A hand too loose, too slippery a handle, too firm a press, and a clean wipe."""
-    env, expert = WipeEnv("touch"), WipeExpert(settings=TouchSettings(press_N, grip_N))
+    env, expert = WipeEnv("touch", drawn=()), WipeExpert(settings=TouchSettings(press_N, grip_N))
     env.start(seed)
     expert.reset(env)
     force, place, done = [], [], False
@@ -150,7 +150,7 @@ def corners_of(env):
 @pytest.mark.parametrize("seed, stop_at", [(1, 0.85), (2, 0.4), (5, 0.0)])
 def test_the_estimate_is_near_the_simulators_truth(seed, stop_at):
     """Wipe until so much is left, let the arm go home, and look."""
-    env, expert = WipeEnv("touch"), WipeExpert()
+    env, expert = WipeEnv("touch", drawn=()), WipeExpert()
     first = env.reset(seed=seed)[0]["pixels"]["front"]
     expert.reset(env)
     home, done = env.sim.measured.copy(), False
