@@ -235,6 +235,7 @@ AS_BASE = [
     "policy.action.form=absolute",
     "policy.action.objective=flow",
     "policy.sampler.noise_scale=1",
+    "policy.action.stop_outside_demos=never",  # two steps of training say nothing of the scene
 ]
 
 
