@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from uniforce_vtla.evaluation.episode import STEP_FIELDS, EpisodeResult, EpisodeTrace
+from uniforce_vtla.evaluation.episode import STEP_FIELDS, EpisodeResult, EpisodeTrace, empty_trace
 from uniforce_vtla.evaluation.film import FILM_HZ, PICTURE_PX, PLOT_PX, WIDTH_PX, film
 from uniforce_vtla.evaluation.rollout import Rollout, Shot
 
@@ -49,3 +49,9 @@ def test_a_policy_without_touch_has_the_camera_alone(rollout: Rollout) -> None:
     shots = [Shot(shot.step, shot.front, None) for shot in rollout.shots]
     first = next(film(replace(rollout, shots=shots), (4.0, 8.0)))
     assert not first[:PICTURE_PX, PICTURE_PX:].any()
+
+
+def test_an_episode_that_ended_before_its_first_step_has_one_frame(rollout: Rollout) -> None:
+    """The first chunk may be refused: a camera was seen, and nothing moved."""
+    ended = replace(rollout, trace=empty_trace(), shots=rollout.shots[:1])
+    assert len(list(film(ended, (4.0, 8.0)))) == 1
