@@ -1,5 +1,6 @@
 """The LeRobot robot: five axes and cameras in, five guarded axes out."""
 
+import inspect
 import logging
 import math
 import reprlib
@@ -30,12 +31,10 @@ from uniforce_vtla.keys import AXES, force_axes
 log = logging.getLogger(__name__)
 STRATEGIES = "lerobot.rollout.strategies.core"
 CONNECTED: WeakSet["UniforceFranka"] = WeakSet()  # while there is one, nothing leads an arm back
-
-
 # LeRobot 0.6's name, and its main's
 RETURN_MOTIONS = ("_return_to_initial_position", "return_to_initial_position")
 # LeRobot's rollout strategy and its own return motion, while that is replaced
-_replaced: list[tuple[type, str, Callable[..., Any]]] = []
+_replaced: list[tuple[type, str, Any]] = []
 
 
 def forbid_return_motion() -> bool:
@@ -55,9 +54,8 @@ def forbid_return_motion() -> bool:
         do = "Install lerobot>=0.6.1,<0.7."
         raise ContractError(expected("LeRobot's rollout", RETURN_MOTIONS, "neither", do))
     for name in names:
-        motion = getattr(strategy, name)
-        if motion is not _stay:
-            _replaced.append((strategy, name, motion))
+        if getattr(strategy, name) is not _stay:
+            _replaced.append((strategy, name, inspect.getattr_static(strategy, name)))
             setattr(strategy, name, staticmethod(_stay))
     return True
 
@@ -66,7 +64,7 @@ def allow_return_motion() -> None:
     """Give LeRobot its own return motion back, for other robots."""
     while _replaced:
         strategy, name, motion = _replaced.pop()
-        setattr(strategy, name, staticmethod(motion))
+        setattr(strategy, name, motion)
 
 
 def _stay(*_: object, **__: object) -> bool:
