@@ -91,6 +91,13 @@ class Share:
         return OTHER
 
 
+def percent(clean: int, n: int) -> tuple[float, float, float]:
+    """Return a share in %, and how far its 95 % interval reaches below and above."""
+    found = wilson(clean, n)
+    middle = 100 * clean / n
+    return middle, middle - 100 * found.low, 100 * found.high - middle
+
+
 def draw_shares(shares: Sequence[Share], path: Path, line: float | None = None) -> Path:
     """Draw a dot and its 95 % interval per line, the first on top; ``line`` is marked, in %."""
     figure = Figure(figsize=(7.5, 0.9 + ROW_inch * len(shares)), layout="constrained")
@@ -98,9 +105,8 @@ def draw_shares(shares: Sequence[Share], path: Path, line: float | None = None) 
     if line is not None:
         axes.axvline(line, color="0.6", lw=1, ls="--")
     for place, share in enumerate(shares):
-        found = wilson(share.clean, share.n)
-        middle = 100 * share.clean / share.n
-        reach = [[middle - 100 * found.low], [100 * found.high - middle]]
+        middle, below, above = percent(share.clean, share.n)
+        reach = [[below], [above]]
         axes.errorbar(middle, place, xerr=reach, fmt="o", color=share.colour, capsize=3)
     axes.set_yticks(range(len(shares)), [f"{s.label}  ({s.clean} of {s.n})" for s in shares])
     axes.invert_yaxis()

@@ -12,6 +12,7 @@ from benchmarks.ladder.plan import (
     CLAIMS,
     DEVELOPMENT,
     GRIPPER,
+    LEVEL,
     PARTS,
     SLACK,
     TRAINING_SEEDS,
@@ -21,7 +22,7 @@ from benchmarks.ladder.plan import (
 from benchmarks.ledger import update
 from benchmarks.scene_blocks import BLOCKS
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
-from uniforce_cli.boundary import Level, command, one_thread
+from uniforce_cli.boundary import command, one_thread
 from uniforce_cli.score import check_policies, score_arms
 from uniforce_cli.score_settings import ScoreConfig
 from uniforce_vtla.arguments import choose
@@ -31,8 +32,6 @@ from uniforce_vtla.evaluation.comparison import CleanBySeed, as_good, better
 from uniforce_vtla.evaluation.statistics import wilson
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.options import FolderPath, OutFile, OutFolder, Text, Workers
-
-LEVEL: Level = "touch"
 
 
 @dataclass

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 from benchmarks.calibrations import Fit, units
-from uniforce_cli.boundary import Gripper
+from uniforce_cli.boundary import Gripper, Level
 from uniforce_vtla.evaluation.comparison import AtMostWorse
 
+LEVEL: Level = "touch"
 GRIPPER: Gripper = "hand"
 DEVELOPMENT = range(22_000, 22_040)  # scenes that the variants are chosen on
 

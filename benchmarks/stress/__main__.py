@@ -10,22 +10,24 @@ from joblib import delayed
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from benchmarks.figures import OTHER, SENSOR_COLOURS, percent
+from benchmarks.ladder.plan import LEVEL
 from benchmarks.ledger import played
 from benchmarks.scene_blocks import BLOCKS
-from benchmarks.stress.actors import ACTORS, LEVEL, play
+from benchmarks.stress.actors import ACTORS, play
 from benchmarks.stress.faults import FAULTS
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
 from uniforce_cli.boundary import command, one_thread
 from uniforce_cli.score import content_of
 from uniforce_vtla.arguments import choose
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
-from uniforce_vtla.evaluation.statistics import wilson
 from uniforce_vtla.figure_file import save_figure
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.options import Count, FolderPath, OutFile, OutFolder, Text, Workers
 from uniforce_vtla.results_file import provenance, write_json
 
-COLOURS = dict(zip(ACTORS, ("#2a6f97", "#e07b39", "#444444"), strict=True))
+# all feel with a TacTip: its colour, a paler one, and that of what is no policy
+COLOURS = dict(zip(ACTORS, (SENSOR_COLOURS["TacTip"], "#89c2d9", OTHER), strict=True))
 
 
 @dataclass
@@ -122,9 +124,7 @@ def _draw_line(axes: Axes, row: Mapping[str, Any], colour: str, label: str) -> N
     points = []
     for dose, clean, n in zip(row["doses"], row["clean"], row["n"], strict=True):
         if n:
-            share = wilson(clean, n)
-            middle = 100 * clean / n
-            points.append((dose, middle, middle - 100 * share.low, 100 * share.high - middle))
+            points.append((dose, *percent(clean, n)))
     doses, middles, below, above = zip(*sorted(points), strict=True)
     axes.errorbar(doses, middles, (below, above), fmt="o-", color=colour, capsize=2, label=label)
 

@@ -8,20 +8,19 @@ from typing import Any
 import torch
 
 from benchmarks.calibrations import calibration_folder
+from benchmarks.ladder.plan import GRIPPER, LEVEL
 from benchmarks.stress.disturbed import DisturbedEnv
 from benchmarks.stress.faults import FAULTS, NOTHING, SCALES
 from benchmarks.stress.readings import ReadsWorn, shipped_reader
 from benchmarks.stress.row import Row, row_of
 from lerobot_env_uniforce_wiping.episodes import run_script
 from lerobot_policy_pi05_uniforce.controller import PolicyController
-from uniforce_cli.boundary import Gripper, Level, worker_process
+from uniforce_cli.boundary import worker_process
 from uniforce_cli.score_settings import Rig
 from uniforce_cli.score_worker import policy_on_rig
 from uniforce_vtla.errors import SensorError
 from uniforce_vtla.evaluation.rollout import roll_out
 
-LEVEL: Level = "touch"
-GRIPPER: Gripper = "hand"
 SENSOR = "tactip:1"  # of the demonstrations
 
 

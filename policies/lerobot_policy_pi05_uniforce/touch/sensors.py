@@ -65,7 +65,7 @@ class PolicySensors:
             self.by_slot[slot] = sensor(finger, held_N.get(slot))
             calibration = calibrations.get(finger)
             self.by_slot[slot].monitor = make_monitor(config, slot, calibration)
-            self.reads_grip[slot] = calibration is None or calibration.reads_grip
+            self.reads_grip[slot] = reads_grip(calibration)
         left, right = FINGERS
         own = self.by_slot[config.slots[0]]
         other = sensor(left if own.finger == right else right)
@@ -181,6 +181,11 @@ def make_monitor(
     return monitor_of(kind, finger, size, readings, calibration)
 
 
+def reads_grip(calibration: Calibration | None) -> bool:
+    """Return whether a sensor reads grip under a tool; of one without a calibration: yes."""
+    return calibration is None or calibration.reads_grip
+
+
 def held_grips(
     config: PI05UniforceConfig, calibrations: Mapping[Finger, Calibration]
 ) -> tuple[dict[str, float], list[str]]:
@@ -194,8 +199,7 @@ def held_grips(
     notes = []
     for slot, finger in config.finger_by_slot().items():
         calibration = calibrations.get(finger)
-        can_read = calibration is None or calibration.reads_grip
-        if config.grip == "read" or (config.grip == "" and can_read):
+        if config.grip == "read" or (config.grip == "" and reads_grip(calibration)):
             continue
         carried_N = config.touch.carried_N.get(slot)
         if carried_N is None:
