@@ -1,5 +1,4 @@
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -45,17 +44,6 @@ def refuses(capsys):
         assert said in capsys.readouterr().err
 
     return check
-
-
-@pytest.fixture
-def cut_scenes(monkeypatch):
-    """Return a function: scenes of level easy end after so many seconds from now on."""
-    from lerobot_env_uniforce_wiping.levels import LEVELS
-
-    def cut(time_limit_s):
-        monkeypatch.setitem(LEVELS, "easy", replace(LEVELS["easy"], time_limit_s=time_limit_s))
-
-    return cut
 
 
 @pytest.fixture(scope="session")

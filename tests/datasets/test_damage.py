@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from lerobot.datasets.dataset_tools import modify_tasks
+from lerobot.datasets.dataset_tools import delete_episodes, merge_datasets, modify_tasks
 
 from benchmarks.trust.damaged_datasets import DATASET_DAMAGES, record_whole
 from benchmarks.trust.injuries import cut, edit_json, flip_bit
@@ -190,3 +190,18 @@ def test_hashes_of_a_thousand_episodes_cost_little(tmp_path):
     store_hashes(tmp_path, many)
     assert read_hashes(tmp_path, DatasetError) == many
     assert time.process_time() - began_s < 1
+
+
+def test_merged_by_lerobot_then_hashed(demos, tmp_path):
+    merged, fewer = tmp_path / "merged", tmp_path / "fewer"
+    merge_datasets([open_dataset(demos), open_dataset(demos)], "local/merged", merged)
+    assert ours(merged, "rehash=true") == 0
+    stored = read_hashes(merged, DatasetError)
+    assert stored and not any("episode" in entry for entry in stored.values())  # packed files
+    source = check_dataset(merged, "full")
+    assert len(source.episodes) == 6
+    assert len({e.videos[k].file for e in source.episodes for k in e.videos}) == 6
+    record_synthetic(merged, 1, 4)
+    assert len(check_dataset(merged, "full").episodes) == 7
+    delete_episodes(open_dataset(demos), [1], fewer, "local/fewer")
+    assert ours(fewer, "rehash=true") == 0 and len(check_dataset(fewer, "full").episodes) == 2

@@ -11,12 +11,15 @@ import av
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from properties import examples
 
 from uniforce_datasets import staging, video_encoder
 from uniforce_datasets.cards import read_card
 from uniforce_datasets.features import vector_column
 from uniforce_datasets.lossless import check_dataset, open_dataset
-from uniforce_datasets.pooled_quantiles import POOLED_KEYS
+from uniforce_datasets.pooled_quantiles import POOLED_KEYS, pooled_stats
 from uniforce_datasets.raw_video import raw_path
 from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_datasets.source import read_source, stored_frames
@@ -436,3 +439,27 @@ def test_marker_images_and_references_come_back_exactly(tmp_path, changes):
     written = encoder.finish_episode()
     for key, frames in sent.items():
         assert np.array_equal(decoded(written[key][0]), np.stack(frames)), key
+
+
+@examples(20)
+@given(st.integers(1, 50), st.integers(0, 2**16))
+def test_statistics_do_not_depend_on_the_order_of_episodes(frames, seed):
+    rng = np.random.default_rng(seed)
+    values = rng.normal(size=(frames, 3))
+    first, shuffled = pooled_stats(values), pooled_stats(rng.permutation(values))
+    for name, value in first.items():
+        np.testing.assert_allclose(value, shuffled[name], atol=1e-12)
+
+
+def test_a_scene_camera_comes_back_about_as_it_was(tmp_path):
+    key = camera_key("front")
+    ramp = np.linspace(0, 255, 96).astype(np.uint8)
+    frames = [
+        np.repeat(np.roll(ramp, step)[None, :, None], 64, 0).repeat(3, 2) for step in range(FRAMES)
+    ]
+    encoder = PerKeyEncoder(30, queue_frames=2 * FRAMES, realtime=True)
+    encoder.start_episode([key], tmp_path)
+    for frame in frames:
+        encoder.feed_frame(key, frame)
+    shown = decoded(encoder.finish_episode()[key][0]).astype(int)
+    assert np.abs(shown - np.stack(frames)).mean() < 6

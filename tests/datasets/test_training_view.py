@@ -274,8 +274,8 @@ def test_a_damaged_view_is_built_anew(demos, tmp_path):
 
 @pytest.mark.slow
 def test_view_feeds_the_trainer_fast_enough(tmp_path):
-    """The whole chunk of the tiny policy, 16 actions, and an episode of 3 s, so that random access is real."""
-    data = record_synthetic(tmp_path / "data", episodes=1, frames=90)
+    """The whole chunk of the tiny policy, 16 actions, and episodes of 3 s, so that random access is real."""
+    data = record_synthetic(tmp_path / "data", episodes=3, frames=90)
     chunk = {"action": [step / FPS for step in range(16)]}
     stock = samples_per_s(open_dataset(data, delta_timestamps=chunk, return_uint8=True))
     view = built(data, tmp_path / "view", keep=lambda facts: True)

@@ -39,7 +39,7 @@ def forget_peak():
 
 def run(name, inputs, read, right, typed):
     """Return the counts of one target; ``read(i)`` reads the i-th injured input, ``right()`` the sound one."""
-    for _ in range(min(WARM_UP, inputs)):
+    for _ in range(WARM_UP):
         right()
     forget_peak()
     before_kib, refused, slowest_s, began_s = status_kib("VmRSS"), 0, 0.0, time.monotonic()

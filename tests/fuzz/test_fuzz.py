@@ -22,7 +22,7 @@ from uniforce_vtla.results_file import provenance, write_json
 HERE = Path(__file__).parent
 SHARE = {
     "bytes": int(os.environ.get("UNIFORCE_FUZZ_INPUTS", "1500")),
-    "files": int(os.environ.get("UNIFORCE_FUZZ_FILES", "12")),
+    "files": int(os.environ.get("UNIFORCE_FUZZ_FILES", "25")),
 }
 SEED = os.environ.get("UNIFORCE_FUZZ_SEED", "0")
 RESULTS = os.environ.get("UNIFORCE_FUZZ_RESULTS", "")

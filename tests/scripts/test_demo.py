@@ -2,7 +2,6 @@
 
 import os
 import sys
-from dataclasses import replace
 
 import pytest
 
@@ -53,13 +52,7 @@ def test_a_failed_step_shows_the_end_of_the_log_and_where_it_is(tmp_path, monkey
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_the_smallest_demo_prints_less_than_forty_lines(tmp_path, capfd, monkeypatch, cut_scenes):
-    """Scenes are cut short, so that the demo is none that wiped the board."""
-    cut_scenes(2.0)
-    make_view = view.make_view
-    monkeypatch.setattr(
-        view, "make_view", lambda config: make_view(replace(config, keep_failures=True))
-    )
+def test_the_smallest_demo_prints_less_than_forty_lines(tmp_path, capfd):
     out = tmp_path / "demo"
     assert demo.main(["episodes=1", "train_steps=1", "rollouts=1", "level=easy", f"out={out}"]) == 0
     said, warned = capfd.readouterr()

@@ -9,7 +9,7 @@ from uniforce_robots.standins.scene import Scene, taxel_cycle
 from uniforce_vtla.errors import SensorError
 
 OUTCOME_S = 0.5  # a fault must show within this on a machine that has time for us
-TIMES = 5  # each fault is injected
+TIMES = 10  # each fault is injected
 RATE_HZ = 100.0  # of the stand-ins of tests/robots/conftest.py
 
 
@@ -65,7 +65,7 @@ def recovers(cpu_share):
 
 @pytest.fixture
 def fails_and_recovers(outcome, recovers):
-    """Return a function that breaks a stand-in five times; sees its error, then a new sample.
+    """Return a function that breaks a stand-in ten times; sees its error, then a new sample.
 
     ``newest`` gives a sample younger than so many ms, ``wait_newer`` one after an index within so
     many ms.
@@ -85,7 +85,7 @@ def fails_and_recovers(outcome, recovers):
 
 @pytest.fixture
 def costs_no_scan():
-    """Return a function that injects a fault five times; every scan must be the stand-in's."""
+    """Return a function that injects a fault ten times; every scan must be the stand-in's."""
     truth = {scan.tobytes() for scan in taxel_cycle(Scene(), RATE_HZ)}
 
     def check(stand_in, fault, reader):

@@ -1,4 +1,4 @@
-"""The tactile camera against the MJPEG stand-in: markers, reference, every fault five times."""
+"""The tactile camera against the MJPEG stand-in: markers, reference, every fault ten times."""
 
 import re
 
@@ -18,7 +18,7 @@ from uniforce_robots.sensors import (
 from uniforce_vtla.contracts import check_marker_image
 from uniforce_vtla.errors import ContractError, SensorError
 
-TIMES = 5
+TIMES = 10
 MAX_AGE_MS = 150.0
 
 

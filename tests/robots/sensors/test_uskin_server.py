@@ -1,4 +1,4 @@
-"""uSkin through xela_server: every form its messages take, every fault five times."""
+"""uSkin through xela_server: every form its messages take, every fault ten times."""
 
 import itertools
 import json
@@ -24,7 +24,7 @@ from uniforce_vtla.errors import ContractError, SensorError
 
 RATE_HZ = 100.0  # of the shared stand-in
 MAX_AGE_MS = 100.0
-TIMES = 5
+TIMES = 10
 SCAN = np.random.default_rng(0).integers(0, 65_536, (16, 3)).astype(np.uint16)
 
 

@@ -1,4 +1,4 @@
-"""uSkin over SLCAN against the stand-in: exact data, every fault five times, the full rate."""
+"""uSkin over SLCAN against the stand-in: exact data, every fault ten times, the full rate."""
 
 import itertools
 import os
@@ -24,7 +24,7 @@ from uniforce_vtla.errors import ContractError
 
 RATE_HZ = 100.0  # of tests/robots/conftest.py
 MAX_AGE_MS = 100.0
-TIMES = 5
+TIMES = 10
 
 
 @pytest.fixture
