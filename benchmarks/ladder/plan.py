@@ -35,7 +35,8 @@ class Row:
     rollouts: int = 204
 
 
-VARIANTS = ("shear", "newtons", "flagged_newtons", "latent")  # simplest first
+# simplest first; gripped_shear was added after the first look (docs/experiments/swap.md)
+VARIANTS = ("shear", "gripped_shear", "newtons", "flagged_newtons", "latent")
 TRAINING_SEEDS = (0, 1)  # that the variants are chosen with
 RUNGS: dict[str, tuple[tuple[str, ...], Fit]] = {
     "S0": (("tactip",), ""),

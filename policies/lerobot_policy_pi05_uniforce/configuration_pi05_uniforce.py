@@ -57,9 +57,16 @@ NEVER_STORED = {
 }
 MOST_CARRIED_N = 100.0  # of a grip: no finger reads more
 FORMERLY = {"true": "always", "false": "robot"}  # action.stop_outside_demos
-# numbers of touch inputs that are no latent map
-FORCES = {"newtons": 3, "shear": 2, "flagged_newtons": 6, "wrench": 4}
-READ_BY_HEAD = ("newtons", "shear", "flagged_newtons")
+# touch inputs that are no latent map: N, N, N, Nmm and flags that become 1 in the network, so that
+# shear, press and torsion of a firm wipe are about 1 there
+FORCES: dict[str, tuple[float, ...]] = {
+    "newtons": (5, 5, 10),
+    "shear": (5, 5),
+    "gripped_shear": (5, 5, 1),
+    "flagged_newtons": (5, 5, 10, 1, 1, 1),
+    "wrench": (5, 5, 10, 100),
+}
+READ_BY_HEAD = ("newtons", "shear", "gripped_shear", "flagged_newtons")
 ENCODED = ("latent", *READ_BY_HEAD)  # touch inputs that come from the frozen tokenizer
 CHOICES = {
     "verify": ("full", "quick", "off"),
@@ -89,8 +96,8 @@ class TouchSettings:
     slots: dict[str, str] = field(default_factory=lambda: {"touch0": "right"})
     # "newtons" (tiny): three numbers that a frozen force head reads in the latents | "latent"
     # (base): the whole map, as in the paper | "shear": two of the newtons, no grip |
-    # "flagged_newtons": beside each newton whether it is known (augment.axis_dropout) | "none":
-    # plain π0.5 | "wrench": the simulator's own
+    # "gripped_shear": and whether something is gripped | "flagged_newtons": beside each newton
+    # whether it is known (augment.axis_dropout) | "none": plain π0.5 | "wrench": the simulator's
     input: str = _BY_SIZE
     # input=newtons: sensor type whose force head reads, that of the demonstrations' finger: the
     # shipped one, or the one beside tokenizer_path
@@ -366,7 +373,7 @@ class PI05UniforceConfig(PI05Config):
         """(rows, numbers) of a slot's input: a latent map (K, L), or one row of a force."""
         if self.touch.input == "latent":
             return self.tokens_per_slot, self.latent_size
-        return 1, FORCES[self.touch.input]
+        return 1, len(FORCES[self.touch.input])
 
     @property
     def tokenizer_hash(self) -> str:

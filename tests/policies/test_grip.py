@@ -10,7 +10,11 @@ from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import (
     TouchSettings,
 )
 from lerobot_policy_pi05_uniforce.touch.sensors import carried_grip, held_grips
-from lerobot_policy_pi05_uniforce.touch.touch_input import flagged, with_hidden_axes
+from lerobot_policy_pi05_uniforce.touch.touch_input import (
+    flagged,
+    gripped_shear,
+    with_hidden_axes,
+)
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.tokenizer.newtons import Lift, Newtons
 
@@ -123,6 +127,19 @@ def test_shear_is_the_newtons_without_grip(make_policy, make_batch) -> None:
     felt = shear.felt(batch).touches
     assert felt.shape[-2:] == (1, 2)
     assert torch.equal(felt, newtons.felt(batch).touches[..., :2])
+
+
+def test_gripped_shear_tells_that_something_is_held_and_not_how_hard(
+    make_policy, make_batch
+) -> None:
+    newtons = make_policy(touch__input="newtons")
+    policy = make_policy(touch__input="gripped_shear")
+    batch = make_batch(newtons)
+    assert torch.equal(policy.felt(batch).touches, gripped_shear(newtons.felt(batch).touches))
+    force_N = torch.tensor([[[0.5, -2.0, 0.3]], [[0.5, -2.0, 3.0]], [[0.5, -2.0, 12.0]]])
+    felt = gripped_shear(force_N)
+    assert torch.equal(felt[..., :2], force_N[..., :2])
+    assert felt[:, 0, 2].tolist() == [0, 1, 1]
 
 
 def test_flags_say_which_newtons_are_known(make_policy, make_batch) -> None:

@@ -33,6 +33,7 @@ PATHS = {
     "gate": WATCHED | {"touch__start_at_base": True},
     "newtons": {"touch__input": "newtons"},
     "shear": {"touch__input": "shear"},
+    "gripped shear": {"touch__input": "gripped_shear"},
     "axis trust": {"touch__input": "flagged_newtons"},
     "swap": WATCHED | {"touch__slots": {"touch0": "right"}, "swap": "touch0:left"},
     "calibrated": {"touch__input": "newtons"},

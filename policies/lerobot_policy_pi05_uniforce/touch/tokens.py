@@ -8,11 +8,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
-from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import FORCES, PI05UniforceConfig
 
 SHUT = 1e-6  # gate at the start, and the least that is left of it: a logit of −13.5
-# N, N, N, Nmm: shear, press and torsion of a firm wipe become ~1
-FORCE_SCALE = (5.0, 5.0, 10.0, 100.0)
 
 
 @dataclass(frozen=True)
@@ -47,10 +45,8 @@ class ForceTokens(nn.Module):
         super().__init__()
         numbers = input_shape[1]
         scale = torch.ones(numbers)
-        if config.touch.input == "flagged_newtons":
-            scale[: numbers // 2] = torch.tensor(FORCE_SCALE[: numbers // 2])
-        elif config.touch.input != "latent":
-            scale = torch.tensor(FORCE_SCALE[:numbers])
+        if config.touch.input != "latent":
+            scale = torch.tensor(FORCES[config.touch.input], dtype=torch.float32)
         self.register_buffer("input_mean", torch.zeros(input_shape))
         self.register_buffer("input_scale", scale)
         self.proj = _two_layers(numbers, width)

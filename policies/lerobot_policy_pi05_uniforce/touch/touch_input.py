@@ -23,6 +23,8 @@ type Batch = dict[str, Tensor]
 # reference, current
 PAIR_KEYS = {finger: (tactile_key(finger, True), tactile_key(finger)) for finger in FINGERS}
 WIDTH = AXES.index("width.pos")
+# grip from which on something is held: free air reads up to .3 N, the least calibrated GelSight 3 N
+GRIPPED_N = 2.0
 OPEN_m = 0.004  # below its widest command: the measured width lags behind
 
 
@@ -122,6 +124,8 @@ class TouchInput:
         force_N = self._newtons(batch, slot)[:, None]  # (B, 1, 3)
         if touch == "shear":
             return force_N[..., :FZ]
+        if touch == "gripped_shear":
+            return gripped_shear(force_N)
         if touch == "flagged_newtons":
             return flagged(force_N, self._reads_grip[slot])
         return force_N
@@ -179,6 +183,15 @@ class TouchInput:
         if not bounds or MEASURED_STATE not in batch:
             return False
         return bool((batch[MEASURED_STATE][:, WIDTH] > bounds[1][WIDTH] - OPEN_m).all())
+
+
+def gripped_shear(force_N: Tensor) -> Tensor:
+    """Return (B, 1, 3): fx, fy, and 1 where something is gripped, else 0.
+
+    How hard is left out: the hand holds by its own force, and kinds of sensor disagree about it.
+    """
+    gripped = (force_N[..., FZ:] > GRIPPED_N).to(force_N)
+    return torch.cat([force_N[..., :FZ], gripped], dim=-1)
 
 
 def flagged(force_N: Tensor, reads_grip: bool) -> Tensor:
