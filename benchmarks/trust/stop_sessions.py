@@ -68,6 +68,7 @@ WORLDS = ("simulated", "over_the_standin")
 FPS = 30
 STEPS = 30  # of a session, at most
 FULL = 350.0  # counts of a cap at full deflection
+REFERENCE_ticks = 6  # for which references are taken
 SAVING_ticks = 9  # for which an episode is saved; its encoders may take much longer
 TEXT = "abcdefghijklmnopqrstuvwxyz"
 COMMANDS = ("space", "esc", "enter", "y", "f", "g", "x", "r", "v", "t", "T", "V", "backspace")
@@ -128,7 +129,11 @@ class SessionRig(Rig):
     close = connect
 
     def begin_episode(self, seed: int) -> None:
-        """Take no references."""
+        """Take as long as references take, while nothing may move."""
+        self._world.watch.stopped("references", self._world.clock(), at_once=True)
+        for _ in range(REFERENCE_ticks):
+            self.meanwhile()
+            self._world.sleep(1 / FPS)
 
     def observe(self) -> Observation:
         """Return the axes, late or not at all where that was asked for."""
@@ -570,6 +575,11 @@ class StopMachine(RuleBasedStateMachine):
     def pause_and_go_on(self, key: str, before: int, between: int) -> None:
         """Pause for a moment and go on while the key or cap is held: nobody wishes anew."""
         session = self._live
+        if session.person.phase is Phase.WAITING:
+            session.keys.press("space")
+            self._wait(2)
+        if session.is_over:
+            return
         self._move(key, 0, 60, before)
         for ticks in (between, 12):
             if not session.is_over and session.person.phase in (Phase.RUNNING, Phase.PAUSED):
