@@ -4,7 +4,7 @@ STAMP := .venv/.ready
 export HF_HUB_OFFLINE ?= 1
 export TOKENIZERS_PARALLELISM ?= false
 
-.PHONY: help setup demo test lint docs properties faults rollout-faults fuzz ci canary clean lock
+.PHONY: help setup demo test thorough lint docs properties faults rollout-faults fuzz ci canary clean lock
 
 help:
 	@echo "make setup   fill .venv (Python 3.12, locked dependencies)"
@@ -16,7 +16,8 @@ help:
 	@echo "make faults  31 faults of the stand-in arm, ten times each, and 2,100 sessions of stops (40 minutes)"
 	@echo "make rollout-faults  15 kinds of fault in LeRobot's own rollout over the stand-in, ten times each (30 minutes)"
 	@echo "make canary  LEROBOT=/path: the tests that meet LeRobot, against a checkout of its source (25 minutes)"
-	@echo "make ci      make test, then the wheel in a fresh environment"
+	@echo "make thorough  the tests that repeat or take long, 12 minutes on one core"
+	@echo "make ci      make test and make thorough, then the wheel in a fresh environment"
 
 setup: $(STAMP)
 
@@ -33,11 +34,15 @@ lint: setup
 	.venv/bin/mypy
 
 test: setup lint
-	@$(PY) -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not realtime"; first=$$?; \
-	$(PY) -m pytest -m realtime; second=$$?; \
+	@$(PY) -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not realtime and not thorough"; first=$$?; \
+	$(PY) -m pytest -m "realtime and not thorough"; second=$$?; \
 	echo "first half, beside each other: $$([ $$first -eq 0 ] && echo passed || echo FAILED)"; \
 	echo "second half, against the clock: $$([ $$second -eq 0 ] && echo passed || echo FAILED)"; \
 	[ $$first -eq 0 ] && [ $$second -eq 0 ]
+
+# longer forms of the same tests, and what repeats; one after the other, for some hold a clock
+thorough: setup
+	$(PY) -m pytest -m thorough
 
 # NO_MKDOCS_2_WARNING: the theme's notice about its successor
 docs: setup
@@ -58,7 +63,7 @@ fuzz: setup
 	UNIFORCE_FUZZ_INPUTS=$${UNIFORCE_FUZZ_INPUTS:-100000} UNIFORCE_FUZZ_FILES=$${UNIFORCE_FUZZ_FILES:-2000} \
 	  UNIFORCE_FUZZ_RESULTS=docs/results/fuzz.json $(PY) -m pytest tests/fuzz --timeout 0
 
-ci: test
+ci: test thorough
 	bash scripts/check_wheel.sh
 
 LOCK = $$(command -v uv || echo .venv-uv/bin/uv) pip compile --python-version 3.12 --no-annotate --no-header --no-emit-index-url \

@@ -19,7 +19,7 @@ from uniforce_cli.score import ScoreConfig, score
 from uniforce_cli.view import ViewConfig, make_view
 from uniforce_vtla.errors import ContractError
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+pytestmark = pytest.mark.timeout(600)
 TINY = ["policy.tiny.width=64", "policy.tiny.depth=2", "policy.tiny.mlp_dim=32"]
 
 

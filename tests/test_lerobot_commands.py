@@ -24,7 +24,7 @@ from uniforce_robots.standins.fci.process import StandIn as ArmStandIn
 from uniforce_robots.standins.process import StandIn
 from uniforce_vtla.keys import AXES, TACTILE_KEYS
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+pytestmark = pytest.mark.timeout(600)
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "lerobot_commands.md").read_text()
 COMMANDS = ("record", "edit-dataset", "dataset-viz", "train", "eval", "rollout")

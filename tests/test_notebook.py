@@ -24,7 +24,7 @@ def pictures(cell):
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.timeout(900)  # 40 s of work; other processes may leave it little of a core
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_every_cell_runs_and_shows_its_picture(path, monkeypatch):

@@ -58,7 +58,6 @@ def wheel(tmp_path_factory):
     return build("wheel", next((folder / "sdist").iterdir()), folder)
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_the_wheel_holds_every_file_of_its_packages_and_nothing_else(wheel):
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"][
@@ -83,7 +82,6 @@ def test_the_wheel_holds_every_file_of_its_packages_and_nothing_else(wheel):
     }
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_it_runs_from_an_empty_environment_elsewhere(wheel, tmp_path):
     said(sys.executable, "-m", "venv", "env", folder=tmp_path)

@@ -45,7 +45,7 @@ def test_without_touch_the_press_depends_on_the_hidden_stiffness(
     assert presses[1] > 1.4 * presses[0] > 0
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_touch_that_stops_changing_or_misreads_does_not_wipe_this_board() -> None:
     env = WipeEnv(level="touch")
     assert sum(run_script(env, WipeExpert(), seed).clean for seed in range(5)) >= 4
@@ -91,7 +91,7 @@ def test_a_gate_holds_on_its_own_side_of_its_bar() -> None:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_run_scores_every_script_and_a_second_one_goes_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

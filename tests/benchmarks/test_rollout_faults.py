@@ -10,7 +10,9 @@ from benchmarks.trust.rollout_trials import KINDS, Trial
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize("kind", ["finger_unplugged", "policy_nan"])
+@pytest.mark.parametrize(
+    "kind", ["finger_unplugged", pytest.param("policy_nan", marks=pytest.mark.thorough)]
+)
 def test_a_rollout_is_held_and_told_why(kind: str, tmp_path: Path) -> None:
     rows = attempt(kind, 1, tmp_path)
     assert len(rows) == 1 and [row for row in rows if not row.is_right] == []

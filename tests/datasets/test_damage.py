@@ -145,7 +145,6 @@ def test_a_changed_dataset_is_not_continued(copy):
         EpisodeRecorder(copy, "local/x", "gelsight", "tactip", FPS)
 
 
-@pytest.mark.slow
 def test_edited_by_lerobot_then_hashed_again(copy, capsys):
     assert ours(copy) == 0 and "as it was saved" in capsys.readouterr().out
     modify_tasks(open_dataset(copy), new_task="another")

@@ -12,8 +12,6 @@ from uniforce_datasets.synthetic import record_synthetic
 from uniforce_vtla.errors import DatasetError
 from uniforce_vtla.file_hashes import read_hashes
 
-pytestmark = pytest.mark.slow
-
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):

@@ -130,7 +130,6 @@ def test_round_trip_with_stock_loader(tmp_path):
     assert set(columns[sensor_key("right")]) == {list_sensors().index("tactip")}
 
 
-@pytest.mark.slow
 def test_a_kill_between_any_two_steps_leaves_a_dataset_that_opens_verifies_and_goes_on(
     tmp_path, monkeypatch
 ):
@@ -235,7 +234,6 @@ def session(root):
         save_one(recorder)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("turn", range(3))
 def test_a_disk_that_fills_up_at_any_moment_is_one_error_and_costs_no_saved_episode(
     demos, tmp_path, monkeypatch, turn

@@ -73,7 +73,6 @@ def test_what_cannot_be_judged_is_refused():
         estimate_events(time_s[short], force[short], height[short], FRICTION)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "press_N, grip_N, seed",
     [(6.8, 4.0, 30_006), (9.5, 9.0, 30_001), (11.5, 9.0, 30_001), (7.5, 9.0, 30_005)],
@@ -146,7 +145,6 @@ def corners_of(env):
     return camera.to_pixels(camera.to_camera(world))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed, stop_at", [(1, 0.85), (2, 0.4), (5, 0.0)])
 def test_the_estimate_is_near_the_simulators_truth(seed, stop_at):
     """Wipe until so much is left, let the arm go home, and look."""

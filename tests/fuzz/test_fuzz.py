@@ -86,7 +86,6 @@ def keep(group, found):
     write_json(path, content | provenance())
 
 
-@pytest.mark.slow  # two processes that import everything, then a second or two per target
 def test_every_target_survives(campaign):
     group, counts = campaign
     assert counts.keys() == set(TARGETS[group])

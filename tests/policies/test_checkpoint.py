@@ -224,7 +224,6 @@ def test_tensors_lie_where_new_ones_would(tmp_path: Path) -> None:
     assert all(weight.data_ptr() % 64 == 0 for weight in layer.parameters())
 
 
-@pytest.mark.slow  # a fresh process imports LeRobot: 10 s
 @pytest.mark.skipif(
     not Path("/proc/self/status").exists(), reason="peak memory is read from Linux's /proc"
 )

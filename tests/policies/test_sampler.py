@@ -102,7 +102,6 @@ def test_in_bfloat16_it_is_as_near_to_float32_as_lerobots_loop(gate, make_policy
     assert (fast - exact).square().mean() < 1.5 * (slow - exact).square().mean()
 
 
-@pytest.mark.slow  # dynamo traces for some seconds
 @torch.no_grad()
 def test_torch_compile_traces_step_and_prefix_whole(make_policy, make_batch):
     policy = gated_policy(make_policy, OPEN)

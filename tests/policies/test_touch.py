@@ -500,7 +500,6 @@ def watch_start(words, monitor="stop", drawn=("right",)):
     return controller.policy.touch.is_watched
 
 
-@pytest.mark.slow
 def test_the_shipped_policy_renews_a_shifted_reference_and_stops_on_markers_that_come_and_go(
     caplog,
 ):
@@ -512,7 +511,6 @@ def test_the_shipped_policy_renews_a_shifted_reference_and_stops_on_markers_that
     assert not watch_start("tactip:1+flicker=0.6", monitor="off")
 
 
-@pytest.mark.slow
 def test_the_shipped_policy_compares_its_finger_with_the_other_one_where_that_is_seen(
     caplog, monkeypatch
 ):

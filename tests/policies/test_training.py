@@ -273,7 +273,6 @@ def test_ten_steps_of_lora_are_saved_loaded_merged_and_rolled_out(
     assert len(scene["metrics"]["successes"]) == 1
 
 
-@pytest.mark.slow  # two processes import LeRobot, 10 s each
 def test_two_processes_train_without_a_search_for_unused_parameters(
     dataset, tokenizer_path, tmp_path, run_to_the_end
 ):
@@ -307,7 +306,6 @@ def test_the_process_group_outlives_the_trainer(monkeypatch):
 PROGRAM = Path(__file__).with_name("sharded_program.py")
 
 
-@pytest.mark.slow  # two processes import LeRobot, 10 s each
 def test_a_sharded_step_is_the_whole_policys_step(
     make_policy, make_batch, tmp_path, run_to_the_end
 ):

@@ -11,8 +11,6 @@ from benchmarks.trust.stop_mutations import MUTATIONS, notice
 from benchmarks.trust.stop_sessions import explore
 from benchmarks.trust.stop_world import BRAKE_s, SimWorld, StandInWorld, Watch
 
-pytestmark = pytest.mark.slow
-
 
 def test_after_a_stop_nothing_moves_until_a_new_wish(caplog):
     with caplog.at_level(logging.CRITICAL):
@@ -20,6 +18,7 @@ def test_after_a_stop_nothing_moves_until_a_new_wish(caplog):
     assert counts["violations"] == 0 and counts["moved"] > 5, "they did move"
 
 
+@pytest.mark.thorough
 def test_the_same_over_the_stand_in(address, caplog):
     with caplog.at_level(logging.CRITICAL):
         assert explore(1, lambda: StandInWorld(address), steps=22)["violations"] == 0

@@ -31,7 +31,6 @@ from uniforce_vtla.tokenizer.gains import gain_of_loads, gain_through_a_tool
 from uniforce_vtla.tokenizer.mount_relation import SETTINGS
 
 
-@pytest.mark.slow
 def test_a_unit_learns_to_read_as_another_one_does(tmp_path, capsys):
     """Unit 12 of a TacTip is stiffer and answers to the same grasp by .84 of unit 1."""
     out = tmp_path / "map"
@@ -44,7 +43,6 @@ def test_a_unit_learns_to_read_as_another_one_does(tmp_path, capsys):
         assert judged.r2[2] > 0.95 and judged.r2[2] > judged.r2_before[2]
 
 
-@pytest.mark.slow
 def test_a_grasp_that_the_canonicaliser_refuses_is_left_out(tmp_path, caplog):
     """A pad of four tenths its stiffness moves markers further than any that pretraining saw, in the firmest grasps."""
     assert (

@@ -18,7 +18,6 @@ from uniforce_datasets.training_view import build_view
 from uniforce_vtla.tokenizer import Tokenizer
 
 
-@pytest.mark.slow
 def test_every_tensor_of_the_real_size_finds_its_place():
     """LeRobot's own 4 B network against ours, both without memory: same names, same shapes, two heads less."""
     with no_weights():
@@ -72,7 +71,6 @@ def convert(published, view, out, *more):
     return main([f"source={published}", f"view={view}", f"out={out}", *more])
 
 
-@pytest.mark.slow
 def test_a_conversion_keeps_every_weight_and_trains_on(published, view, tmp_path):
     out = tmp_path / "converted"
     assert convert(published, view, out, "touch_input=wrench") == 0

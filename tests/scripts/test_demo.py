@@ -50,8 +50,8 @@ def test_a_failed_step_shows_the_end_of_the_log_and_where_it_is(tmp_path, monkey
     assert "of a library" in log.read_text()
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(900)
+@pytest.mark.thorough
 def test_the_smallest_demo_prints_less_than_forty_lines(tmp_path, capfd):
     out = tmp_path / "demo"
     assert demo.main(["episodes=1", "train_steps=1", "rollouts=1", "level=easy", f"out={out}"]) == 0

@@ -182,7 +182,6 @@ def test_the_calibration_of_another_unit_is_refused(worn, fits, tmp_path, rolled
     assert len(jobs) == fits
 
 
-@pytest.mark.slow
 def test_two_dask_workers_score_as_one_process_does(tmp_path):
     """An extra: joblib's Dask back-end carries rollouts over a cluster."""
     distributed = pytest.importorskip("distributed", reason="dask.distributed is optional")
@@ -222,7 +221,6 @@ def bank():
     return donated_touch(Rig("easy"), donors=1)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("phase", [0, 2])
 def test_shuffled_touch_is_another_scenes_in_the_same_phase(phase, bank, monkeypatch):
     assert set(bank) == {0, 1, 2, 3}

@@ -87,7 +87,6 @@ def trained(tmp_path):
     return tmp_path / "trained", after(policy.select_action(before(raw_observation())))
 
 
-@pytest.mark.slow  # a fresh process imports LeRobot: 10 s
 def test_another_machine_gets_the_same_action(trained, tmp_path, monkeypatch):
     checkpoint, action = trained
     (tmp_path / "wiping.json").write_text(json.dumps(SCORES))

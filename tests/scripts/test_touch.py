@@ -80,7 +80,6 @@ def test_rerun_receives_everything(monkeypatch):
     )
 
 
-@pytest.mark.slow
 def test_live_view_of_a_stand_in(tmp_path, capsys):
     with StandIn("slcan", "rate_hz=100", "rest_s=3", "press_s=2") as stand_in:
         save = tmp_path / "touch.png"
@@ -91,7 +90,6 @@ def test_live_view_of_a_stand_in(tmp_path, capsys):
     assert "taking the reference" in out and re.search(r"force x y z +[-+]\d", out)
 
 
-@pytest.mark.slow
 def test_live_view_of_a_camera_stand_in(capsys):
     with StandIn("mjpeg", "sensor=gelsight", "rate_hz=10", "press_s=0") as stand_in:
         assert (

@@ -41,7 +41,6 @@ def addresses(pid):
     return [connection.laddr.ip for connection in open_ones]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["mjpeg", "standins.xela"])
 def test_tactile_stand_ins_listen_on_loopback(name):
     with StandIn(name, "rest_s=0.2", "press_s=0", "rate_hz=5") as stand_in:
@@ -49,7 +48,6 @@ def test_tactile_stand_ins_listen_on_loopback(name):
     assert found and all(ipaddress.ip_address(address).is_loopback for address in found)
 
 
-@pytest.mark.slow
 def test_the_arms_stand_in_listens_at_its_address():
     with FciStandIn("127.0.0.77") as stand_in:
         found = addresses(stand_in.process.pid)

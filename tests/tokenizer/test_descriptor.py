@@ -129,7 +129,7 @@ def test_heads_read_what_the_descriptors_hold_and_judge_by_it():
     assert row["press_above_limit"] == [False, False]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_described_episode_is_a_whole_wipe_of_both_fingers():
     """One short look: the scene's own frames described, forces beside them."""
     (episode,) = described_episodes("touch", range(70_500, 70_501))

@@ -79,12 +79,14 @@ def test_a_broken_guard_is_noticed_on_the_copy_that_was_broken():
         assert pool.submit(notice, "sent: box unchecked").result().startswith("box")
 
 
-@pytest.mark.slow
-def test_whatever_comes_nothing_wrong_is_sent(caplog):
+@pytest.mark.parametrize(
+    "episodes", [pytest.param(200), pytest.param(1100, marks=pytest.mark.thorough)]
+)
+def test_whatever_comes_nothing_wrong_is_sent(caplog, episodes):
     """``python -m benchmarks.trust.mutations`` shows that each broken guard fails in 200 episodes."""
     with caplog.at_level(logging.CRITICAL):
-        found = drive(episodes=1100, seed=7)
-    assert found["violations"] == [] and found["sent"] > 100_000
+        found = drive(episodes=episodes, seed=7)
+    assert found["violations"] == [] and found["sent"] > 90 * episodes
     assert {"action", "bad_state", "jump", "speed", "force", "guard"} <= set(found["faults"]), (
         "it did attack"
     )

@@ -38,7 +38,6 @@ from uniforce_vtla.hand import Hand, HandCommand
 CHILDREN = Path(common.__file__).parent
 PATIENCE_s = 60.0  # a busy machine; the robot's own clock is what is asserted on
 BOX = GuardLimits(low=(0.2, -0.3, 0.1, -np.pi, 0.0), high=(0.7, 0.3, 0.6, np.pi, 0.08))
-pytestmark = pytest.mark.slow
 
 
 @pytest.fixture

@@ -167,7 +167,6 @@ def test_connecting_twice_is_refused(robot):
     assert robot.is_connected
 
 
-@pytest.mark.slow
 def test_lerobots_rollout_does_not_lead_the_arm_back(monkeypatch):
     """On its own copy of LeRobot's module: another test's robot may have changed the loaded one."""
     pytest.importorskip(STRATEGIES, reason="this LeRobot has no rollout strategies")

@@ -83,7 +83,6 @@ def test_hopeless_grasps_are_given_up_with_the_reason(tmp_path):
         rehearse(tmp_path, replace(PLAN, give_up=10, longest_grasp=30), rig)
 
 
-@pytest.mark.slow
 def test_flags_are_right_where_the_fault_is_plain():
     """Flags mean something at all; `benchmarks.pair_quality` measures how much."""
     settings = GraspSettings(faults=("free", "one_finger"), frames=30)

@@ -16,7 +16,6 @@ QUICK = [
 ]
 
 
-@pytest.mark.slow
 def test_a_scene_by_hand_and_its_resume(tmp_path, capsys, refuses):
     root = tmp_path / "data"
     own = [

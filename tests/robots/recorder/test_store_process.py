@@ -62,7 +62,6 @@ def signal_all(store):
         os.kill(store.pid, number)
 
 
-@pytest.mark.slow
 def test_it_stores_what_the_recorder_itself_would(store, tmp_path):
     """Also with signals while it starts and later, and rows refused at once or in the child."""
     signal_all(store)
@@ -94,7 +93,6 @@ def test_it_stores_what_the_recorder_itself_would(store, tmp_path):
         assert np.array_equal(a[STATE], row(index % 4)[STATE])
 
 
-@pytest.mark.slow
 def test_a_killed_process_is_an_error_and_loses_the_running_episode_only(store, tmp_path):
     record(store)
     store.add(row(0), "wipe")
@@ -106,7 +104,6 @@ def test_a_killed_process_is_an_error_and_loses_the_running_episode_only(store, 
     assert open_dataset(tmp_path / "data").num_episodes == 1
 
 
-@pytest.mark.slow
 def test_what_is_wrong_at_the_start_is_raised(tmp_path):
     settings = StoreSettings(record_synthetic(tmp_path / "other", 1, 2), "local/test")
     with (

@@ -99,7 +99,6 @@ def record(mjpeg, tmp_path, monkeypatch):
     return run
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "flags, delivers",
     [
@@ -118,7 +117,6 @@ def test_a_recording_with_loss_is_refused_before_its_first_episode(
     assert {path.name for path in (tmp_path / "data").rglob("*.*")} == {"info.json"}
 
 
-@pytest.mark.slow
 def test_the_flags_it_names_store_tactile_video_exactly(record):
     root = record(*LOSSLESS.split())
     video = next(root.rglob("*.mp4"))
@@ -129,7 +127,6 @@ def test_the_flags_it_names_store_tactile_video_exactly(record):
     )
 
 
-@pytest.mark.slow
 def test_images_beside_the_rows_are_exact_too(record):
     root = record("--dataset.video=false")
     info = (root / "meta/info.json").read_text()

@@ -81,7 +81,6 @@ DEAD = {"stall": faults.StaleSensorError, "freeze": faults.FrozenSensorError}
 DEAD |= {"size": faults.WrongSensorError, "stop": faults.LostSensorError}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("fault, kind", DEAD.items())
 def test_a_dead_camera_is_a_typed_error_and_comes_back(
     mjpeg, camera, fails_and_recovers, fault, kind
@@ -89,7 +88,6 @@ def test_a_dead_camera_is_a_typed_error_and_comes_back(
     fails_and_recovers(mjpeg, fault, kind, camera.latest, camera.next_touch, MAX_AGE_MS)
 
 
-@pytest.mark.slow
 def test_garbage_costs_no_good_frame(mjpeg, camera):
     for _ in range(TIMES):
         mjpeg.inject("garbage")

@@ -39,7 +39,6 @@ WRONG = {"sim": faults.SimulatedSensorError, "badframe": faults.ProtocolError}
 WRONG |= dict.fromkeys(("short", "absent"), faults.WrongSensorError)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("fault, kind", (DEAD | WRONG).items())
 def test_a_dead_or_wrong_server_is_a_typed_error_and_comes_back(
     xela, reader, fails_and_recovers, fault, kind
@@ -47,7 +46,6 @@ def test_a_dead_or_wrong_server_is_a_typed_error_and_comes_back(
     fails_and_recovers(xela, fault, kind, reader.newest, reader.wait_newer, MAX_AGE_MS)
 
 
-@pytest.mark.slow
 def test_a_closed_connection_is_opened_again(xela, reader, recovers):
     def back(times):
         if reader.reconnects < times:
@@ -60,7 +58,6 @@ def test_a_closed_connection_is_opened_again(xela, reader, recovers):
         xela.inject("none")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "fault", ["none", "list", "integers", "null", "fragments", "ping", "garbage"]
 )

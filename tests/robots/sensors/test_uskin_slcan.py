@@ -46,7 +46,6 @@ DEAD = dict.fromkeys(("stall", "missing", "duplicate"), StaleSensorError)
 DEAD |= {"freeze": FrozenSensorError, "unplug": LostSensorError}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("fault, kind", DEAD.items())
 def test_a_dead_patch_is_a_typed_error_and_comes_back(
     slcan, reader, fails_and_recovers, fault, kind
@@ -57,7 +56,6 @@ def test_a_dead_patch_is_a_typed_error_and_comes_back(
     assert reader.reconnects >= (TIMES if fault == "unplug" else 0)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["bel", "garbage", "split"])
 def test_a_noisy_line_costs_no_scan(slcan, reader, costs_no_scan, fault):
     costs_no_scan(slcan, fault, reader)
@@ -132,7 +130,6 @@ def test_scans_that_come_with_the_acknowledgement_are_kept(monkeypatch):
     source.close()
 
 
-@pytest.mark.slow
 def test_500_scans_per_second_and_none_lost():
     """The seconds to run can be set: ``UNIFORCE_RATE_SECONDS=60``."""
     seen = measure_rate(float(os.environ.get("UNIFORCE_RATE_SECONDS", "3")))

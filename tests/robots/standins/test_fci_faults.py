@@ -27,7 +27,6 @@ def test_an_arm_knows_when_it_moved_last(address):
     service.link.udp.close()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["earthquake", ["reflex"], None])
 def test_an_unknown_fault_is_refused(fci, name):
     with pytest.raises(ValueError, match="Error"):

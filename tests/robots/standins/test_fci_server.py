@@ -12,7 +12,6 @@ from fci_client import RawArm, RawHand, hand_request, wait_until
 from uniforce_robots.standins.fci import protocol as p
 from uniforce_robots.standins.fci.process import StandIn
 
-pytestmark = pytest.mark.slow
 STARTED = bytes([p.MoveStatus.MOTION_STARTED])
 PREEMPTED = bytes([p.MoveStatus.PREEMPTED])
 

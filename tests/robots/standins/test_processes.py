@@ -11,7 +11,6 @@ from uniforce_vtla.errors import SensorError
 NAMES = ("slcan", "standins.xela", "mjpeg")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_each_is_ready_obeys_and_ends(name):
     with StandIn(name, "press_s=0", "rest_s=0.5") as stand_in:
@@ -26,13 +25,11 @@ def test_each_is_ready_obeys_and_ends(name):
         stand_in.inject("stall")
 
 
-@pytest.mark.slow
 def test_an_unknown_fault_is_refused():
     with pytest.raises(SensorError, match="ready"):
         StandIn("slcan", "fault=gremlins")
 
 
-@pytest.mark.slow
 def test_slcan_speaks_to_plain_serial_lines():
     """Written from the adapter's manual, without our driver's parser."""
     with (
