@@ -123,6 +123,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
         if meta is not None:
             training.refuse_force_in_state(meta)
             training.read_view(meta, config)
+            training.read_latent_columns(meta, config)
             training.read_provenance(meta, config)
             training.read_carried(meta, config, self.model.tactile_encoder)
         if stats:

@@ -144,6 +144,24 @@ def refuse_force_in_state(dataset_meta: Any) -> None:
         raise DatasetError(expected("state of the dataset", "the five axes alone", came, do))
 
 
+def read_latent_columns(dataset_meta: Any, config: PI05UniforceConfig) -> None:
+    """Note which sensors made the latents in a dataset's columns (``uniforce view form=dataset``).
+
+    Raises DatasetError: they are another tokenizer's or another finger's than the policy's slot.
+    """
+    features = getattr(dataset_meta, "features", {})
+    for slot in config.slots:
+        info = features.get(latent_key(slot), {}).get("info")
+        if info is None or config.touch.input not in ENCODED:
+            continue
+        config.touch.trained_sensors.setdefault(slot, info["sensors"])
+        wanted = f"finger {config.touch.slots[slot]}, tokenizer {config.tokenizer_hash}"
+        came = f"finger {info['finger']}, tokenizer {info['tokenizer']}"
+        if came != wanted:
+            do = "Make the dataset again with this policy's tokenizer and slots."
+            raise DatasetError(expected(f"latents of {slot}", wanted, came, do))
+
+
 def read_view(dataset_meta: Any, config: PI05UniforceConfig) -> None:
     """Note which sensors a training view holds.
 

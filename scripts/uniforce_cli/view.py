@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from uniforce_cli.boundary import Verify, by_name, command, one_thread
 from uniforce_vtla.errors import ContractError, expected
@@ -54,6 +54,9 @@ class ViewConfig:
     # write an ordinary LeRobot dataset, the right finger's newtons behind its state and no marker
     # images: any LeRobot policy trains on it with lerobot-train
     touch_in_state: bool = False
+    # arrays = what uniforce train reads fastest | dataset = an ordinary LeRobot dataset with each
+    # slot's latents in a column, which lerobot-train reads
+    form: Literal["arrays", "dataset"] = "arrays"
     workers: Workers = 2  # processes; each needs about 1 GB
     # check of the datasets before: full = every byte and frame | quick = sizes, small files, some
     # frames of every episode | off = none
@@ -84,18 +87,35 @@ def chosen(facts: EpisodeFacts, config: ViewConfig) -> bool:
     return facts.success or config.keep_failures or (config.keep_events and wiped)
 
 
-def make_force_dataset(config: ViewConfig) -> Path:
-    """Write the demos with newtons in their state; return the dataset's folder."""
-    from uniforce_datasets.force_dataset import write_force_dataset
+def make_dataset(config: ViewConfig) -> Path:
+    """Write the demos as an ordinary LeRobot dataset with touch as numbers; return its folder."""
+    from uniforce_datasets.felt_dataset import (
+        LatentColumns,
+        NewtonsInState,
+        Touch,
+        write_felt_dataset,
+    )
     from uniforce_vtla.force_sensor import ForceSensor
 
     if config.cameras:
         do = "Leave it out: the cameras keep their names."
-        raise ContractError(expected("cameras", "none with touch_in_state", config.cameras, do))
-    return write_force_dataset(
+        wanted = "none with touch_in_state or form=dataset"
+        raise ContractError(expected("cameras", wanted, config.cameras, do))
+    tokenizer = config.tokenizer or None
+    touch: Touch
+    if config.touch_in_state:
+        touch = NewtonsInState(ForceSensor("", "right", tokenizer=tokenizer))
+    else:
+        sensors = {}
+        for slot, finger in by_name(config.slots).items():
+            sensors[slot] = ForceSensor(
+                "", finger, tokenizer=tokenizer, head=None, grid=config.latent_grid
+            )
+        touch = LatentColumns(sensors)
+    return write_felt_dataset(
         [root for root in config.roots.split(",") if root],
         config.out,
-        ForceSensor("", "right", tokenizer=config.tokenizer or None),
+        touch,
         config.image_side,
         keep=lambda facts: chosen(facts, config),
         verify=config.verify,
@@ -105,12 +125,16 @@ def make_force_dataset(config: ViewConfig) -> Path:
 @command(ViewConfig)
 def main(config: ViewConfig) -> None:
     one_thread()
-    if config.touch_in_state:
-        out = make_force_dataset(config)
-        print(f"dataset in {out}, state with the right finger's newtons")
-        data = f"--dataset.repo_id=local/{out.name} --dataset.root={out}"
-        print(f"next: lerobot-train --policy.type=act --policy.push_to_hub=false {data}")
-        print("roll out: lerobot-eval --env.type=uniforce_wiping --env.touch_in_state=true …")
+    if config.touch_in_state or config.form == "dataset":
+        out = make_dataset(config)
+        data = f"--dataset.repo_id=local/{out.name} --dataset.root={out} --policy.push_to_hub=false"
+        if config.touch_in_state:
+            print(f"dataset in {out}, state with the right finger's newtons")
+            print(f"next: lerobot-train --policy.type=act {data}")
+            print("roll out: lerobot-eval --env.type=uniforce_wiping --env.touch_in_state=true …")
+        else:
+            print(f"dataset in {out}, latents in columns")
+            print(f"next: lerobot-train --policy.type=pi05_uniforce {data}")
         return
     out = make_view(config)
     facts = json.loads((out / "uniforce_view.json").read_text())

@@ -1,4 +1,4 @@
-"""A dataset for any LeRobot policy: newtons behind the state, marker images left out."""
+"""Ordinary LeRobot datasets with touch as numbers: newtons in the state, or latents in columns."""
 
 import numpy as np
 import pytest
@@ -14,9 +14,20 @@ from uniforce_cli import view
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.source import episode_frames
 from uniforce_datasets.synthetic import record_synthetic
+from uniforce_datasets.training_view import TrainingView, build_view
 from uniforce_vtla.errors import DatasetError
 from uniforce_vtla.force_sensor import ForceSensor
-from uniforce_vtla.keys import ACTION, AXES, CAMERAS, STATE, TACTILE_KEYS, camera_key, tactile_key
+from uniforce_vtla.keys import (
+    ACTION,
+    AXES,
+    CAMERAS,
+    STATE,
+    TACTILE_KEYS,
+    camera_key,
+    latent_key,
+    tactile_key,
+)
+from uniforce_vtla.tokenizer import Tokenizer
 
 FRAMES = 10
 
@@ -101,3 +112,53 @@ def test_a_policy_that_feels_by_itself_refuses_it(written):
     )
     with pytest.raises(DatasetError, match="feels by itself"):
         PI05UniforcePolicy(config, dataset_meta=meta)
+
+
+@pytest.fixture(scope="module")
+def latents(demos):
+    out = demos.parent / "latents"
+    call = [f"roots={demos}", f"out={out}", "form=dataset", "tokenizer=nano", "slots=touch0:right"]
+    assert view.main(call) == 0
+    return out
+
+
+def test_latent_columns_are_those_of_the_training_view(demos, latents):
+    dataset = LeRobotDataset("local/latents", root=latents)
+    key = latent_key("touch0")
+    feature = dataset.meta.features[key]
+    assert feature["shape"] == (96,) and not set(dataset.meta.features) & set(TACTILE_KEYS)
+    tokenizer = Tokenizer.from_pretrained("nano")
+    assert feature["info"] == {
+        "tokenizer": tokenizer.hash,
+        "finger": "right",
+        "sensors": "tactip",
+    }
+    arrays = TrainingView(build_view([demos], demos.parent / "arrays", tokenizer="nano"))
+    for frame in (0, FRAMES + 3):
+        np.testing.assert_allclose(
+            dataset[frame][key], arrays[frame][key], atol=1e-5, err_msg=str(frame)
+        )
+
+
+def make_policy(root, **touch):
+    meta = LeRobotDataset("local/latents", root=root).meta
+    features = dataset_to_policy_features(meta.features)
+    config = PI05UniforceConfig(
+        size="tiny",
+        device="cpu",
+        input_features={key: one for key, one in features.items() if key != ACTION},
+        output_features={ACTION: features[ACTION]},
+    )
+    config.touch.slots = {"touch0": "right"}
+    for name, value in touch.items():
+        setattr(config.touch, name, value)
+    return PI05UniforcePolicy(config, dataset_meta=meta)
+
+
+def test_a_policy_takes_the_latents_of_its_own_tokenizer_and_finger_alone(latents):
+    policy = make_policy(latents, tokenizer_path="nano")
+    assert policy.config.touch.trained_sensors == {"touch0": "tactip"}
+    with pytest.raises(DatasetError, match="latents of touch0"):
+        make_policy(latents)  # the shipped tokenizer is another
+    with pytest.raises(DatasetError, match="finger left"):
+        make_policy(latents, tokenizer_path="nano", slots={"touch0": "left"})
