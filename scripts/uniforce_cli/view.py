@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from uniforce_cli.boundary import Verify, by_name, command, one_thread
+from uniforce_vtla.contracts import check_finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import (
     Datasets,
@@ -109,7 +110,7 @@ def make_dataset(config: ViewConfig) -> Path:
         sensors = {}
         for slot, finger in by_name(config.slots).items():
             sensors[slot] = ForceSensor(
-                "", finger, tokenizer=tokenizer, head=None, grid=config.latent_grid
+                "", check_finger(finger), tokenizer=tokenizer, head=None, grid=config.latent_grid
             )
         touch = LatentColumns(sensors)
     return write_felt_dataset(
