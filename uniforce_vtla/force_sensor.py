@@ -62,6 +62,7 @@ class ForceSensor:
         head: force head, or the sensor kind whose shipped head reads newtons; None reads no
             newtons.
         held_N: grip to give once something is lifted; None gives it as read.
+        held_from_touch: give it from the first touch on, where a hand holds by its own force.
         grid: latents are pooled to grid × grid.
 
     Raises SensorError: an unknown kind; CheckpointError: no such checkpoint, or one that doesn't
@@ -78,6 +79,7 @@ class ForceSensor:
         tokenizer: Tokenizer | str | Path | None = None,
         head: ForceHead | str | None = SOURCE,
         held_N: float | None = None,
+        held_from_touch: bool = False,
         grid: int = POOL,
     ) -> None:
         self.kind = kind
@@ -99,7 +101,7 @@ class ForceSensor:
         self._head = head
         if head is not None:
             _same_tokenizer(head, tokenizer)
-            self.newtons = Newtons(head.model, calibration, held_N)
+            self.newtons = Newtons(head.model, calibration, held_N, held_from_touch)
         self.monitor = None
         if watch:
             self.monitor = monitor_of(kind, self.finger, beside, watch, calibration)

@@ -79,6 +79,7 @@ def configured(config: LadderCommand, row: Row) -> list[ScoreConfig]:
                 right_calibration=fitted,
                 gripper=GRIPPER,
                 control=row.control,
+                grip=row.grip,
                 first_seed=first,
                 rollouts=share,
                 videos=0,

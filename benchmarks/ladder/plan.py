@@ -32,6 +32,7 @@ class Row:
     worn: tuple[str, ...] = ("tactip",)  # in words (uniforce_vtla.contact.worn_in_words)
     fit: Fit = ""  # how each of them is calibrated
     control: Literal["", "frozen"] = ""  # as ``uniforce score control=``
+    grip: Literal["", "gripped"] = ""  # as ``uniforce score grip=``
     rollouts: int = 204
 
 
@@ -52,7 +53,8 @@ def _variants() -> tuple[Row, ...]:
         for seed in TRAINING_SEEDS:
             for rung, (worn, fit) in RUNGS.items():
                 name = f"{variant} {seed} {rung}"
-                rows.append(Row(name, f"{variant}/seed{seed}", worn, fit, rollouts=40))
+                grip: Literal["", "gripped"] = "gripped" if variant == "newtons" else ""
+                rows.append(Row(name, f"{variant}/seed{seed}", worn, fit, grip=grip, rollouts=40))
     return tuple(rows)
 
 

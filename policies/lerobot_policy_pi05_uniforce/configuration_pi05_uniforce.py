@@ -68,10 +68,11 @@ FORCES: dict[str, tuple[float, ...]] = {
 }
 READ_BY_HEAD = ("newtons", "shear", "gripped_shear", "flagged_newtons")
 ENCODED = ("latent", *READ_BY_HEAD)  # touch inputs that come from the frozen tokenizer
+HELD = ("held", "gripped")  # choices of grip that replace what is read
 CHOICES = {
     "verify": ("full", "quick", "off"),
     "monitor": ("stop", "off"),
-    "grip": ("", "read", "held"),
+    "grip": ("", "read", *HELD),
     "touch.input": (*ENCODED, "wrench", "none"),
     "touch.on_sensor_loss": ("error", "mask"),
     "action.form": ("target_delta", "absolute"),
@@ -206,7 +207,8 @@ class PI05UniforceConfig(PI05Config):
     # rollout: "stop" when a sensor looks unhealthy (tokenizer/latent_range.py) | "off"
     monitor: str = "stop"
     # rollout, touch.input=newtons: "read" as the finger reads it | "held", once lifted, at the
-    # demonstrations' grip | "": held where the finger's calibration can't read grip under a tool
+    # demonstrations' grip | "gripped": held from the first touch on, for a hand that holds by its
+    # own force | "": held where the finger's calibration can't read grip under a tool
     grip: str = ""
 
     touch: TouchSettings = field(default_factory=TouchSettings)
@@ -283,7 +285,7 @@ class PI05UniforceConfig(PI05Config):
         _require(self.size != "tiny" or not stock, "size=tiny", "plain float32", self.dtype)
         square = self.image_resolution[0] == self.image_resolution[1]
         _require(square, "image_resolution", "a square", self.image_resolution)
-        holds = self.grip == "held" and not (self.slots and touch.input == "newtons")
+        holds = self.grip in HELD and not (self.slots and touch.input == "newtons")
         _require(not holds, "grip", "read: this policy feels no newtons", self.grip)
         dropout = self.augment.axis_dropout
         _require(0 <= dropout < 1, "augment.axis_dropout", "at least 0, below 1", dropout)

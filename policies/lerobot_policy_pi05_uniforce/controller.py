@@ -60,7 +60,7 @@ class PolicyController:
             ``notes`` say.
         calibrations: finger → folder of its sensor's calibration.
         monitor: "stop" when a sensor isn't healthy | "off".
-        grip: "read" | "held" | "", see the config's.
+        grip: "read" | "held" | "gripped" | "", see the config's.
 
     Raises CheckpointError: as ``stored_config``, weights that don't fit, or a sensor that differs
     unasked.

@@ -86,8 +86,9 @@ class ScoreConfig:
     # stop = abort the episode when a sensor looks unhealthy | off = go on
     monitor: Literal["stop", "off"] = "stop"
     # grip that the policy feels: read = as the finger reads it | held = once lifted, as in the
-    # demonstrations | "" = held only if the calibration can't read grip under a tool
-    grip: Literal["", "read", "held"] = ""
+    # demonstrations | gripped = as in the demonstrations from the first touch on, for a hand that
+    # holds by its own force | "" = held only if the calibration can't read grip under a tool
+    grip: Literal["", "read", "held", "gripped"] = ""
     # servo = the scene's usual gripper, which regulates grip finely | hand = holds by force, as the
     # robot's hand does
     gripper: Gripper = "servo"

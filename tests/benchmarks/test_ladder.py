@@ -85,7 +85,7 @@ def test_a_claim_holds_within_its_margin_and_bound() -> None:
 
 def test_variants_are_pooled_over_their_rungs_and_seeds() -> None:
     rows = {}
-    for variant in VARIANTS[:2]:
+    for variant in ("shear", "newtons"):
         for seed in (0, 1):
             rows[f"{variant} {seed} S0"] = row("CCCr")
     found = ladder.pooled(rows | {"newtons 0 S1": row("rrrr")})

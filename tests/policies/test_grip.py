@@ -120,6 +120,13 @@ def test_demonstrations_tell_what_is_carried() -> None:
     assert carried_grip([(states[:3], forces[:3])]) is None
 
 
+def test_grip_is_held_from_the_first_touch_on() -> None:
+    newtons = Newtons(ReadsItsInput(), held_N=10.5, from_touch=True)
+    felt = newtons(torch.tensor([[[0.1, -2.0, 0.3]], [[0.1, -2.0, 4.0]], [[0.1, -2.0, 17.0]]]))
+    assert felt[:, 2].tolist() == pytest.approx([0.3, 10.5, 10.5])
+    assert felt[:, 1].tolist() == [-2.0] * 3
+
+
 def test_shear_is_the_newtons_without_grip(make_policy, make_batch) -> None:
     newtons = make_policy(touch__input="newtons")
     shear = make_policy(touch__input="shear")

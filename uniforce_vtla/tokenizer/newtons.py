@@ -20,6 +20,8 @@ TOUCHES_N = 1.0  # grip from which on something is between the fingers
 LIFT_m = (
     0.02  # above the lowest height at which it was touched: it is in the hand, not on the table
 )
+# grip from which on something is held: free air reads up to .3 N, the least calibrated GelSight 3 N
+GRIPPED_N = 2.0
 FZ = 2  # of a reading's fx, fy, fz
 
 
@@ -49,6 +51,7 @@ class Newtons:
         head: frozen force head.
         calibration: whose gain is applied; None for none.
         held_N: grip that is given once lifted; None gives the grip that is read.
+        from_touch: give it from the first touch on instead, for a hand that holds by its own force.
     """
 
     def __init__(
@@ -56,10 +59,12 @@ class Newtons:
         head: ForceRegressor,
         calibration: Calibration | None = None,
         held_N: float | None = None,
+        from_touch: bool = False,
     ) -> None:
         self.head = head
         self.calibration = calibration
         self.held_N = held_N
+        self.from_touch = from_touch
         self.reset()
 
     def reset(self) -> None:
@@ -75,11 +80,16 @@ class Newtons:
         force_N = self.head.step(latent, None)[0]  # (B, 3)
         if self.calibration is not None:
             force_N = self.calibration.scaled(force_N)
-        if self.held_N is None or height_m is None:
+        if self.held_N is None:
             return force_N
         grip_N = force_N[:, FZ]
-        lifted = self._lift.see(height_m.to(grip_N), grip_N)
+        if self.from_touch:
+            is_held = grip_N > GRIPPED_N
+        elif height_m is None:
+            return force_N
+        else:
+            is_held = self._lift.see(height_m.to(grip_N), grip_N)
         held_N = torch.full_like(grip_N, self.held_N)
         force_N = force_N.clone()
-        force_N[:, FZ] = torch.where(lifted, held_N, grip_N)
+        force_N[:, FZ] = torch.where(is_held, held_N, grip_N)
         return force_N

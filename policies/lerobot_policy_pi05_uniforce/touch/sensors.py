@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 import torch
 from torch import Tensor
 
-from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import HELD, PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.touch.encoder import FrozenTouch
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
@@ -56,6 +56,7 @@ class PolicySensors:
                 tokenizer=frozen.tokenizer,
                 head=frozen.force_head,
                 held_N=held_N,
+                held_from_touch=config.grip == "gripped",
                 grid=config.latent_grid,
             )
 
@@ -203,7 +204,7 @@ def held_grips(
             continue
         carried_N = config.touch.carried_N.get(slot)
         if carried_N is None:
-            if config.grip == "held":
+            if config.grip in HELD:
                 do = "Train it again from a view of this version, or leave grip as read."
                 wanted = "one in touch.carried_N"
                 raise ContractError(expected(f"grip of {slot} to hold", wanted, "none", do))
@@ -212,9 +213,10 @@ def held_grips(
             continue
         found[slot] = carried_N
         why = "as asked"
-        if config.grip != "held" and calibration is not None:
+        if config.grip not in HELD and calibration is not None:
             why = calibration.grip_in_words
-        held = f"shear felt, grip held at {carried_N:.1f} N once lifted"
+        when = "from the first touch on" if config.grip == "gripped" else "once lifted"
+        held = f"shear felt, grip held at {carried_N:.1f} N {when}"
         notes.append(f"{finger} finger: {held} ({why})")
         logger.warning("%s", notes[-1])
     return found, notes

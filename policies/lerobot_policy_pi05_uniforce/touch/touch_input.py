@@ -14,7 +14,7 @@ from uniforce_vtla.errors import RolloutError, SensorError, UniForceError, expec
 from uniforce_vtla.force_sensor import ForceSensor
 from uniforce_vtla.keys import AXES, STATE, latent_key, tactile_key, wrench_key
 from uniforce_vtla.tokenizer.latent_range import FreeAirError
-from uniforce_vtla.tokenizer.newtons import FZ
+from uniforce_vtla.tokenizer.newtons import FZ, GRIPPED_N
 
 logger = logging.getLogger(__name__)
 
@@ -23,8 +23,6 @@ type Batch = dict[str, Tensor]
 # reference, current
 PAIR_KEYS = {finger: (tactile_key(finger, True), tactile_key(finger)) for finger in FINGERS}
 WIDTH = AXES.index("width.pos")
-# grip from which on something is held: free air reads up to .3 N, the least calibrated GelSight 3 N
-GRIPPED_N = 2.0
 OPEN_m = 0.004  # below its widest command: the measured width lags behind
 
 
