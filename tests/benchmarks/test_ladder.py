@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks import calibrations
 from benchmarks.ladder import __main__ as ladder
-from benchmarks.ladder.plan import BETTER, CLAIMS, DEVELOPMENT, PARTS, VARIANTS, Row
+from benchmarks.ladder.plan import BETTER, CLAIMS, DEVELOPMENT, PARTS, Row
 from benchmarks.scene_blocks import BLOCKS
 from uniforce_cli.score_settings import ScoreConfig
 from uniforce_vtla.errors import CheckpointError
