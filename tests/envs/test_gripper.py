@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
+from lerobot_env_uniforce_wiping.episodes import walk
 from lerobot_env_uniforce_wiping.gripper import FORCE_ERROR, STATE_PERIOD_s, force_share
 from uniforce_vtla.errors import ContractError, RobotError
 from uniforce_vtla.hand import HandRules
@@ -86,3 +87,30 @@ def test_the_servo_stays_the_levels_gripper():
     assert WipeEnv("touch", drawn=()).gripper == "servo"
     with pytest.raises(ContractError, match=r"servo \| hand"):
         WipeEnv("touch", drawn=(), gripper="claw")
+
+
+def shear_until_carried(gripper: str, seed: int) -> tuple[int, np.ndarray]:
+    """Return for how many steps a closed hand stays in the tray, and the shear felt meanwhile, N."""
+    env = WipeEnv("touch", drawn=(), gripper=gripper)
+    expert = WipeExpert()
+    steps = 0
+    shear_N = []
+    for _ in walk(env, expert, seed):
+        if expert.phase == "close" and env.sim.gripper.holds:
+            steps += 1
+        wrench = env.true_wrench()["right"]
+        if expert.phase in ("close", "lift") and wrench[2] > 2:
+            shear_N.append(float(wrench[1]))
+        if expert.phase == "carry":
+            break
+    return steps, np.array(shear_N)
+
+
+def test_a_closed_hand_lingers_in_the_tray_and_a_servo_does_not() -> None:
+    # drawn for this scene: 15 steps, 6.5 mm down
+    steps, shear_N = shear_until_carried("hand", 5001)
+    assert 13 <= steps <= 16
+    assert shear_N.min() < -1.0, "the tool is pressed onto the tray"
+    steps, shear_N = shear_until_carried("servo", 5001)
+    assert steps == 0
+    assert shear_N.min() > -1.0
