@@ -32,8 +32,9 @@ FAST_m_s = 0.050  # fastest lowering
 SLOW_m_s = 0.018  # slowest lowering
 LOWERING_GAIN = 3.5  # 1/s: speed per distance left above the clearance
 CLOSING_m_s = 0.040  # gripper in free air
-# of what is held: where a hand that holds by itself is asked to stay, far from asking it to open
-INSIDE_m = 0.008
+# of what is held: where a hand that holds by itself is asked to stay, far from asking it to open.
+# With 8 mm a policy stopped closing at the first touch, and the tool hung by 3 N
+INSIDE_m = 0.02
 
 
 def lowering_speed(target_m: float, layout: Layout) -> float:
