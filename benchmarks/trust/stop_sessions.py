@@ -102,6 +102,13 @@ class Cap:
         return SimpleNamespace(raw=self.state, age_ms=0.0)
 
 
+def pass_ticks(ticks: int, world: World, meanwhile: Callable[[], None]) -> None:
+    """Let time pass while the session does something else; the person acts at each tick."""
+    for _ in range(ticks):
+        meanwhile()
+        world.sleep(1 / FPS)
+
+
 class SessionRig(Rig):
     """The robot as a rig without cameras or fingers, whose observation may fail."""
 
@@ -131,17 +138,13 @@ class SessionRig(Rig):
     def begin_episode(self, seed: int) -> None:
         """Take as long as references take, while nothing may move."""
         self._world.watch.stopped("references", self._world.clock(), at_once=True)
-        for _ in range(REFERENCE_ticks):
-            self.meanwhile()
-            self._world.sleep(1 / FPS)
+        pass_ticks(REFERENCE_ticks, self._world, self.meanwhile)
 
     def observe(self) -> Observation:
         """Return the axes, late or not at all where that was asked for."""
         if self.stall_ticks:
             self._world.watch.stopped("a stall", self._world.clock())
-        for _ in range(self.stall_ticks):
-            self.meanwhile()
-            self._world.sleep(1 / FPS)
+        pass_ticks(self.stall_ticks, self._world, self.meanwhile)
         self.stall_ticks = 0
         if self.fault is not None:
             raise self.fault
@@ -181,9 +184,7 @@ class Store:
         """Forget the rows, after a while in which nothing may move."""
         self.num_frames = 0
         self._world.watch.stopped("an episode's end", self._world.clock(), at_once=True)
-        for _ in range(SAVING_ticks):
-            self._meanwhile()
-            self._world.sleep(1 / FPS)
+        pass_ticks(SAVING_ticks, self._world, self._meanwhile)
 
     discard = save
 

@@ -20,9 +20,10 @@ from tqdm import tqdm
 from uniforce_datasets.features import flat_column, vector_column, video_column
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.source import Episode, Source, episode_frames, marker_images
-from uniforce_datasets.view_build import resize
-from uniforce_datasets.view_plan import EpisodeFacts, episode_facts
+from uniforce_datasets.view_build import PooledTokenizer, episode_latents, resize
+from uniforce_datasets.view_plan import EpisodeFacts, episode_facts, mounted_sensors
 from uniforce_vtla import keys
+from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.force_sensor import ForceSensor
 from uniforce_vtla.options import absolute
@@ -54,9 +55,10 @@ class NewtonsInState:
     def columns(self, source: Source, episode: Episode, state: np.ndarray) -> dict[str, np.ndarray]:
         """Return the (T, 8) state."""
         self.sensor.reset()
+        reference, current = marker_images(episode, source.fps, self.sensor.finger)
         forces = []
-        for reference, current in _read(source, episode, self.sensor):
-            forces.append(self.sensor.read_forces(reference, current))
+        for images in batched(current, BATCH):
+            forces.append(self.sensor.read_forces(reference, np.stack(images)))
         return {keys.STATE: np.concatenate([state, np.concatenate(forces)], axis=1)}
 
 
@@ -64,38 +66,30 @@ class NewtonsInState:
 class LatentColumns:
     """Each slot's pooled latents in a column, for ``pi05_uniforce``."""
 
-    sensors: Mapping[str, ForceSensor]  # by slot; not calibrated
+    encoder: PooledTokenizer
+    slots: Mapping[str, Finger]  # which finger's latents
 
     def features(self, episodes: Sequence[EpisodeFacts]) -> dict[str, dict]:
         """Return the features of state and latents, with what the policy compares."""
+        kinds = mounted_sensors([vars(facts) for facts in episodes])
         features = {keys.STATE: vector_column(keys.AXES)}
-        for slot, sensor in self.sensors.items():
-            size = sensor.grid**2 * sensor.tokenizer.model.config.latent
-            kinds = {getattr(facts, f"{sensor.finger}_sensor") for facts in episodes}
-            info = sensor.facts() | {"finger": sensor.finger, "sensors": "+".join(sorted(kinds))}
-            features[keys.latent_key(slot)] = flat_column(size, "float32") | {"info": info}
+        for slot, finger in self.slots.items():
+            column = flat_column(self.encoder.size, "float32")
+            column["info"] = {
+                "tokenizer": self.encoder.hash,
+                "finger": finger,
+                "sensors": "+".join(kinds[finger]),
+            }
+            features[keys.latent_key(slot)] = column
         return features
 
     def columns(self, source: Source, episode: Episode, state: np.ndarray) -> dict[str, np.ndarray]:
         """Return the (T, 5) state and each slot's (T, K · L) latents."""
         columns = {keys.STATE: state}
-        for slot, sensor in self.sensors.items():
-            sensor.reset()
-            latents = []
-            for reference, current in _read(source, episode, sensor):
-                latent = sensor.encode(reference[None], current)  # (B, K, L)
-                latents.append(latent.flatten(1).numpy())
-            columns[keys.latent_key(slot)] = np.concatenate(latents)
+        for slot, finger in self.slots.items():
+            latents = episode_latents(episode, source.fps, self.encoder, finger)
+            columns[keys.latent_key(slot)] = latents
         return columns
-
-
-def _read(
-    source: Source, episode: Episode, sensor: ForceSensor
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield an episode's (H, W) reference with (B, H, W) marker images of a finger."""
-    reference, current = marker_images(episode, source.fps, sensor.finger)
-    for images in batched(current, BATCH):
-        yield reference, np.stack(images)
 
 
 def write_felt_dataset(

@@ -65,6 +65,7 @@ class PooledTokenizer:
         self._tokenizer = tokenizer
         self._grid = grid
         self.hash = tokenizer.hash
+        self.size = grid**2 * tokenizer.model.config.latent  # numbers per image
 
     def __call__(self, reference: np.ndarray, current: np.ndarray, finger: Finger) -> np.ndarray:
         """See ``LatentEncoder``."""
@@ -228,7 +229,7 @@ def _episode_blocks(job: _Job) -> dict[str, np.ndarray]:
         frames = episode_frames(video, job.episode.length, job.fps)
         blocks[camera] = np.stack([resize(frame, job.settings.image_side) for frame in frames])
     for finger in FINGERS:
-        blocks[latent_array(finger)] = _latents(job, finger)
+        blocks[latent_array(finger)] = episode_latents(job.episode, job.fps, job.encoder, finger)
     return blocks
 
 
@@ -239,11 +240,13 @@ def resize(image: np.ndarray, side: int) -> np.ndarray:
     return cv2.resize(image, (side, side), interpolation=cv2.INTER_AREA)
 
 
-def _latents(job: _Job, finger: Finger) -> np.ndarray:
-    """Return a finger's latents (length, K·latent)."""
-    reference, current = marker_images(job.episode, job.fps, finger)
+def episode_latents(
+    episode: Episode, fps: int, encoder: LatentEncoder, finger: Finger
+) -> np.ndarray:
+    """Return a finger's latents (length, K·latent) float32."""
+    reference, current = marker_images(episode, fps, finger)
     latents = []
     for some in batched(current, BATCH):
         images = np.stack([check_marker_image(image, tactile_key(finger)) for image in some])
-        latents.append(job.encoder(reference, images, finger).astype(np.float32))
+        latents.append(encoder(reference, images, finger).astype(np.float32))
     return np.concatenate(latents)

@@ -154,9 +154,9 @@ def read_latent_columns(dataset_meta: Any, config: PI05UniforceConfig) -> None:
         info = features.get(latent_key(slot), {}).get("info")
         if info is None or config.touch.input not in ENCODED:
             continue
-        config.touch.trained_sensors.setdefault(slot, info["sensors"])
+        config.touch.trained_sensors.setdefault(slot, str(info.get("sensors", "")))
         wanted = f"finger {config.touch.slots[slot]}, tokenizer {config.tokenizer_hash}"
-        came = f"finger {info['finger']}, tokenizer {info['tokenizer']}"
+        came = f"finger {info.get('finger')}, tokenizer {info.get('tokenizer')}"
         if came != wanted:
             do = "Make the dataset again with this policy's tokenizer and slots."
             raise DatasetError(expected(f"latents of {slot}", wanted, came, do))

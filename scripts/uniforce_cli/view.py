@@ -96,6 +96,7 @@ def make_dataset(config: ViewConfig) -> Path:
         Touch,
         write_felt_dataset,
     )
+    from uniforce_datasets.view_build import PooledTokenizer
     from uniforce_vtla.force_sensor import ForceSensor
 
     if config.cameras:
@@ -107,12 +108,8 @@ def make_dataset(config: ViewConfig) -> Path:
     if config.touch_in_state:
         touch = NewtonsInState(ForceSensor("", "right", tokenizer=tokenizer))
     else:
-        sensors = {}
-        for slot, finger in by_name(config.slots).items():
-            sensors[slot] = ForceSensor(
-                "", check_finger(finger), tokenizer=tokenizer, head=None, grid=config.latent_grid
-            )
-        touch = LatentColumns(sensors)
+        slots = {slot: check_finger(finger) for slot, finger in by_name(config.slots).items()}
+        touch = LatentColumns(PooledTokenizer(tokenizer, config.latent_grid), slots)
     return write_felt_dataset(
         [root for root in config.roots.split(",") if root],
         config.out,

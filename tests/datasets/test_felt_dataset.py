@@ -101,8 +101,8 @@ def test_nothing_is_overwritten_and_an_empty_choice_is_refused(demos, written, r
     assert view.main(renamed) == 2
 
 
-def test_a_policy_that_feels_by_itself_refuses_it(written):
-    meta = LeRobotDataset("local/forces", root=written).meta
+def make_policy(root, **touch):
+    meta = LeRobotDataset("local/felt", root=root).meta
     features = dataset_to_policy_features(meta.features)
     config = PI05UniforceConfig(
         size="tiny",
@@ -110,8 +110,15 @@ def test_a_policy_that_feels_by_itself_refuses_it(written):
         input_features={key: one for key, one in features.items() if key != ACTION},
         output_features={ACTION: features[ACTION]},
     )
+    config.touch.slots = {"touch0": "right"}
+    for name, value in touch.items():
+        setattr(config.touch, name, value)
+    return PI05UniforcePolicy(config, dataset_meta=meta)
+
+
+def test_a_policy_that_feels_by_itself_refuses_it(written):
     with pytest.raises(DatasetError, match="feels by itself"):
-        PI05UniforcePolicy(config, dataset_meta=meta)
+        make_policy(written)
 
 
 @pytest.fixture(scope="module")
@@ -138,21 +145,6 @@ def test_latent_columns_are_those_of_the_training_view(demos, latents):
         np.testing.assert_allclose(
             dataset[frame][key], arrays[frame][key], atol=1e-5, err_msg=str(frame)
         )
-
-
-def make_policy(root, **touch):
-    meta = LeRobotDataset("local/latents", root=root).meta
-    features = dataset_to_policy_features(meta.features)
-    config = PI05UniforceConfig(
-        size="tiny",
-        device="cpu",
-        input_features={key: one for key, one in features.items() if key != ACTION},
-        output_features={ACTION: features[ACTION]},
-    )
-    config.touch.slots = {"touch0": "right"}
-    for name, value in touch.items():
-        setattr(config.touch, name, value)
-    return PI05UniforcePolicy(config, dataset_meta=meta)
 
 
 def test_a_policy_takes_the_latents_of_its_own_tokenizer_and_finger_alone(latents):

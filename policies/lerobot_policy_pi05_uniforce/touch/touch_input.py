@@ -14,7 +14,7 @@ from uniforce_vtla.errors import RolloutError, SensorError, UniForceError, expec
 from uniforce_vtla.force_sensor import ForceSensor
 from uniforce_vtla.keys import AXES, STATE, latent_key, tactile_key, wrench_key
 from uniforce_vtla.tokenizer.latent_range import FreeAirError
-from uniforce_vtla.tokenizer.newtons import FZ, GRIPPED_N
+from uniforce_vtla.tokenizer.newtons import FZ, is_gripped
 
 logger = logging.getLogger(__name__)
 
@@ -188,7 +188,7 @@ def gripped_shear(force_N: Tensor) -> Tensor:
 
     How hard is left out: the hand holds by its own force, and kinds of sensor disagree about it.
     """
-    gripped = (force_N[..., FZ:] > GRIPPED_N).to(force_N)
+    gripped = is_gripped(force_N)[..., None].to(force_N)  # (B, 1, 1)
     return torch.cat([force_N[..., :FZ], gripped], dim=-1)
 
 
