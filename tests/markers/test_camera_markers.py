@@ -26,13 +26,10 @@ def gelsight():
     return Canonicalizer("gelsight")
 
 
-@pytest.mark.parametrize("rings, pins", [(6, 127), (10, 331)])
+@pytest.mark.parametrize("rings, wrong", [(6, 1), (10, 3)])  # of 127 and 331 pins
 @pytest.mark.parametrize("rim", ["none", "ring", "arcs", "bright outside"])
-def test_dome_pins_are_all_found_and_the_rim_is_not(dome, tactip, rings, pins, rim):
-    scene = dome(rings=rings, rim=rim)
-    missed, false = missed_and_false(scene, tactip)
-    assert len(scene.centres_px) == pins
-    assert missed <= 0.01 * pins and false <= 0.01 * pins
+def test_dome_pins_are_all_found_and_the_rim_is_not(dome, tactip, rings, wrong, rim):
+    assert max(missed_and_false(dome(rings=rings, rim=rim), tactip)) <= wrong
 
 
 @pytest.mark.parametrize("size", [(320, 240), (1280, 960), (1920, 1080)])
@@ -107,13 +104,10 @@ def test_one_canonicalizer_serves_different_gels(gel, dome, gelsight):
     [
         np.zeros((480, 640), np.uint8),
         np.zeros((480, 640, 4), np.uint8),
-        np.zeros((1, 480, 640, 3), np.uint8),
         np.full((480, 640, 3), 0.5, np.float32),
-        np.full((480, 640, 3), np.nan),
         np.zeros((480, 640, 3), np.int16),
         np.zeros((0, 640, 3), np.uint8),
         np.zeros((16, 16, 3), np.uint8),
-        np.zeros((16, 3), np.int64),
         None,
         [[1, 2, 3]],
     ],
@@ -143,23 +137,11 @@ def test_gel_without_markers_is_refused(gel, gelsight):
 
 def test_scattered_dirt_is_not_a_pattern(gel, gelsight):
     rng = np.random.default_rng(3)
-    frame = gel(contrast=0.0).frame.copy()
-    for x, y in rng.uniform((20, 20), (620, 460), (60, 2)):
-        cv2.circle(frame, (int(x), int(y)), int(rng.uniform(2, 12)), (20, 20, 20), cv2.FILLED)
+    frame = gel(contrast=0.0).frame
+    for *at, radius in rng.integers((20, 20, 2), (620, 460, 12), (60, 3)).tolist():
+        cv2.circle(frame, at, radius, (20, 20, 20), cv2.FILLED)
     with pytest.raises(SensorError):
         gelsight.marker_image(frame)
-
-
-def test_lights_out_during_a_pair(dome, tactip):
-    frame = dome(rings=6).frame
-    with pytest.raises(SensorError, match="all-black"):
-        tactip.pair(frame, np.zeros_like(frame), finger="left")
-
-
-def test_frames_of_two_sizes_are_no_pair(dome, tactip):
-    small = dome(rings=6, size=(320, 240)).frame
-    with pytest.raises(ContractError, match="one camera setting"):
-        tactip.pair(dome(rings=6).frame, small, finger="left")
 
 
 # --- real recordings -----------------------------------------------------------------------------------------------
@@ -187,21 +169,13 @@ def test_bright_dots_match_the_authors_mask(real_folder, gelsight, name):
     assert (ours & theirs).sum() / (ours | theirs).sum() >= 0.75
 
 
-CALIBRATION = "shape_reconstruction/calibration/sensor_1"
-
-
 @pytest.mark.real
-@pytest.mark.parametrize(
-    "name",
-    [
-        f"{CALIBRATION}/depth_calibration/ref.png",
-        f"{CALIBRATION}/depth_calibration/sample.png",
-        f"{CALIBRATION}/camera_calibration/ref.png",
-        "force_estimation/test.png",
-    ],
-)
-def test_real_gels_without_markers_are_refused(real_folder, name):
-    frame = read_rgb(real_folder / "markerless_9dtact" / name)
-    for sensor in ("gelsight", "tactip"):
+@pytest.mark.parametrize("sensor", ["gelsight", "tactip"])
+def test_real_gels_without_markers_are_refused(real_folder, sensor):
+    shown = (real_folder / "markerless_9dtact").rglob("*.png")
+    dots = ("camera_calibration", "sample.png")  # pressed into that gel
+    pictures = [path for path in shown if path.parts[-2:] != dots]
+    assert len(pictures) == 4
+    for path in pictures:
         with pytest.raises(SensorError, match="markers on the gel"):
-            Canonicalizer(sensor).pair(frame, frame, finger="left")
+            Canonicalizer(sensor).set_reference(read_rgb(path))

@@ -1,6 +1,7 @@
 """Markers that a camera misses for some frames of a stream stay where they were."""
 
-import cv2
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 from contact_samples import faces
@@ -10,26 +11,43 @@ from uniforce_vtla.contact.worn import WornView
 from uniforce_vtla.contact.worn_in_words import wear
 from uniforce_vtla.errors import SensorError
 from uniforce_vtla.markers import Canonicalizer, marker_reference
-from uniforce_vtla.markers.camera_markers import segment
 from uniforce_vtla.markers.marker_hold import HOLD_FRAMES, MarkerHold
+from uniforce_vtla.markers.raster import CENTRE_PX, fill_discs
+from uniforce_vtla.sensors.layouts import rectangular
 
 SPACING_px = 20.0
-GRID_px = np.stack(
-    np.meshgrid(np.arange(40, 600, SPACING_px), np.arange(40, 440, SPACING_px)), -1
-).reshape(-1, 2)
+GRID_px = CENTRE_PX + rectangular(20, 28, (SPACING_px, SPACING_px))
 
 
 def drawn(points_px):
-    image = np.zeros((480, 640), np.uint8)
-    for x, y in np.rint(points_px).astype(int).tolist():
-        cv2.circle(image, (x, y), 4, 255, cv2.FILLED)
-    return image
+    return fill_discs(points_px[None], np.full((1, len(points_px)), 9.0))[0]
 
 
 def filled(hold, points_px):
     image = drawn(points_px)
     held = hold.fill(image, points_px)
     return image, held
+
+
+@pytest.fixture
+def stream():
+    """A canonicalizer of a stream, and the raw reference that it has seen."""
+    raw = TactileSimulator("tactip", seed=1).raw_reference()
+    canonicalizer = Canonicalizer("tactip", stream=True)
+    canonicalizer.set_reference(raw)
+    canonicalizer.marker_image(raw)
+    return canonicalizer, raw
+
+
+def without_left(raw, columns):
+    """Return a raw frame that shows no marker in so many columns."""
+    lacking = raw.copy()
+    lacking[:, :columns] = np.median(raw, axis=(0, 1))
+    return lacking
+
+
+def worn(faults, stream=False):
+    return WornView(wear(f"tactip:1+{faults}")(0), seed=1, stream=stream)
 
 
 def pressed(frames):
@@ -68,80 +86,65 @@ def test_a_pattern_that_jumps_or_goes_is_not_held():
 
 def test_a_camera_that_moved_since_its_reference_shows_no_old_markers():
     """The reference is the first frame of its stream: without it a fifth missed at once might be refused."""
-    moved = WornView(wear("tactip:1+shift=2+flicker=0")(0), seed=1, stream=True)
-    alone = WornView(wear("tactip:1+shift=2+flicker=0")(0), seed=1)
-    drawn_px = [(view.images(free_air(3))[2] > 0).sum() for view in (moved, alone)]
     # the third look in free air may become the new reference
-    assert abs(drawn_px[0] / drawn_px[1] - 1) < 0.02
+    moved, alone = (
+        (worn("shift=2+flicker=0", stream).images(free_air(3))[2] > 0).sum()
+        for stream in (True, False)
+    )
+    assert abs(moved / alone - 1) < 0.02
 
 
 def test_a_stream_with_missed_markers_shows_what_one_without_shows():
     contact = pressed(12)
-    whole, missing, held = (
-        WornView(wear(f"tactip:1+flicker={flicker}")(0), seed=1, stream=stream)
-        for flicker, stream in ((0, False), (0.2, False), (0.2, True))
-    )
-    assert (
-        np.mean(held.reference != whole.reference)
-        < 0.01
-        < np.mean(missing.reference != whole.reference)
-    )
+    whole = worn("flicker=0")
     expected = whole.images(contact)[4:]
-    off = [
-        np.mean(view.images(contact)[4:] != expected, axis=(1, 2)).max() for view in (held, missing)
-    ]
-    assert off[0] < off[1] / 3
+
+    def off(view):
+        """Return which share of the pixels differs, of the reference and of the worst frame."""
+        differs = view.images(contact)[4:] != expected
+        return np.mean(view.reference != whole.reference), differs.mean(axis=(1, 2)).max()
+
+    held = off(worn("flicker=0.2", stream=True))
+    missing = off(worn("flicker=0.2"))
+    assert held[0] < 0.01 < missing[0] and held[1] < missing[1] / 3
 
 
 @pytest.mark.parametrize("sensor", ["gelsight", "tactip"])
 def test_a_stream_of_nothing_missed_is_read_as_frames_alone(sensor):
-    simulator, alone, stream = (
-        TactileSimulator(sensor, seed=1),
-        Canonicalizer(sensor),
-        Canonicalizer(sensor, stream=True),
-    )
+    simulator = TactileSimulator(sensor, seed=1)
+    alone = Canonicalizer(sensor)
+    stream = Canonicalizer(sensor, stream=True)
     reference = simulator.raw_reference()
-    for canonicalizer in (alone, stream):
-        canonicalizer.set_reference(reference)
+    alone.set_reference(reference)
+    stream.set_reference(reference)
     for frame in simulator.raw_frames(pressed(8)):
         assert np.array_equal(alone.marker_image(frame), stream.marker_image(frame))
 
 
-def test_what_is_held_needs_no_look_at_other_channels(monkeypatch):
+def test_what_is_held_needs_no_look_at_other_channels(stream, monkeypatch):
     """A look at all five takes longer than a frame at 30 Hz."""
-    simulator, stream = TactileSimulator("tactip", seed=1), Canonicalizer("tactip", stream=True)
-    raw = simulator.raw_reference()
-    stream.set_reference(raw)
-    stream.marker_image(raw)
-    looks = []
-    monkeypatch.setattr(
-        marker_reference, "segment", lambda *given: looks.append(given) or segment(*given)
-    )
-    lacking = raw.copy()
-    lacking[:, :270] = np.median(raw, axis=(0, 1)).astype(np.uint8)
-    stream.marker_image(lacking)
-    assert len(looks) == 1 and stream.match.lost == 0
-    assert np.mean(Canonicalizer("tactip").markers(raw)[:, 0] < 270) > marker_reference.RETRY_SHARE
+    canonicalizer, raw = stream
+    looks = Mock(wraps=marker_reference.segment)
+    monkeypatch.setattr(marker_reference, "segment", looks)
+    canonicalizer.marker_image(without_left(raw, 270))
+    assert looks.call_count == 1 and canonicalizer.match.lost == 0
+    assert np.mean(canonicalizer.markers(raw)[:, 0] < 270) > marker_reference.RETRY_SHARE
 
 
-def test_pairs_are_not_a_stream():
+def test_pairs_are_not_a_stream(stream):
     """Frames that are paired come in any order: a marker missed in one is missed."""
-    view = WornView(wear("tactip:1+flicker=0")(0), seed=1, stream=True)
-    raw, lacking = view.simulator.raw_reference(), view.simulator.raw_reference()
-    lacking[150:200, 250:300] = np.median(lacking)
-    canonicalizer = view._canonicalizer
-    whole, holed = (canonicalizer.pair(raw, frame, "left").current for frame in (raw, lacking))
-    assert (whole > 0).sum() > (holed > 0).sum()
+    canonicalizer, raw = stream
+    whole, holed = (
+        (canonicalizer.pair(raw, frame, "left").current > 0).sum()
+        for frame in (raw, without_left(raw, 140))
+    )
+    assert whole > holed
 
 
-def test_markers_lost_for_good_are_refused_in_the_end():
-    view = WornView(wear("tactip:1+flicker=0")(0), seed=1, stream=True)
-    raw = view.simulator.raw_reference()
-    half = raw.copy()
-    half[:, :300] = np.median(raw, axis=(0, 1)).astype(np.uint8)
-    canonicalizer = view._canonicalizer
-    canonicalizer.set_reference(raw)
-    before, *_ = canonicalizer.marker_image(raw), canonicalizer.match
+def test_markers_lost_for_good_are_refused_in_the_end(stream):
+    canonicalizer, raw = stream
+    half = without_left(raw, 300)
+    before = canonicalizer.marker_image(raw)
     for _ in range(HOLD_FRAMES):
         assert np.mean(canonicalizer.marker_image(half) != before) < 0.01
     with pytest.raises(SensorError, match="of the reference"):

@@ -1,5 +1,6 @@
 """References, and later frames held against them: nothing is invented, and losses are reported."""
 
+import itertools
 import warnings
 from dataclasses import replace
 
@@ -11,17 +12,14 @@ from scipy.spatial import cKDTree
 
 from uniforce_vtla.contact import SEEN, UNSEEN, TactileSimulator, free_air
 from uniforce_vtla.contact.sampling import sample_objects
-from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
+from uniforce_vtla.contact.virtual import as_virtual
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.errors import ContractError, SensorError
 from uniforce_vtla.markers import Canonicalizer
 from uniforce_vtla.markers.camera_markers import fit_canonical, segment
 from uniforce_vtla.markers.marker_reference import REFUSE_SHARE, between_markers
-from uniforce_vtla.markers.reference import (
-    ReferenceMemory,
-    capture_camera_reference,
-    capture_taxel_reference,
-)
+from uniforce_vtla.markers.raster import CENTRE_PX
+from uniforce_vtla.markers.reference import ReferenceMemory, capture_taxel_reference
 from uniforce_vtla.sensors import get_sensor
 from uniforce_vtla.sensors.layouts import rectangular
 
@@ -43,22 +41,35 @@ def remembering(sensor, reference):
     return canonicalizer
 
 
+def free_px(simulator):
+    return simulator.markers_px(free_air(1))[0][0]
+
+
+def dotted(frame, points_px, radius_px, colour):
+    """Return a copy of a frame with discs at (N, 2) px, of one colour or one each."""
+    frame = frame.copy()
+    colours = np.broadcast_to(colour, (len(points_px), 3)).tolist()
+    for at, one in zip(np.rint(points_px).astype(int).tolist(), colours, strict=True):
+        cv2.circle(frame, at, radius_px, one, cv2.FILLED)
+    return frame
+
+
 def counted(image):
     return cv2.connectedComponents(image)[0] - 1
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_crumbs_of_light_on_the_outer_pins_are_no_rim(seed):
-    simulator, rng = TactileSimulator("tactip", seed=0), np.random.default_rng(seed)
-    pins_px = simulator.markers_px(free_air(1))[0][0]
+    simulator = TactileSimulator("tactip", seed=0)
+    rng = np.random.default_rng(seed)
+    pins_px = free_px(simulator)
     middle = pins_px.mean(axis=0)
-    radius = np.hypot(*(pins_px - middle).T).max()
-    image = simulator.reference()
-    for angle in np.linspace(0, 2 * np.pi, 20, endpoint=False):
-        out = radius * rng.uniform(0.95, 1.04) * np.array([np.cos(angle), np.sin(angle)])
-        at = np.rint(middle + out).astype(int).tolist()
-        cv2.circle(image, at, int(rng.integers(2, 4)), 255, cv2.FILLED)  # 5 to 7 px across
-    found = Canonicalizer("tactip").markers(np.repeat(image[..., None], 3, axis=2))
+    radius = np.hypot(*(pins_px - middle).T).max() * rng.uniform(0.95, 1.04, 20)
+    angle = np.linspace(0, 2 * np.pi, 20, endpoint=False)
+    crumbs_px = middle + np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+    frame = np.repeat(simulator.reference()[..., None], 3, axis=2)
+    frame = dotted(dotted(frame, crumbs_px[::2], 2, 255), crumbs_px[1::2], 3, 255)
+    found = Canonicalizer("tactip").markers(frame)
     assert (cKDTree(found).query(pins_px)[0] < 4).all()
 
 
@@ -67,7 +78,8 @@ def test_clean_contacts_are_read_as_without_a_reference(sensor):
     """To the pixel, so that what was trained on such images stays valid; and no honest load is refused."""
     simulator = TactileSimulator(sensor, seed=3)
     canonicalizer = remembering(sensor, simulator.raw_reference())
-    dome, plan = get_sensor(sensor).dome_radius_mm is not None, canonicalizer._reference.plan
+    dome = get_sensor(sensor).dome_radius_mm is not None
+    plan = canonicalizer._reference.plan
     lost = []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
@@ -83,17 +95,11 @@ def test_clean_contacts_are_read_as_without_a_reference(sensor):
 @pytest.mark.parametrize("seed", range(4))
 def test_coloured_reflections_are_looked_through(seed):
     gel = as_virtual("gelsight")
-    spec = replace(
-        gel.spec,
-        name="dots",
-        layout_mm=rectangular(5, 5, (2.0, 2.0)),
-        marker_shape="disc",
-        marker_size_mm=0.9,
-    )
-    reference = TactileSimulator(
-        VirtualSensor(spec, gel.material, like="gelsight"), seed=0
-    ).raw_reference()
-    rng, (y, x) = np.random.default_rng(seed), np.mgrid[:480, :640]
+    layout_mm = rectangular(5, 5, (2.0, 2.0))
+    spec = replace(gel.spec, layout_mm=layout_mm, marker_shape="disc", marker_size_mm=0.9)
+    reference = TactileSimulator(replace(gel, spec=spec), seed=0).raw_reference()
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[:480, :640]
     frame = reference * np.float32(0.5)
     for lobe in range(24):  # eight each in red, green and blue
         at = rng.uniform((220, 140), (420, 340))
@@ -105,67 +111,51 @@ def test_coloured_reflections_are_looked_through(seed):
 
 def test_lost_markers_are_warned_of_once_and_then_refused():
     reference = TactileSimulator("gelsight", seed=0).raw_reference()
-    canonicalizer, blurred = (
-        remembering("gelsight", reference),
-        cv2.GaussianBlur(reference, (0, 0), 25),
-    )
+    canonicalizer = remembering("gelsight", reference)
+    blurred = cv2.GaussianBlur(reference, (0, 0), 25)
 
     def half_blind(share):
-        frame = reference.copy()
-        frame[:, : int(640 * share)] = blurred[:, : int(640 * share)]
-        return frame
+        blind = int(640 * share)
+        return np.concatenate([blurred[:, :blind], reference[:, blind:]], axis=1)
 
-    with pytest.warns(UserWarning, match="expected the 80 markers of the reference, got 72"):
+    said = "expected the 80 markers of the reference, got"
+    with pytest.warns(UserWarning, match=f"{said} 72"):
         canonicalizer.marker_image(half_blind(0.1))
     assert (canonicalizer.match.matched, canonicalizer.match.lost) == (72, 8)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         canonicalizer.marker_image(half_blind(0.1))
     for share, left in ((0.5, 40), (0.75, 16)):
-        with pytest.raises(
-            SensorError, match=f"expected the 80 markers of the reference, got {left} of them"
-        ):
+        with pytest.raises(SensorError, match=f"{said} {left} of them"):
             canonicalizer.marker_image(half_blind(share))
 
 
 @pytest.mark.parametrize("sensor", CAMERAS)
 def test_a_plot_is_no_reference(sensor):
-    plot = np.full((480, 640, 3), 255, np.uint8)
-    for x, y in np.stack(
-        np.meshgrid(np.arange(6, 640, 14), np.arange(6, 480, 10)), axis=-1
-    ).reshape(-1, 2):
-        cv2.circle(plot, (int(x), int(y)), 2, (20, 20, 160), cv2.FILLED)
+    white = np.full((480, 640, 3), 255, np.uint8)
+    places_px = CENTRE_PX + rectangular(48, 46, (14, 10))
     with pytest.raises(SensorError, match=r"reference frame: expected .* markers, got 2"):
-        remembering(sensor, plot)
-    with pytest.raises(SensorError):
-        Canonicalizer(sensor).pair(plot, plot, "left")
+        remembering(sensor, dotted(white, places_px, 2, (20, 20, 160)))
 
 
 @pytest.mark.parametrize("known", [True, False], ids=["in the reference", "later"])
 def test_reflections_between_pins_are_dropped(known):
     simulator = TactileSimulator("tactip", seed=0)
-    pins_px = simulator.markers_px(free_air(1))[0][0]
+    pins_px = free_px(simulator)
     triples = pins_px[cKDTree(pins_px).query(pins_px[:64:13], k=3)[1]].mean(axis=1)
-    clean, *pressed = (
-        simulator.raw_reference(),
-        *simulator.raw_frames(loaded(6, share=0.1 if known else 0.03)),
-    )
-
-    def lit(frame):
-        for at in np.rint(triples).astype(int).tolist():
-            cv2.circle(frame, at, 4, (255, 255, 255), cv2.FILLED)
-        return frame
-
-    canonicalizer = remembering("tactip", lit(clean.copy()) if known else clean)
-    for frame in (clean, *pressed):
-        image = canonicalizer.marker_image(lit(frame.copy()))
+    clean = simulator.raw_reference()
+    pressed = simulator.raw_frames(loaded(6, share=0.1 if known else 0.03))
+    lit, *more_lit = (dotted(frame, triples, 4, 255) for frame in (clean, *pressed))
+    canonicalizer = remembering("tactip", lit if known else clean)
+    for frame in (lit, *more_lit):
+        image = canonicalizer.marker_image(frame)
         assert counted(image) == 127 and canonicalizer.match.lost == 0
         assert 1 <= canonicalizer.match.dropped <= len(triples)  # a pressed pin may run into one
 
 
 @pytest.mark.parametrize("sensor", [*CAMERAS, "gelsight_d"])
 def test_no_marker_of_a_pattern_stands_between_others(sensor):
-    points = TactileSimulator(sensor, seed=0).markers_px(free_air(1))[0][0]
+    points = free_px(TactileSimulator(sensor, seed=0))
     assert not between_markers(points, np.ones(len(points), bool)).any()
 
 
@@ -177,11 +167,7 @@ def steady(frames=20, sigma=2.0):
     return list(FREE + np.rint(noise).astype(np.int64))
 
 
-def test_steady_scans_give_their_level():
-    assert np.abs(capture_taxel_reference(steady()) - FREE).max() <= 2
-
-
-def test_one_garbled_scan_is_no_touch():
+def test_steady_scans_give_their_level_and_one_garbled_is_no_touch():
     scans = steady()
     scans[7][15, 2] -= 286  # seen on a real trial's last frames
     assert np.abs(capture_taxel_reference(scans) - FREE).max() <= 2
@@ -207,79 +193,66 @@ def test_dead_scans_are_no_reference():
 
 
 @pytest.mark.parametrize(
-    "scans", [[], [FREE], [FREE, FREE], [FREE, FREE, FREE.astype(float)], [FREE[:3]] * 4]
+    "scans", [[], [FREE, FREE], [FREE, FREE, FREE.astype(float)], [FREE[:3]] * 4]
 )
 def test_too_few_or_malformed_scans(scans):
     with pytest.raises(ContractError):
         capture_taxel_reference(scans)
 
 
-def test_a_reference_taken_under_load_shows_once_released():
-    pressed = FREE + np.array([0, 0, 1_500])
-    with pytest.raises(SensorError, match="in contact"):
-        Canonicalizer("uskin").pair(pressed, FREE, finger="left")
-
-
 def test_steady_camera_frames_give_their_median(gel):
-    frames = [gel(seed=0).frame] + [_renoised(gel(seed=0).frame, i) for i in range(4)]
-    reference = capture_camera_reference(frames, _centres(frames))
-    assert reference.dtype == np.uint8 and np.abs(reference.astype(int) - frames[0]).mean() < 4
+    frame = gel().frame
+    noise = np.random.default_rng(0).normal(0, 3, (4, *frame.shape))
+    noisy = np.clip(frame + noise, 0, 255).astype(np.uint8)
+    reference = Canonicalizer("gelsight").free_air([frame, *noisy])
+    assert reference.dtype == np.uint8 and np.abs(reference.astype(int) - frame).mean() < 4
 
 
 def test_moving_markers_are_no_reference(dome):
-    frames = [dome(rings=6).frame, dome(rings=6).frame, dome(rings=6, pressed=True).frame]
-    frames[2] = np.roll(frames[2], 4, axis=1)
+    still = dome(rings=6).frame
+    moved = np.roll(dome(rings=6, pressed=True).frame, 4, axis=1)
     with pytest.raises(SensorError, match="in contact"):
-        capture_camera_reference(frames, _centres(frames, "tactip"))
+        Canonicalizer("tactip").free_air([still, still, moved])
 
 
 def test_missed_markers_are_no_motion(dome):
     """A fifth missed at random in each frame was refused as a touch; the median shows them all."""
-    whole, rng = dome(rings=6), np.random.default_rng(0)
-    frames = [whole.frame.copy() for _ in range(10)]
-    for frame in frames:
-        for x, y in (
-            np.rint(whole.centres_px[rng.random(len(whole.centres_px)) < 0.2]).astype(int).tolist()
-        ):
-            frame[y - 9 : y + 10, x - 9 : x + 10] = np.median(whole.frame, axis=(0, 1))
-    reference = capture_camera_reference(frames, _centres(frames, "tactip"))
-    assert len(Canonicalizer("tactip").markers(reference)) >= 0.98 * len(whole.centres_px)
+    whole = dome(rings=6)
+    dark = np.median(whole.frame, axis=(0, 1))
+    missed = np.random.default_rng(0).random((10, len(whole.centres_px))) < 0.2
+    frames = [dotted(whole.frame, whole.centres_px[some], 10, dark) for some in missed]
+    canonicalizer = Canonicalizer("tactip")
+    found = canonicalizer.markers(canonicalizer.free_air(frames))
+    assert len(found) >= 0.98 * len(whole.centres_px)
 
 
 def test_too_few_camera_frames_and_frames_of_two_sizes(gel):
-    frame, small = gel().frame, gel(size=(320, 240)).frame
+    frame = gel().frame
+    small = gel(size=(320, 240)).frame
     for frames, says in (([frame] * 2, "at least 3"), ([frame, frame, small], "one size")):
         with pytest.raises(ContractError, match=says):
-            capture_camera_reference(frames, _centres(frames))
+            Canonicalizer("gelsight").free_air(frames)
 
 
 @pytest.mark.parametrize("make", [np.array, torch.tensor])
 def test_a_reference_is_remembered_by_key_and_content(make):
     """The identity every cache of references goes by: tokenizer, stream, policy and canonicalizer share it."""
-    memory, made = ReferenceMemory(2), []
+    memory = ReferenceMemory(2)
+    numbers = itertools.count(1)
 
     def get(key, reference):
-        return memory.get(key, reference, lambda: made.append(key) or len(made))
+        return memory.get(key, reference, lambda: next(numbers))
 
-    image = make([[0, 255], [255, 0]])
-    assert get("left", image) == get("left", make([[0, 255], [255, 0]])) == 1
+    first = [[0, 255], [255, 0]]
+    image = make(first)
+    assert get("left", image) == get("left", make(first)) == 1
     image[0, 0] = 255  # the same object with other content
-    assert get("left", image) == 2 and get("left", make([[0, 255], [255, 0]])) == 1
+    assert get("left", image) == 2 and get("left", make(first)) == 1
     assert get("right", image) == 3 and get("left", image[:1]) == 4  # another key, another shape
-    # another type; and two are kept, so the first is gone
-    assert get("left", make([[0.0, 255.0], [255.0, 0.0]])) == 5
-    assert get("left", make([[0, 255], [255, 0]])) == 6
+    assert get("left", image[:1] * 1.0) == 5  # another type
+    assert get("left", make(first)) == 6  # two are kept: it is gone
     memory.forget()
-    assert get("left", make([[0, 255], [255, 0]])) == 7
-
-
-def _centres(frames, sensor="gelsight"):
-    return [Canonicalizer(sensor).markers(frame) for frame in frames]
-
-
-def _renoised(frame, seed):
-    noise = np.random.default_rng(seed).normal(0, 3, frame.shape)
-    return np.clip(frame + noise, 0, 255).astype(np.uint8)
+    assert get("left", make(first)) == 7
 
 
 @pytest.mark.parametrize("specks", [60, 200, 300])
@@ -287,16 +260,11 @@ def _renoised(frame, seed):
 def test_specks_of_a_fuzzy_object_do_not_outvote_the_markers(specks, radius_px):
     """How large a marker is the reference says, and not what most blobs of a frame are."""
     raw = TactileSimulator("gelsight", seed=0).raw_reference()
-    frame = raw.copy()
-    for column, row in (
-        np.random.default_rng(specks)
-        .uniform([150, 100], [500, 380], (specks, 2))
-        .astype(int)
-        .tolist()
-    ):
-        cv2.circle(frame, (column, row), radius_px, (raw[row, column] // 3).tolist(), cv2.FILLED)
+    rng = np.random.default_rng(specks)
+    places_px = rng.integers([150, 100], [500, 380], (specks, 2))
+    column, row = places_px.T
     canonicalizer = remembering("gelsight", raw)
-    canonicalizer.marker_image(frame)
+    canonicalizer.marker_image(dotted(raw, places_px, radius_px, raw[row, column] // 3))
     assert canonicalizer.match.lost <= 2 and canonicalizer.match.dropped <= specks / 10
 
 

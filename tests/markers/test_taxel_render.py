@@ -1,7 +1,5 @@
 """Taxels: the rendering follows its published scales, saturates visibly and refuses what isn't counts."""
 
-import dataclasses
-
 import cv2
 import numpy as np
 import pytest
@@ -32,7 +30,7 @@ def loaded(taxel, x=0, y=0, z=0):
 
 
 def area(image):
-    return float((image > 0).sum())
+    return (image > 0).sum()
 
 
 def test_rest_is_sixteen_small_discs(canon):
@@ -56,9 +54,8 @@ def test_taxels_count_from_the_bottom_left_upwards(canon):
     "x, y, moved", [(1000, 0, (64, 0)), (0, 1000, (0, -48)), (-1000, -1000, (-64, 48))]
 )
 def test_shear_moves_right_and_up(canon, x, y, moved):
-    assert np.allclose(
-        canon.markers(loaded(5, x, y))[5] - canon.markers(BASELINE)[5], moved, atol=0.1
-    )
+    moved_px = canon.markers(loaded(5, x, y)) - canon.markers(BASELINE)
+    assert np.allclose(moved_px[5], moved, atol=0.1)
 
 
 @pytest.mark.parametrize(
@@ -85,11 +82,12 @@ def test_any_counts_give_a_binary_image_inside_the_canvas(delta):
 @examples(30)
 @given(hnp.arrays(np.int64, (16, 3), elements=st.integers(0, 3_000)), st.integers(-10_000, 10_000))
 def test_only_the_difference_to_the_reference_matters(delta, shift):
-    images = []
-    for baseline in (BASELINE, BASELINE + shift):
-        images.append(Canonicalizer("uskin").pair(baseline, baseline + delta, finger="left"))
-    assert np.array_equal(images[0].current, images[1].current)
-    assert np.array_equal(images[0].reference, images[1].reference)
+    pair, other = (
+        Canonicalizer("uskin").pair(baseline, baseline + delta, finger="left")
+        for baseline in (BASELINE, BASELINE + shift)
+    )
+    assert np.array_equal(pair.current, other.current)
+    assert np.array_equal(pair.reference, other.reference)
 
 
 def test_unsigned_counts_do_not_wrap(canon):
@@ -98,22 +96,18 @@ def test_unsigned_counts_do_not_wrap(canon):
     assert canon.markers(below)[4, 0] < canon.markers(BASELINE)[4, 0]
 
 
-def test_scales_are_used():
-    canon = Canonicalizer("uskin")
-    coarse = dataclasses.replace(TaxelScales(), counts_per_pitch=5_000.0)
-    other = Canonicalizer("uskin", taxel_scales=coarse)
-    pairs = [c.pair(BASELINE, loaded(5, x=1_000), finger="left") for c in (canon, other)]
-    assert not np.array_equal(pairs[0].current, pairs[1].current)
+def test_scales_are_used(canon):
+    other = Canonicalizer("uskin", taxel_scales=TaxelScales(counts_per_pitch=5_000.0))
+    other.set_reference(BASELINE)
+    sheared = loaded(5, x=1_000)
+    assert not np.array_equal(canon.marker_image(sheared), other.marker_image(sheared))
 
 
-OTHER_SHAPES = [np.zeros(shape, np.int64) for shape in ((4, 4, 3), (15, 3), 48, (0, 3))]
-OTHER_NUMBERS = [BASELINE.astype(np.float32), np.full((16, 3), np.nan), BASELINE.astype(bool)]
+OTHER_SHAPES = [BASELINE.reshape(4, 4, 3), BASELINE[1:], BASELINE.ravel(), BASELINE[:0]]
+OTHER_NUMBERS = [BASELINE.astype(np.float32), BASELINE.astype(bool), None, BASELINE.tolist()]
 
 
-@pytest.mark.parametrize(
-    "counts",
-    [*OTHER_SHAPES, *OTHER_NUMBERS, np.zeros((480, 640, 3), np.uint8), None, BASELINE.tolist()],
-)
+@pytest.mark.parametrize("counts", [*OTHER_SHAPES, *OTHER_NUMBERS])
 def test_malformed_counts_break_the_contract(canon, counts):
     for call in (canon.marker_image, canon.markers, canon.set_reference):
         with pytest.raises(ContractError, match="expected integers"):
@@ -129,15 +123,17 @@ def test_rendering_needs_a_reference():
 
 
 def test_dead_sensor(canon):
+    dead = 0 * BASELINE
     with pytest.raises(SensorError, match="48 zeros"):
-        canon.marker_image(np.zeros((16, 3), np.int64))
+        canon.marker_image(dead)
     with pytest.raises(SensorError, match="48 zeros"):
-        canon.pair(BASELINE, np.zeros((16, 3), np.int64), finger="left")
-
-
-def test_a_tared_stream_has_noise_in_its_reference_a_dead_sensor_has_none(canon):
-    noise = np.eye(16, 3, dtype=np.int64)
-    pair = canon.pair(noise, loaded(5, 100, 100, 900) - BASELINE + noise, finger="left")
-    assert np.array_equal(pair.current, canon.marker_image(loaded(5, 100, 100, 900)))
+        canon.pair(BASELINE, dead, finger="left")
     with pytest.raises(SensorError, match="reference: expected a live scan"):
-        canon.pair(np.zeros((16, 3), np.int64), BASELINE, finger="left")
+        canon.pair(dead, BASELINE, finger="left")
+
+
+def test_a_tared_stream_has_noise_in_its_reference(canon):
+    noise = np.eye(16, 3, dtype=np.int64)
+    pressed = loaded(5, 100, 100, 900)
+    pair = canon.pair(noise, pressed - BASELINE + noise, finger="left")
+    assert np.array_equal(pair.current, canon.marker_image(pressed))
