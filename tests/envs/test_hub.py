@@ -1,6 +1,7 @@
 """The scene as EnvHub loads it: LeRobot's own loader reads env.py out of a hub cache."""
 
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -18,10 +19,7 @@ COMMIT = "c" * 40
 @pytest.fixture
 def hub_cache(tmp_path, monkeypatch):
     """A hub cache that holds the shared scene at one commit."""
-    hub = SimpleNamespace(
-        create_repo=lambda repo_id, **_: SimpleNamespace(repo_id=repo_id),
-        upload_folder=lambda **given: None,
-    )
+    hub = Mock(create_repo=lambda repo_id, **_: SimpleNamespace(repo_id=repo_id))
     monkeypatch.setattr("huggingface_hub.HfApi", lambda: hub)
     monkeypatch.setattr("huggingface_hub.constants.HF_HUB_OFFLINE", True)
     of_repository = tmp_path / f"models--{REPOSITORY.replace('/', '--')}"
@@ -38,9 +36,7 @@ def test_lerobot_makes_the_scene_from_a_hub_repository(hub_cache):
     observation, _ = scenes.reset(seed=[3, 4])
     assert scenes.num_envs == 2 and scenes.call("task_description") == scenes.call("task")
     assert scenes.get_attr("level") == (TOUCH, TOUCH)
-    observation, *_, info = scenes.step(
-        np.zeros((2, *scenes.single_action_space.shape), np.float32)
-    )
+    observation, *_, info = scenes.step(np.zeros(scenes.action_space.shape, np.float32))
     assert observation["pixels"]["tactile_right"].shape == (2, 480, 640, 3)
     assert not info["is_success"].any()
     scenes.close()

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from properties import examples
 
 from lerobot_env_uniforce_wiping import LEVELS, WipeEnv, WipeExpert, draw_scene
+from lerobot_env_uniforce_wiping.episodes import walk
 from lerobot_env_uniforce_wiping.ink import InkField
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ
 from lerobot_env_uniforce_wiping.rewrite import Rewrite, RewriteSettings
@@ -32,14 +33,10 @@ def env():
 def run(env, disturb):
     expert = WipeExpert()
     phases = []
-    done = False
-    expert.reset(env)
-    while not done:
-        action = expert.act(env)
-        if not phases or phases[-1] != expert.phase:
+    for _ in walk(env, expert, SEED):
+        if expert.phase not in phases[-1:]:
             phases.append(expert.phase)
         disturb(env.sim.ink, expert.phase == "wipe")
-        done = env.advance(action)
     return phases
 
 
@@ -47,9 +44,8 @@ def run(env, disturb):
 def test_wiping_begins_again_at_the_first_row_with_ink(env, row):
     ink = env.sim.ink
     sweep = Sweep(env.level)
-    x_m = (
-        sweep.corners[2 * row, 0] - env.level.layout.board_center_m[0] - env.scene.board_shift_m[0]
-    )
+    board_m = env.level.layout.board_center_m[0] + env.scene.board_shift_m[0]
+    x_m = sweep.corners[2 * row, 0] - board_m
     ink.ink[:] = 1.0 * ((ink.x_m > x_m - 0.004) & (np.abs(ink.y_m) < 0.05))
     ink.version += 1
     assert np.array_equal(sweep.point(sweep.row_at(look_back(env))), sweep.corners[2 * row])
@@ -68,14 +64,18 @@ def test_a_board_that_is_clean_is_wiped_once(env):
 
 def test_ink_that_never_goes_is_given_up():
     env = WipeEnv("easy", drawn=(), max_steps=round(40 * CONTROL_HZ))
-    env.start(SEED)
     phases = run(env, lambda ink, wiping: ink.rewrite(np.zeros(2), np.array([0.2, 0.3]), 1.0))
     assert phases.count("wipe") == 1 + LOOKS_BACK and phases[-1] == "done"
     assert env.result().outcome == "residual"
 
 
+def written():
+    """Return the ink of a board, as it is before the episode."""
+    return InkField(draw_scene(SEED, "touch"))
+
+
 def test_ink_comes_back_where_it_was_and_not_darker():
-    ink = InkField(draw_scene(SEED, "touch"))
+    ink = written()
     first = ink.ink.copy()
     ink.rewrite(np.zeros(2), np.array([0.2, 0.3]), 0.5)
     assert np.array_equal(ink.ink, first)  # nothing was gone
@@ -85,15 +85,14 @@ def test_ink_comes_back_where_it_was_and_not_darker():
     assert back.any() and np.array_equal(ink.ink[back], 0.5 * first[back])
     assert np.abs(ink.x_m[back] - 0.02).max() <= 0.015 and 0 < ink.residual < 1
     center_m, extent_m = ink.written_box_m
-    x = ink.x_m[first > 0]
-    y = ink.y_m[first > 0]
-    assert np.allclose([x.min(), y.min()], center_m - extent_m / 2)
-    assert np.allclose([x.max(), y.max()], center_m + extent_m / 2)
+    places_m = np.stack([ink.x_m, ink.y_m])[:, first > 0]
+    assert np.allclose(places_m.min(axis=1), center_m - extent_m / 2)
+    assert np.allclose(places_m.max(axis=1), center_m + extent_m / 2)
 
 
 def test_ink_comes_back_once_while_wiping_and_the_same_each_time():
     def boards(seed):
-        ink = InkField(draw_scene(SEED, "touch"))
+        ink = written()
         ink.ink[:] = 0
         rewrite = Rewrite(seed, RewriteSettings(share=1.0))
         seen = []
@@ -108,15 +107,15 @@ def test_ink_comes_back_once_while_wiping_and_the_same_each_time():
 
 
 def test_the_share_of_episodes_is_the_one_asked_for():
-    ink = InkField(draw_scene(SEED, "touch"))
-    written = 0
+    ink = written()
+    again = 0
     for seed in range(300):
         ink.ink[:] = 0
         rewrite = Rewrite(seed)
         for _ in range(round(7 * CONTROL_HZ)):
             rewrite.apply(ink, wiping=True)
-        written += bool(ink.ink.any())
-    assert abs(written / 300 - RewriteSettings().share) < 0.1
+        again += ink.ink.any()
+    assert abs(again / 300 - RewriteSettings().share) < 0.1
 
 
 FELT_m = np.array([0.2, 0.3])  # covers the whole board
@@ -125,7 +124,7 @@ FROM_N = LEVELS["touch"].wear_from_N
 
 def left_after(press_N, slide_m=0.06, off_center_m=0.0):
     """Return the ink under one felt as large as the board, scaled to an eraser's pressure."""
-    ink = InkField(draw_scene(3, "touch"))
+    ink = written()
     eraser_m2 = 0.030 * 0.060
     ink.wear *= float(np.prod(FELT_m)) / eraser_m2
     ink.wipe(np.zeros(2), 0.0, FELT_m, np.array([press_N, off_center_m, 0.0]), slide_m)
@@ -135,20 +134,19 @@ def left_after(press_N, slide_m=0.06, off_center_m=0.0):
 @examples(20)
 @given(st.floats(0, FROM_N), st.floats(-0.05, 0.05))
 def test_felt_that_presses_too_lightly_glides_over_the_ink(press_N, off_center_m):
-    first = InkField(draw_scene(3, "touch")).ink
-    assert np.array_equal(left_after(press_N, off_center_m=off_center_m), first)
+    assert np.array_equal(left_after(press_N, off_center_m=off_center_m), written().ink)
 
 
 @examples(20)
 @given(st.floats(FROM_N + 0.1, 12), st.floats(1.05, 2))
 def test_who_presses_harder_or_slides_farther_leaves_less(press_N, more):
-    inked = InkField(draw_scene(3, "touch")).ink > 0
+    inked = written().ink > 0
     once = left_after(press_N)[inked]
     assert (left_after(press_N * more)[inked] < once).all()
     assert (left_after(press_N, slide_m=0.06 * more)[inked] < once).all()
 
 
 def test_two_sweeps_wear_as_much_as_one_with_twice_the_force_above_the_threshold():
-    inked = InkField(draw_scene(3, "touch")).ink > 0
+    inked = written().ink > 0
     twice = left_after(5.0, slide_m=0.12)[inked]
     assert np.allclose(twice, left_after(FROM_N + 2 * (5.0 - FROM_N))[inked], rtol=1e-4)

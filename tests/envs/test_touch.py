@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
+from lerobot_env_uniforce_wiping.episodes import walk
 from uniforce_vtla.contact.units import UnitVariation
 from uniforce_vtla.contact.virtual import any_virtual, as_virtual
 from uniforce_vtla.contact.wear import Creep
@@ -31,43 +32,32 @@ def test_an_eraser_lost_within_a_step_leaves_the_pad_in_free_air(finger):
 def test_rigs_differ_in_the_left_fingers_marker_image_alone():
     """The benchmark rolls such arms out on one rig only."""
     rigs = [WipeEnv("touch", f"{left}:drawing", "tactip:drawing") for left in ("gelsight", "uskin")]
-    for env in rigs:
-        env.reset(seed=5)
-    expert = WipeExpert()
-    expert.reset(rigs[0])
-    # until it holds the eraser
-    while min(rigs[0].true_wrench()[finger][2] for finger in FINGERS) < 3:
-        action = expert.act(rigs[0])
-        for env in rigs:
-            env.advance(action)
-    seen = [env.observe() for env in rigs]
+    rigs[1].start(5)
+    for action in walk(rigs[0], WipeExpert(), 5):
+        rigs[1].advance(action)
+        if min(rigs[0].true_wrench()[finger][2] for finger in FINGERS) >= 3:
+            break  # it holds the eraser
+    one, other = (env.observe() for env in rigs)
     for key in ("front", "wrist", "tactile_right"):
-        np.testing.assert_array_equal(seen[0]["pixels"][key], seen[1]["pixels"][key])
-    np.testing.assert_array_equal(seen[0]["agent_pos"], seen[1]["agent_pos"])
-    assert (seen[0]["pixels"]["tactile_left"] != seen[1]["pixels"]["tactile_left"]).any()
+        np.testing.assert_array_equal(one["pixels"][key], other["pixels"][key])
+    np.testing.assert_array_equal(one["agent_pos"], other["agent_pos"])
+    assert (one["pixels"]["tactile_left"] != other["pixels"]["tactile_left"]).any()
 
 
-def held(left, seed=5, **options):
+def held(left, **options):
     """Return a scene whose expert has held the eraser for half a second."""
     env = WipeEnv("touch", left, "tactip:drawing", **options)
-    expert = WipeExpert()
     steps = 0
-    env.start(seed)
-    expert.reset(env)
-    while steps < 15:
-        env.advance(expert.act(env))
+    for _ in walk(env, WipeExpert(), 5):
         steps += env.true_wrench()["left"][2] > 6
-    return env
+        if steps == 15:
+            return env
 
 
-def read(env, looks=8):
+def read(env):
     """Return the left finger's own reading, (3,) N, mean of several noisy images of one moment."""
-    seen = [env.observe()["pixels"] for _ in range(looks)]
-    pair = [
-        np.stack([p[tactile_name("left", reference)][..., 0] for p in seen])
-        for reference in (True, False)
-    ]
-    latent = Tokenizer.from_pretrained().encode(*pair, "left")
+    reference, current = np.swapaxes([env.marker_pair("left") for _ in range(8)], 0, 1)
+    latent = Tokenizer.from_pretrained().encode(reference, current, "left")
     return ForceHead.from_pretrained(env.sensors["left"])(latent).numpy().mean(axis=0)
 
 
@@ -83,21 +73,19 @@ def test_raw_frames_and_canonicalizer_read_as_the_direct_drawing_does(kind, grip
 def test_a_stiff_unit_has_a_stiff_pad_and_a_picture_that_moves_less():
     plain = drawing(as_virtual("tactip"))
     stiff = replace(plain, unit=UnitVariation(stiffness=1.5))
-    nominal, other = (WipeEnv("touch", worn, "tactip:drawing") for worn in (plain, stiff))
     K = []
-    for env in (nominal, other):
+    for worn in (plain, stiff):
+        env = WipeEnv("touch", worn, drawn=())
         env.start(5)
         K.append(env.sim.model.geom_solref[env.sim.model.geom("pad_left").id, 0])
     assert K[1] == pytest.approx(1.5 * K[0])
-    assert stiff.stiffness == 1.5 and drawing(
-        any_virtual("gelsight_stiff")
-    ).stiffness == pytest.approx(1.6)
+    assert stiff.stiffness == 1.5
+    assert drawing(any_virtual("gelsight_stiff")).stiffness == pytest.approx(1.6)
 
 
 def test_a_picture_is_late_by_a_step_and_rubber_lags_behind():
-    worn = replace(
-        drawing(as_virtual("tactip")), lag_steps=1, creep=Creep(share=0.2, relaxation_s=0.5)
-    )
+    creep = Creep(share=0.2, relaxation_s=0.5)
+    worn = replace(drawing(as_virtual("tactip")), lag_steps=1, creep=creep)
     env = WipeEnv("touch", "gelsight:drawing", worn)
     env.start(5)
     pad = env._touch["right"]

@@ -23,7 +23,7 @@ from uniforce_vtla.contact.worn import drawing
 from uniforce_vtla.contracts import FINGERS, check_marker_image
 from uniforce_vtla.errors import ContractError, RolloutError, SensorError
 from uniforce_vtla.evaluation.episode import EpisodeTrace
-from uniforce_vtla.keys import STATE, TACTILE_KEYS, camera_key, tactile_name
+from uniforce_vtla.keys import tactile_name
 
 SEED = 4
 EASY_SEEDS = (1, 2, 4)
@@ -31,31 +31,18 @@ EASY_SEEDS = (1, 2, 4)
 
 @pytest.fixture(scope="module")
 def grasped():
+    """A scene whose expert has wiped for eight steps."""
     env = WipeEnv()
     expert = WipeExpert()
-    env.start(SEED)
-    steps_to_the_first_sweep(env, expert)
-    for _ in range(8):
-        env.advance(expert.act(env))
-    return env
+    wiped = 0
+    for _ in walk(env, expert, SEED):
+        wiped += expert.phase == "wipe"
+        if wiped == 8:
+            return env
 
 
-def steps_to_the_first_sweep(env, expert):
-    """Let an expert begin, up to where its first sweep does; return the control steps it took."""
-    expert.reset(env)
-    steps = 0
-    while expert.phase != "wipe":
-        env.advance(expert.act(env))
-        steps += 1
-    return steps
-
-
-def test_observation_is_inside_its_space_and_finite(grasped):
-    env = WipeEnv(expose_wrench=True)
-    observation, info = env.reset(seed=SEED)
-    assert env.observation_space.contains(observation)
-    assert np.isfinite(observation["agent_pos"]).all() and not info["is_success"]
-    assert WipeEnv().observation_space.contains(grasped.observe())
+def test_observation_of_a_grasp_is_inside_its_space(grasped):
+    assert grasped.observation_space.contains(grasped.observe())
 
 
 def test_gymnasium_finds_no_fault_and_no_two_observations_share_memory():
@@ -63,12 +50,9 @@ def test_gymnasium_finds_no_fault_and_no_two_observations_share_memory():
     env = WipeEnv(left_sensor=stalled, right_sensor="tactip:drawing", expose_wrench=True)
     check_env(env)
     given = [env.reset(seed=SEED)[0], env.step(env.state)[0], env.step(env.state)[0], env.observe()]
-    arrays = [
-        array
-        for seen in given
-        for array in (*seen["pixels"].values(), seen["agent_pos"], seen["wrench_left"])
-    ]
-    arrays += [image for _ in range(2) for image in env.marker_pair("left")]
+    arrays = [*env.marker_pair("left"), *env.marker_pair("left")]
+    for seen in given:
+        arrays += [*seen["pixels"].values(), seen["agent_pos"], seen["wrench_left"]]
     reference = given[0]["pixels"]["tactile_left_ref"].copy()
     for n, array in enumerate(arrays):
         array[:] = n  # a wrapper that works in place
@@ -88,18 +72,13 @@ def test_marker_images_hold_only_black_and_white_on_three_equal_channels(grasped
 
 
 def test_same_seed_same_episode_and_other_seed_another():
-    def start(seed):
-        observation, _ = WipeEnv().reset(seed=seed)
-        return [observation["agent_pos"], *observation["pixels"].values()]
-
-    first = start(7)
-    again = start(7)
-    other = start(8)
-    assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
-    assert not np.array_equal(first[1], other[1]) and not np.array_equal(first[0], other[0])
+    first, again, other = (WipeEnv().reset(seed=seed)[0] for seed in (7, 7, 8))
+    np.testing.assert_equal(first, again)
+    assert not np.array_equal(first["agent_pos"], other["agent_pos"])
+    assert not np.array_equal(first["pixels"]["front"], other["pixels"]["front"])
 
 
-def test_pictures_show_ink_that_goes_away(grasped):
+def test_pictures_show_ink_that_goes_away():
     def inked(picture):
         r, _, b = picture.astype(int).transpose(2, 0, 1)
         return int(((b - r > 60) & (r < 60) & (b < 140)).sum())
@@ -115,7 +94,6 @@ def test_pictures_show_ink_that_goes_away(grasped):
     "action, error",
     [
         (np.array([0.5, 0.0, np.nan, 0.0, 0.05]), RolloutError),
-        (np.array([0.5, 0.0, np.inf, 0.0, 0.05]), RolloutError),
         (np.zeros(4), ContractError),
         (np.zeros((1, 5)), ContractError),
         ("down", ContractError),
@@ -126,9 +104,8 @@ def test_bad_action_is_refused_and_the_target_held(grasped, action, error):
     control = grasped.sim.data.ctrl.copy()
     with pytest.raises(error):
         grasped.advance(action)
-    assert np.array_equal(grasped.sim.target, target) and np.array_equal(
-        grasped.sim.data.ctrl, control
-    )
+    assert np.array_equal(grasped.sim.target, target)
+    assert np.array_equal(grasped.sim.data.ctrl, control)
 
 
 def test_bad_settings_are_refused():
@@ -144,7 +121,8 @@ def test_bad_settings_are_refused():
 
 def test_step_reports_success_and_metrics_every_time():
     env = WipeEnv(max_steps=3)
-    observation, _ = env.reset(seed=SEED)
+    observation, info = env.reset(seed=SEED)
+    assert not info["is_success"]
     hold = observation["agent_pos"]
     for step in range(3):
         _, reward, terminated, truncated, info = env.step(hold)
@@ -211,20 +189,15 @@ def test_a_hand_that_arrives_beside_its_row_comes_to_it(monkeypatch):
     env = WipeEnv("touch", drawn=())
     expert = WipeExpert()
     env.start(SEED)
-    expert.reset(env)
-    start = Sweep(env.level).point(0.0)
+    path = [env.state[:2]]
     by_phase = {}
-    last = env.state[:2]
-    done = False
-    fastest_m_s = 0.0
-    while not done:
-        command = expert.act(env)
-        by_phase.setdefault(expert.phase, command[:2] - start)  # at the beginning of each phase
-        fastest_m_s = max(fastest_m_s, float(np.linalg.norm(command[:2] - last)) * 30)
-        last = command[:2]
-        done = env.advance(command)
-    assert np.linalg.norm(by_phase["lower"] - beside_m) < 0.005
-    assert np.linalg.norm(by_phase["wipe"]) < 0.5 * np.linalg.norm(beside_m)
+    for command in walk(env, expert, SEED):
+        path.append(command[:2])
+        by_phase.setdefault(expert.phase, command[:2])  # at the beginning of each phase
+    start = Sweep(env.level).point(0.0)
+    assert np.linalg.norm(by_phase["lower"] - start - beside_m) < 0.005
+    assert np.linalg.norm(by_phase["wipe"] - start) < 0.5 * np.linalg.norm(beside_m)
+    fastest_m_s = 30 * np.linalg.norm(np.diff(path, axis=0), axis=1).max()
     assert fastest_m_s < 0.140 and env.result().success
 
 
@@ -234,9 +207,8 @@ def test_make_env_round_trip():
     observation, _ = vector.reset(seed=[3])
     frame = preprocess_observation(observation)
     wanted = env_to_policy_features(config)
-    assert set(frame) == set(wanted) - {"action"}
-    for key, value in frame.items():
-        assert tuple(value.shape[1:]) == tuple(wanted[key].shape)
+    shapes = {key: tuple(value.shape[1:]) for key, value in frame.items()}
+    assert shapes == {key: one.shape for key, one in wanted.items() if key != "action"}
     hold = observation["agent_pos"].astype(np.float32)
     vector.step(hold)
     _, _, _, truncated, info = vector.step(hold)
@@ -247,9 +219,7 @@ def test_make_env_round_trip():
 
 def test_features_follow_the_keys():
     config = UniforceWipingConfig()
-    assert {STATE, camera_key("front"), camera_key("wrist"), *TACTILE_KEYS} <= set(config.features)
     assert config.episode_length == 360 and not any("wrench" in key for key in config.features)
-
     exposed = env_to_policy_features(UniforceWipingConfig(expose_wrench=True))
     assert exposed["observation.wrench_left"].shape == (4,)
 

@@ -16,6 +16,7 @@ from lerobot_env_uniforce_wiping.hidden import (
 )
 from lerobot_env_uniforce_wiping.ink import InkField
 from lerobot_env_uniforce_wiping.sequence import Sweep
+from uniforce_vtla.sensors.layouts import turned
 
 LOCKED = {"easy": "a6e6bd6055b0", "touch": "21ea3966703a"}
 
@@ -37,13 +38,11 @@ def test_scene_is_a_function_of_seed_and_level(seed, level):
 def test_serpentine_is_readable_from_position_alone(name):
     """Row k runs +y where k is even, back where it is odd: x decides the direction."""
     level = LEVELS[name]
-    sweep = Sweep(level)
-    first_x = sweep.corners[0, 0]
-    for k in range(level.rows):
-        start = sweep.corners[2 * k]
-        stop = sweep.corners[2 * k + 1]
-        assert start[0] == pytest.approx(first_x + k * level.row_pitch_m) == pytest.approx(stop[0])
-        assert (stop[1] > start[1]) == (k % 2 == 0)
+    start, stop = Sweep(level).corners.reshape(level.rows, 2, 2).swapaxes(0, 1)
+    rows = np.arange(level.rows)
+    for ends in (start, stop):
+        np.testing.assert_allclose(ends[:, 0], start[0, 0] + rows * level.row_pitch_m)
+    assert np.array_equal(stop[:, 1] > start[:, 1], rows % 2 == 0)
     narrowest = level.layout.eraser_width_m + level.eraser_width_offset_m[0]
     assert level.row_pitch_m < narrowest
 
@@ -63,43 +62,31 @@ def test_writing_of_any_size_and_place_lies_where_the_eraser_goes(seed, name):
     scene = draw_scene(seed, name)
     level = LEVELS[name]
     ink = InkField(scene)
-    rows, columns = np.nonzero(ink.ink)
-    x = ink.x_m[rows, columns]
-    y = ink.y_m[rows, columns]
-    c = np.cos(scene.board_turn_rad)
-    s = np.sin(scene.board_turn_rad)
-    shift = scene.board_shift_m
-    away_x = np.abs(c * x - s * y + shift[0])
-    away_y = np.abs(s * x + c * y + shift[1])
+    places_m = np.column_stack([ink.x_m[ink.ink > 0], ink.y_m[ink.ink > 0]])
+    away_m = np.abs(turned(places_m, scene.board_turn_rad) + scene.board_shift_m).max(axis=0)
     half_band = (level.rows - 1) * level.row_pitch_m / 2 + scene.eraser_width_m / 2
-    assert away_x.max() < half_band
-    assert away_y.max() < level.stroke_m / 2  # under the whole length of the eraser
+    assert away_m[0] < half_band
+    assert away_m[1] < level.stroke_m / 2  # under the whole length of the eraser
 
 
 def test_scenes_vary_what_a_camera_sees():
     scenes = [draw_scene(seed, "touch") for seed in range(40)]
     assert len({scene.word for scene in scenes}) > 10
-    for name in (
-        "letter_scale",
-        "board_turn_rad",
-        "eraser_turn_rad",
-        "eraser_length_m",
-        "light_gain",
-    ):
+    numbers = ("letter_scale", "board_turn_rad", "eraser_turn_rad", "eraser_length_m", "light_gain")
+    for name in numbers:
         assert len({getattr(scene, name) for scene in scenes}) == len(scenes)
 
 
 def test_light_changes_the_picture_and_nothing_else():
-    dim = WipeEnv("touch")
-    bright = WipeEnv("touch")
-    for env, gain in ((dim, 0.7), (bright, 1.0)):
+    def lit(gain):
+        env = WipeEnv("touch")
         env.start(1)
-        env.sim.scene = replace(
-            env.sim.scene, light_gain=(gain, gain, gain), light_turn_rad=(0.0, 0.0, 0.0)
-        )
+        env.sim.scene = replace(env.scene, light_gain=(gain,) * 3, light_turn_rad=(0.0,) * 3)
         env._painter.reset(env.sim)
-    dark = dim.observe()
-    light = bright.observe()
+        return env.observe()
+
+    dark = lit(0.7)
+    light = lit(1.0)
     ratio = dark["pixels"]["front"].mean() / light["pixels"]["front"].mean()
     assert ratio == pytest.approx(0.7, abs=0.03)
     assert np.array_equal(dark["pixels"]["tactile_left"], light["pixels"]["tactile_left"])
@@ -118,10 +105,12 @@ def test_the_pull_has_its_spread_its_pace_and_its_bound():
 
 def test_the_board_has_its_spread_and_its_length():
     boards = [UnevenBoard(seed, UnevenSettings()) for seed in range(60)]
-    here = np.array([b.height_m(np.zeros(2)) for b in boards])
-    beside = np.array([b.height_m(np.array([0.0, 0.03])) for b in boards])
+
+    def heights_m(x_m, y_m):
+        return np.array([board.height_m(np.array([x_m, y_m])) for board in boards])
+
+    here = heights_m(0.0, 0.0)
     assert here.std() == pytest.approx(0.00085 * 0.88, rel=0.25)
-    assert np.corrcoef(here, beside)[0, 1] == pytest.approx(0.61, abs=0.25)  # exp(-1/2)
-    assert boards[0].height_m(np.array([1.0, 0.0])) == boards[0].height_m(
-        np.array([BOARD_HALF_m[0], 0.0])
-    )
+    correlation = np.corrcoef(here, heights_m(0.0, 0.03))[0, 1]
+    assert correlation == pytest.approx(0.61, abs=0.25)  # exp(-1/2)
+    np.testing.assert_allclose(heights_m(1.0, 0.0), heights_m(BOARD_HALF_m[0], 0.0))
