@@ -8,9 +8,9 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from lerobot.datasets.dataset_tools import delete_episodes, merge_datasets, modify_tasks
+from lerobot.datasets.dataset_tools import modify_tasks
 
-from benchmarks.trust.damaged_datasets import DATASET_DAMAGES, record_whole
+from benchmarks.trust.damaged_datasets import DATASET_DAMAGES, data, record_whole, set_value
 from benchmarks.trust.injuries import cut, edit_json, flip_bit
 from uniforce_cli import share, verify
 from uniforce_datasets import hashes
@@ -96,16 +96,16 @@ def test_every_file_has_its_hash_and_episode(demos):
 @pytest.mark.parametrize("name", ["../outside", "/etc/passwd", "\0", "x" * 5000])
 def test_a_hash_opens_no_file_outside(copy, name):
     (copy.parent / "outside").write_text("mine")
-    known = read_hashes(copy, DatasetError)
-    store_hashes(copy, (known or {}) | {name: {"bytes": 4, "sha256": "0"}})
+    edit_json(copy / HASHES, lambda known: known.update({name: {"bytes": 4, "sha256": "0"}}))
     with pytest.raises(DatasetError, match=r"file names with|got none"):
         check_dataset(copy, "full")
 
 
 def test_a_commit_made_while_a_reader_looks_is_no_damage(copy, monkeypatch):
     stats = copy / "meta" / "stats.json"
-    (copy / STAGING / "meta").mkdir(parents=True)
-    (copy / STAGING / "meta" / "stats.json").write_text(stats.read_text() + " ")
+    staged = copy / STAGING / "meta"
+    staged.mkdir(parents=True)
+    (staged / "stats.json").write_text(stats.read_text() + " ")
     stage_hashes(copy)
 
     def commit_first(*looked_at):
@@ -154,8 +154,6 @@ def test_edited_by_lerobot_then_hashed_again(copy, capsys):
 
 
 def test_content_that_cannot_be_trusted_gets_no_hashes(copy, capsys):
-    from benchmarks.trust.damaged_datasets import data, set_value
-
     before = (copy / HASHES).read_text()
     set_value(data(copy), ACTION, float("nan"))
     assert ours(copy, "rehash=true") == 2 and "episode 1" in capsys.readouterr().err
@@ -189,18 +187,3 @@ def test_hashes_of_a_thousand_episodes_cost_little(tmp_path):
     store_hashes(tmp_path, many)
     assert read_hashes(tmp_path, DatasetError) == many
     assert time.process_time() - began_s < 1
-
-
-def test_merged_by_lerobot_then_hashed(demos, tmp_path):
-    merged, fewer = tmp_path / "merged", tmp_path / "fewer"
-    merge_datasets([open_dataset(demos), open_dataset(demos)], "local/merged", merged)
-    assert ours(merged, "rehash=true") == 0
-    stored = read_hashes(merged, DatasetError)
-    assert stored and not any("episode" in entry for entry in stored.values())  # packed files
-    source = check_dataset(merged, "full")
-    assert len(source.episodes) == 6
-    assert len({e.videos[k].file for e in source.episodes for k in e.videos}) == 6
-    record_synthetic(merged, 1, 4)
-    assert len(check_dataset(merged, "full").episodes) == 7
-    delete_episodes(open_dataset(demos), [1], fewer, "local/fewer")
-    assert ours(fewer, "rehash=true") == 0 and len(check_dataset(fewer, "full").episodes) == 2

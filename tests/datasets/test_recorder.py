@@ -6,6 +6,7 @@ import shutil
 import time
 from contextlib import contextmanager
 from pathlib import Path
+from unittest.mock import Mock
 
 import av
 import numpy as np
@@ -33,6 +34,7 @@ from uniforce_vtla.keys import (
     SEED,
     STATE,
     SUCCESS,
+    TACTILE_KEYS,
     camera_key,
     sensor_key,
     tactile_key,
@@ -48,7 +50,7 @@ def open_recorder(root, **options):
     return EpisodeRecorder(root, "local/test", "gelsight", "tactip", FPS, **options)
 
 
-def add_frames(recorder, count=SHORT, seed=0):
+def add_frames(recorder, count=SHORT, seed=0, raw=None):
     """Add frames from memory that is filled over and over, as a camera's driver does; return what was passed."""
     rng = np.random.default_rng(seed)
     frames = [synthetic_frame(step, rng) for step in range(count)]
@@ -56,14 +58,14 @@ def add_frames(recorder, count=SHORT, seed=0):
     for frame in frames:
         for key, value in frame.items():
             memory[key][:] = value
-        recorder.add(memory, "wipe")
+        recorder.add(memory, "wipe", raw)
     for array in memory.values():
         array[:] = 1
     return frames
 
 
-def save_one(recorder):
-    add_frames(recorder)
+def save_one(recorder, **given):
+    add_frames(recorder, **given)
     recorder.save(success=True, outcome="success", seed=7, card={"label": "success"})
 
 
@@ -71,7 +73,7 @@ def save_one(recorder):
 def test_a_root_that_cannot_be_written_is_refused(root, tmp_path):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(DatasetError, match="a folder"):
-        EpisodeRecorder(root.format(file=tmp_path / "file"), "local/x", "gelsight", "tactip")
+        open_recorder(root.format(file=tmp_path / "file"))
 
 
 @pytest.mark.parametrize("root", ["~/demos", "demos", "../home/demos"])
@@ -96,8 +98,9 @@ def test_a_root_leads_to_one_folder_wherever_the_program_goes(root, tmp_path, mo
 def test_round_trip_with_stock_loader(tmp_path):
     root = tmp_path / "data"
     recorded = []
+    outcomes = ["success", "failed_grasp", "residual"]
     # three sessions: resume each time
-    for number, outcome in enumerate(("success", "failed_grasp", "residual")):
+    for number, outcome in enumerate(outcomes):
         with open_recorder(root) as recorder:
             assert recorder.num_episodes == number
             recorded += add_frames(recorder, seed=number)
@@ -106,43 +109,35 @@ def test_round_trip_with_stock_loader(tmp_path):
     assert dataset.num_episodes == 3 and len(dataset) == 3 * SHORT
     for index, frame in enumerate(recorded):
         sample = dataset[index]
-        for finger in ("left", "right"):
-            for reference in (False, True):
-                key = tactile_key(finger, reference)
-                assert np.array_equal(
-                    sample[key].numpy(), np.broadcast_to(frame[key], (3, 480, 640))
-                )
-        assert np.array_equal(sample[STATE], frame[STATE]) and np.array_equal(
-            sample[ACTION], frame[ACTION]
-        )
-        assert np.array_equal(sample[truth_wrench_key("left")], frame[truth_wrench_key("left")])
+        for key in TACTILE_KEYS:
+            assert np.array_equal(sample[key], np.broadcast_to(frame[key], (3, 480, 640)))
+        for key in (STATE, ACTION, truth_wrench_key("left")):
+            assert np.array_equal(sample[key], frame[key])
         camera = sample[camera_key("front")].permute(1, 2, 0).numpy().astype(int)
-        assert np.abs(camera - frame[camera_key("front")]).mean() < 8  # lossy, yet the same picture
+        assert np.abs(camera - frame[camera_key("front")]).mean() < 6  # lossy, yet the same picture
         assert sample["task"] == "wipe"
     columns = read_source(root).columns((SUCCESS, OUTCOME, SEED, sensor_key("right")))
     ends = slice(None, None, SHORT)
-    assert columns[SUCCESS][ends].tolist() == [1, 0, 0] and columns[SEED].tolist()[-1] == 102
-    assert [OUTCOME_NAMES[i] for i in columns[OUTCOME][ends]] == [
-        "success",
-        "failed_grasp",
-        "residual",
-    ]
+    assert columns[SUCCESS][ends].tolist() == [1, 0, 0] and columns[SEED][-1] == 102
+    assert [OUTCOME_NAMES[i] for i in columns[OUTCOME][ends]] == outcomes
     assert set(columns[sensor_key("right")]) == {list_sensors().index("tactip")}
 
 
 def test_a_kill_between_any_two_steps_leaves_a_dataset_that_opens_verifies_and_goes_on(
     tmp_path, monkeypatch
 ):
-    root, saved = tmp_path / "data", 0
+    root = tmp_path / "data"
+    saved = 0
+    raw = np.zeros((48, 64, 3), np.uint8)
     states = {}  # what is in place → episodes saved by then, copy
 
     def before(step):
         def stepped(*given, **named):
-            files = []
-            for path in sorted(root.rglob("*")):
-                if path.is_file() and staging.STAGING not in path.parts:
-                    files.append((path, path.stat().st_mtime_ns))
-            in_place = tuple(files)
+            in_place = frozenset(
+                (path, path.stat().st_mtime_ns)
+                for path in root.rglob("*")
+                if path.is_file() and staging.STAGING not in path.parts
+            )
             if in_place not in states:
                 copy = Path(shutil.copytree(root, tmp_path / f"state_{len(states)}"))
                 states[in_place] = (saved, copy)
@@ -153,14 +148,11 @@ def test_a_kill_between_any_two_steps_leaves_a_dataset_that_opens_verifies_and_g
     with monkeypatch.context() as patch:
         patch.setattr(os, "replace", before(os.replace))
         patch.setattr(shutil, "rmtree", before(shutil.rmtree))
-        with open_recorder(root, raw_shapes={"left": (48, 64, 3)}) as recorder:
+        with open_recorder(root, raw_shapes={"left": raw.shape}) as recorder:
             for _ in range(2):
-                for step in range(2):
-                    frame = synthetic_frame(step, np.random.default_rng(step))
-                    recorder.add(frame, "wipe", {"left": np.zeros((48, 64, 3), np.uint8)})
-                recorder.save(success=True, outcome="success", seed=7, card={"label": "success"})
+                save_one(recorder, count=2, raw={"left": raw})
                 saved += 1
-    assert len(states) > 25 and saved == 2
+    assert len(states) > 25
     for kept, state in states.values():
         if (state / "meta" / "info.json").exists():
             assert len(check_dataset(state, "full").episodes) >= kept
@@ -172,8 +164,8 @@ def test_a_kill_between_any_two_steps_leaves_a_dataset_that_opens_verifies_and_g
 
 
 def test_dropped_frame_fails_the_episode_only(tmp_path, monkeypatch):
-    with open_recorder(tmp_path / "data", realtime=True, queue_frames=1) as recorder:
-        save_one_slowly(recorder)
+    with open_recorder(tmp_path / "data", realtime=True, queue_frames=2) as recorder:
+        save_one(recorder, count=2)
         real = video_encoder.auto_downsample_height_width
 
         def slow(image):
@@ -185,18 +177,8 @@ def test_dropped_frame_fails_the_episode_only(tmp_path, monkeypatch):
             add_frames(recorder, 5)
         monkeypatch.undo()
         assert recorder.num_episodes == 1 and recorder.num_frames == 0
-        save_one_slowly(recorder)
-        assert recorder.num_episodes == 2
+        save_one(recorder, count=2)
     assert open_dataset(tmp_path / "data").num_episodes == 2
-
-
-def save_one_slowly(recorder):
-    rng = np.random.default_rng(0)
-    for step in range(2):
-        recorder.add(synthetic_frame(step, rng), "wipe")
-        # a real-time recorder with a queue of one needs an encoder that has caught up
-        time.sleep(0.5)
-    recorder.save(success=True, outcome="success", seed=0)
 
 
 WRITES = (
@@ -303,10 +285,7 @@ def test_a_folder_that_cannot_be_synced_holds_a_dataset_nevertheless(tmp_path, m
 def test_a_folder_that_cannot_be_locked_is_one_line_before_the_first_episode(
     tmp_path, monkeypatch, error
 ):
-    def refuse(*_, **__):
-        raise error
-
-    monkeypatch.setattr(staging.FileLock, "acquire", refuse)
+    monkeypatch.setattr(staging.FileLock, "acquire", Mock(side_effect=error))
     with pytest.raises(DatasetError, match="can be locked"):
         open_recorder(tmp_path / "data")
 
@@ -314,12 +293,8 @@ def test_a_folder_that_cannot_be_locked_is_one_line_before_the_first_episode(
 def test_damaged_marker_video_is_caught_before_it_counts(tmp_path, monkeypatch):
     monkeypatch.setattr(video_encoder, "codec_of", lambda key: video_encoder.camera_codec())
     with open_recorder(tmp_path / "data") as recorder:
-        rng = np.random.default_rng(0)
-        for step in range(SHORT):
-            noise = (rng.random((480, 640)) > 0.5).astype(np.uint8) * 255
-            recorder.add(synthetic_frame(step, rng) | {tactile_key("left"): noise}, "wipe")
         with pytest.raises(DatasetError, match="tactile_left"):
-            recorder.save(success=True, outcome="success", seed=0)
+            save_one(recorder)
         assert recorder.num_episodes == 0
 
 
@@ -350,11 +325,11 @@ def test_missing_column_unknown_outcome_cause_and_sensor(tmp_path):
         with pytest.raises(ContractError, match=r"missing.*tactile_right_ref"):
             recorder.add(frame, "wipe")
         with pytest.raises(ContractError, match="outcome"):
-            recorder.save(success=True, outcome="great", seed=0)
+            recorder.save(True, "great", 0)
         with pytest.raises(ContractError, match="cause"):
-            recorder.save(success=False, outcome="aborted", seed=0, cause="moon")
+            recorder.save(False, "aborted", 0, cause="moon")
         with pytest.raises(DatasetError, match="2 frames"):
-            recorder.save(success=True, outcome="success", seed=0)
+            recorder.save(True, "success", 0)
     with pytest.raises(SensorError, match="sensor"):
         EpisodeRecorder(tmp_path / "other", "local/x", "digit", "tactip")
 
@@ -373,21 +348,18 @@ def test_wrong_places_are_refused(tmp_path, demos):
 
 
 def test_raw_frames_and_a_card_are_moved_in_with_the_episode(tmp_path):
-    root, rng = tmp_path / "data", np.random.default_rng(0)
-    raw = rng.integers(0, 255, (SHORT, 48, 64, 3), dtype=np.uint8)
-    with open_recorder(root, raw_shapes={"right": (48, 64, 3)}) as recorder:
+    root = tmp_path / "data"
+    raw = np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8)
+    with open_recorder(root, raw_shapes={"right": raw.shape}) as recorder:
         for number in range(3):
-            for step in range(SHORT):
-                recorder.add(synthetic_frame(step, rng), "wipe", {"right": raw[step]})
+            add_frames(recorder, raw={"right": raw})
             if number == 1:
                 recorder.discard()
                 assert recorder.num_frames == 0
             else:
-                recorder.save(
-                    success=True, outcome="success", seed=0, card={"label": "success", "n": number}
-                )
+                recorder.save(True, "success", 0, card={"label": "success", "n": number})
         with pytest.raises(ContractError, match="raw tactile frames"):
-            recorder.add(synthetic_frame(0, rng), "wipe")
+            add_frames(recorder)
     assert [read_card(root, episode)["n"] for episode in (0, 1)] == [0, 2]
     assert [stored_frames(raw_path(root, "right", episode)) for episode in (0, 1)] == [SHORT] * 2
     assert open_dataset(root).num_episodes == 2 and not raw_path(root, "right", 2).exists()
@@ -399,44 +371,27 @@ def test_raw_frames_and_a_card_are_moved_in_with_the_episode(tmp_path):
 def test_recorded_statistics_are_pooled(demos):
     stats = json.loads((demos / "meta" / "stats.json").read_text())
     for key, values in read_source(demos).columns(POOLED_KEYS).items():
-        assert values.shape == (60, 5)
+        assert values.shape == (60, 5) and stats[key]["count"] == [60]
+        values = values.astype(np.float64)
         for quantile in (1, 10, 50, 90, 99):
-            wanted = np.quantile(values.astype(np.float64), quantile / 100, axis=0)
+            wanted = np.quantile(values, quantile / 100, axis=0)
             np.testing.assert_allclose(stats[key][f"q{quantile:02d}"], wanted, rtol=1e-12)
-        np.testing.assert_allclose(stats[key]["mean"], values.mean(0, dtype=np.float64))
-        np.testing.assert_allclose(stats[key]["std"], values.std(0, dtype=np.float64))
-        assert stats[key]["min"] == values.min(0).tolist() and stats[key]["count"] == [60]
+        for name in ("mean", "std", "min"):
+            np.testing.assert_allclose(stats[key][name], getattr(values, name)(axis=0))
 
 
-FRAMES = 12
-
-
-def rgb(step):
-    return np.repeat(dots(step)[..., None], 3, axis=2)
-
-
-def decoded(path):
+def test_a_reference_that_changes_within_a_video_comes_back_exactly(tmp_path):
+    """It is converted once; a new one in the middle must still be seen."""
+    key = tactile_key("left", reference=True)
+    sent = [np.repeat(dots(shift)[..., None], 3, axis=2) for shift in (0, 0, 0, 1, 2, 2, 2, 3, 3)]
+    encoder = PerKeyEncoder(FPS, queue_frames=len(sent), realtime=True)
+    encoder.start_episode([key], tmp_path)
+    for frame in sent:
+        encoder.feed_frame(key, frame)
+    path, _ = encoder.finish_episode()[key]
     with av.open(str(path)) as container:
-        return np.stack([frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)])
-
-
-@pytest.mark.parametrize("changes", [(), (5,), (3, 4, 9)])
-def test_marker_images_and_references_come_back_exactly(tmp_path, changes):
-    """A reference is converted once; a new one in the middle of an episode must still be seen."""
-    moving, still = tactile_key("left"), tactile_key("left", reference=True)
-    sent = {moving: [], still: []}
-    encoder = PerKeyEncoder(30, queue_frames=2 * FRAMES, realtime=True)
-    encoder.start_episode([moving, still], tmp_path)
-    buffer = np.empty_like(rgb(0))  # rows come from memory that is used again
-    for step in range(FRAMES):
-        sent[moving].append(rgb(step))
-        sent[still].append(rgb(100 + sum(step >= change for change in changes)))
-        for key, frames in sent.items():
-            buffer[:] = frames[-1]
-            encoder.feed_frame(key, buffer.copy())
-    written = encoder.finish_episode()
-    for key, frames in sent.items():
-        assert np.array_equal(decoded(written[key][0]), np.stack(frames)), key
+        shown = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    assert np.array_equal(shown, sent)
 
 
 @examples(20)
@@ -447,17 +402,3 @@ def test_statistics_do_not_depend_on_the_order_of_episodes(frames, seed):
     first, shuffled = pooled_stats(values), pooled_stats(rng.permutation(values))
     for name, value in first.items():
         np.testing.assert_allclose(value, shuffled[name], atol=1e-12)
-
-
-def test_a_scene_camera_comes_back_about_as_it_was(tmp_path):
-    key = camera_key("front")
-    ramp = np.linspace(0, 255, 96).astype(np.uint8)
-    frames = [
-        np.repeat(np.roll(ramp, step)[None, :, None], 64, 0).repeat(3, 2) for step in range(FRAMES)
-    ]
-    encoder = PerKeyEncoder(30, queue_frames=2 * FRAMES, realtime=True)
-    encoder.start_episode([key], tmp_path)
-    for frame in frames:
-        encoder.feed_frame(key, frame)
-    shown = decoded(encoder.finish_episode()[key][0]).astype(int)
-    assert np.abs(shown - np.stack(frames)).mean() < 6

@@ -1,15 +1,19 @@
+import itertools
 import json
+import os
 import pickle
 import shutil
 import time
+from functools import partial
 from types import SimpleNamespace
+from unittest.mock import DEFAULT, Mock
 
 import numpy as np
 import pytest
 import torch
 from torch.utils.data import DataLoader, RandomSampler
 
-from benchmarks.trust.injuries import edit_json
+from benchmarks.trust.injuries import edit_json, flip_bit
 from uniforce_datasets.lossless import open_dataset
 from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_datasets.synthetic import (
@@ -24,6 +28,7 @@ from uniforce_datasets.view_build import PROGRESS, resize
 from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.keys import (
     ACTION,
+    CAMERAS,
     STATE,
     VIEW_MARKER,
     camera_key,
@@ -37,8 +42,12 @@ EPISODES, FRAMES = 3, 20
 DELTAS = [-1, 0, 1, 2, 3]
 
 
-def built(roots, out, encoder=None, **more):
-    return build_view(roots, out, encoder=encoder or BlockMeans(), **more)
+built = partial(build_view, encoder=BlockMeans())
+
+
+def camera_of(sample, name="front"):
+    """Return (H, W, 3) of a sample's camera."""
+    return sample[camera_key(name)].permute(1, 2, 0).numpy()
 
 
 def test_samples_equal_stock_lerobot(demos, view):
@@ -54,32 +63,27 @@ def test_samples_equal_stock_lerobot(demos, view):
             assert torch.equal(wanted[key], came[key]), (index, key)
             assert wanted[key].dtype == came[key].dtype
         assert wanted["task"] == came["task"]
-        for camera in ("front", "wrist"):
-            picture = wanted[camera_key(camera)].permute(1, 2, 0).numpy()
-            small = came[camera_key(camera)].permute(1, 2, 0).numpy()
+        for camera in CAMERAS:
+            small = camera_of(came, camera)
             assert small.shape == (56, 56, 3) and small.dtype == np.uint8
-            assert np.array_equal(small, resize(picture, 56))
+            assert np.array_equal(small, resize(camera_of(wanted, camera), 56))
 
 
 def test_latents_are_those_of_each_slots_finger(view):
-    encode = BlockMeans()
-    straight = TrainingView(view, slots={"touch0": "right", "touch1": "left"})
-    only_left = TrainingView(view, slots={"touch0": "left"})
-    wanted = encode(dots(0), np.stack([dots(20 * np.sin(7 / 5))]), "left")[0]
+    wanted = BlockMeans()(dots(0), dots(20 * np.sin(7 / 5))[None], "left")[0]
     assert wanted.any()
-    for sample in (straight[FRAMES + 7], only_left[FRAMES + 7]):
-        np.testing.assert_array_equal(sample[latent_key("touch0")], wanted)
+    only_left = TrainingView(view, slots={"touch0": "left"})
+    for made in (TrainingView(view), only_left):
+        np.testing.assert_array_equal(made[FRAMES + 7][latent_key("touch0")], wanted)
     assert latent_key("touch1") not in {*only_left[0], *only_left.features}
 
 
 def test_fingers_are_not_confused(demos, tmp_path):
-    class Sign:
-        hash = "sign"
+    def sign(reference, current, finger):
+        return np.full((len(current), 96), {"left": 1, "right": -1}[finger])
 
-        def __call__(self, reference, current, finger):
-            return np.full((len(current), 96), 1.0 if finger == "left" else -1.0, np.float32)
-
-    sample = TrainingView(built(demos, tmp_path / "view", encoder=Sign()))[0]
+    sign.hash = "sign"
+    sample = TrainingView(built(demos, tmp_path / "view", encoder=sign))[0]
     assert sample[latent_key("touch0")].unique() == -1
     assert sample[latent_key("touch1")].unique() == 1
 
@@ -88,9 +92,8 @@ def test_wrench_input_is_the_recorded_truth(demos, view):
     stock, fast = open_dataset(demos), TrainingView(view, slots={"touch0": "right"}, touch="wrench")
     assert torch.equal(stock[33][truth_wrench_key("right")], fast[33][wrench_key("touch0")])
     assert latent_key("touch0") not in fast[33]
-    assert set(TrainingView(view, touch="none").features) == {
-        camera_key("front"), camera_key("wrist"), STATE, ACTION
-    }  # fmt: skip
+    plain = {*map(camera_key, CAMERAS), STATE, ACTION}
+    assert set(TrainingView(view, touch="none").features) == plain
 
 
 def test_metadata_serves_sampler_and_policy(demos, view):
@@ -121,27 +124,20 @@ def test_view_travels_to_loader_workers(view):
 
 
 def test_interrupted_build_goes_on(demos, tmp_path, view):
-    class Fragile(BlockMeans):
-        left = 3
-
-        def __call__(self, reference, current, finger):
-            self.left -= 1
-            if self.left < 0:
-                raise KeyboardInterrupt
-            return super().__call__(reference, current, finger)
+    def fragile(calls):
+        """Return an encoder that breaks after so many calls."""
+        latents = [*itertools.repeat(DEFAULT, calls), KeyboardInterrupt]
+        return Mock(wraps=BlockMeans(), hash=BlockMeans.hash, side_effect=latents)
 
     out = tmp_path / "view"
     with pytest.raises(KeyboardInterrupt):
-        built(demos, out, encoder=Fragile())
+        built(demos, out, encoder=fragile(3))
     assert not out.exists()
     assert json.loads((tmp_path / "view.building" / PROGRESS).read_text())["done"] == 1
-    counter = Fragile()
-    counter.left = 4  # two episodes of two fingers remain
-    built(demos, out, encoder=counter)
+    built(demos, out, encoder=fragile(4))  # two episodes of two fingers remain
     for name in ("front", "latent_left", "latent_right", STATE):
         assert np.array_equal(np.load(out / f"{name}.npy"), np.load(view / f"{name}.npy"))
-    counter.left = 0
-    built(demos, out, encoder=counter)  # nothing to do
+    built(demos, out, encoder=fragile(0))  # nothing to do
 
 
 def test_one_process_builds_a_view_at_a_time(demos, tmp_path):
@@ -153,46 +149,47 @@ def test_one_process_builds_a_view_at_a_time(demos, tmp_path):
     assert TrainingView(built(demos, tmp_path / "view"))
 
 
+def record(root, frame, *episodes, **more):
+    """Record a frame over and over, under the instructions of each episode."""
+    with EpisodeRecorder(root, "local/x", "gelsight", "tactip", FPS, **more) as recorder:
+        for words in episodes:
+            for task in words:
+                recorder.add(frame, task)
+            recorder.save(success=True, outcome="success", seed=0)
+    return root
+
+
 def test_cameras_of_other_names_are_renamed_in_a_view(tmp_path):
     root = tmp_path / "demos"
     pictures = {"front": 40, "wrist": 200}
     recorded = {"front": "cam_high", "wrist": "cam_wrist"}
     shapes = dict.fromkeys(recorded.values(), (64, 64, 3))
-    with EpisodeRecorder(root, "local/x", "gelsight", "tactip", FPS, cameras=shapes) as recorder:
-        for step in range(3):
-            frame = synthetic_frame(step, np.random.default_rng(0))
-            for camera, name in recorded.items():
-                del frame[camera_key(camera)]
-                frame[camera_key(name)] = np.full((64, 64, 3), pictures[camera], np.uint8)
-            recorder.add(frame, "wipe")
-        recorder.save(success=True, outcome="success", seed=0)
+    frame = synthetic_frame(0, np.random.default_rng(0))
+    for camera, name in recorded.items():
+        del frame[camera_key(camera)]
+        frame[camera_key(name)] = np.full((64, 64, 3), pictures[camera], np.uint8)
+    record(root, frame, ["wipe"] * 3, cameras=shapes)
     refused = r"without .*images\.front.* Rename its cameras \(cam_high, cam_wrist\) with cameras="
     with pytest.raises(DatasetError, match=refused):
         built(root, tmp_path / "none")
     with pytest.raises(ContractError, match=r"camera: expected front \| wrist"):
         built(root, tmp_path / "none", cameras={"cam_high": "front"})
     view = built(root, tmp_path / "view", cameras=recorded)
-    sample = TrainingView(view)[2]
     for camera, grey in pictures.items():
-        assert abs(sample[camera_key(camera)].float().mean() - grey) < 3
+        assert abs(camera_of(TrainingView(view)[2], camera).mean() - grey) < 3
     swapped = {"front": "cam_wrist", "wrist": "cam_high"}
     built(root, tmp_path / "view", cameras=swapped)  # built anew
-    assert TrainingView(view)[2][camera_key("front")].float().mean() > 190
+    assert camera_of(TrainingView(view)[2]).mean() > 190
 
 
 def test_each_frame_keeps_its_own_instruction(tmp_path):
     said = ["grasp the eraser"] * 3 + ["wipe the board"] * 4
-    root, rng = tmp_path / "demos", np.random.default_rng(0)
-    with EpisodeRecorder(root, "local/x", "gelsight", "tactip", FPS) as recorder:
-        for words in (said, said[:3], said[::-1]):
-            for step, task in enumerate(words):
-                recorder.add(synthetic_frame(step, rng), task)
-            recorder.save(success=True, outcome="success", seed=0)
+    frame = synthetic_frame(0, np.random.default_rng(0))
+    root = record(tmp_path / "demos", frame, said, said[:3], said[::-1])
     made = TrainingView(built(root, tmp_path / "view"))
     assert [made[i]["task"] for i in range(len(made))] == [*said, *said[:3], *said[::-1]]
-    numbers = [int(made[i]["task_index"]) for i in range(len(made))]
-    assert numbers == [0] * 3 + [1] * 4 + [0] * 3 + [1] * 4 + [0] * 3
-    assert made.meta.episodes["tasks"] == [sorted(set(said)), said[:1], sorted(set(said))]
+    both = sorted(set(said))
+    assert made.meta.episodes["tasks"] == [both, said[:1], both]
     assert [e["task"] for e in made.marker["episodes"]] == [said[0], said[0], said[-1]]
     np.save(tmp_path / "view" / "task_index.npy", np.full(len(made), 2))
     with pytest.raises(DatasetError, match="task_index"):
@@ -200,12 +197,15 @@ def test_each_frame_keeps_its_own_instruction(tmp_path):
 
 
 def test_sensors_are_those_of_the_episodes_sampled_from(view, tmp_path):
-    mixed = tmp_path / "mixed"
-    shutil.copytree(view, mixed)
+    mixed = shutil.copytree(view, tmp_path / "mixed")
     edit_json(mixed / VIEW_MARKER, lambda view: view["episodes"][1].update(left_sensor="uskin"))
-    assert TrainingView(mixed, verify="off").meta.sensors["left"] == ["gelsight", "uskin"]
-    assert TrainingView(mixed, episodes=[0, 2], verify="off").meta.sensors["left"] == ["gelsight"]
-    assert TrainingView(mixed, episodes=[1], verify="off").meta.sensors["left"] == ["uskin"]
+    for episodes, sensors in (
+        (None, ["gelsight", "uskin"]),
+        ([0, 2], ["gelsight"]),
+        ([1], ["uskin"]),
+    ):
+        made = TrainingView(mixed, episodes=episodes, verify="off")
+        assert made.meta.sensors["left"] == sensors
 
 
 def test_refusals(demos, view, tmp_path):
@@ -245,17 +245,12 @@ def test_trainer_gets_what_its_policy_asks_for(demos, view):
 def test_a_dataset_from_the_hub_is_checked_in_full_where_it_was_downloaded(demos, tmp_path):
     blobs, snapshot = tmp_path / "cache" / "blobs", tmp_path / "cache" / "snapshots" / "0"
     shutil.copytree(demos, blobs, ignore=shutil.ignore_patterns(".*"))
-    # as the hub's cache keeps files
-    for file in (path for path in blobs.rglob("*") if path.is_file()):
-        link = snapshot / file.relative_to(blobs)
-        link.parent.mkdir(parents=True, exist_ok=True)
-        link.symlink_to(file)
+    shutil.copytree(blobs, snapshot, copy_function=os.symlink)  # as the hub's cache keeps files
     cfg = trainer_config(None)
     cfg.dataset.repo_id, cfg.dataset.streaming = "somebody/wipe", False
     downloaded = SimpleNamespace(root=snapshot)
     assert make_training_dataset(cfg, lambda cfg: downloaded) is downloaded
-    camera = next((blobs / "videos" / camera_key("front")).rglob("*001.mp4"))
-    camera.write_bytes(camera.read_bytes()[:-1] + b"x")
+    flip_bit(next((blobs / "videos" / camera_key("front")).rglob("*001.mp4")))
     with pytest.raises(DatasetError, match=r"front.*episode 1"):
         make_training_dataset(cfg, lambda cfg: downloaded)
     assert make_training_dataset(cfg, lambda cfg: downloaded, "quick") is downloaded
@@ -264,7 +259,7 @@ def test_a_dataset_from_the_hub_is_checked_in_full_where_it_was_downloaded(demos
 def test_a_damaged_view_is_built_anew(demos, tmp_path):
     out = built(demos, tmp_path / "view")
     kept = (out / "latent_left.npy").read_bytes()
-    (out / "latent_left.npy").write_bytes(kept[:-1] + b"x")
+    flip_bit(out / "latent_left.npy")
     with pytest.raises(DatasetError, match=r"latent_left.*uniforce view"):
         TrainingView(out)
     built(demos, out)
@@ -289,23 +284,20 @@ def samples_per_s(dataset):
     next(batches)
     start = time.perf_counter()
     calls = 0
-    while (spent := time.perf_counter() - start) < 1.0:
+    while (spent_s := time.perf_counter() - start) < 1.0:
         next(batches)
         calls += 1
-    return 8 * calls / spent
+    return 8 * calls / spent_s
 
 
 def test_two_datasets_make_one_view_however_many_processes_build_it(demos, tmp_path):
-    given = {"keep": first_and_last}
-    one, two = (built([demos, demos], tmp_path / str(n), workers=n, **given) for n in (1, 2))
-    files = sorted(path.name for path in one.iterdir())
-    assert files == sorted(path.name for path in two.iterdir())
-    assert all((one / name).read_bytes() == (two / name).read_bytes() for name in files)
+    one, two = (
+        built([demos, demos], tmp_path / str(n), keep=lambda facts: facts.episode != 1, workers=n)
+        for n in (1, 2)
+    )
+    contents = [{path.name: path.read_bytes() for path in made.iterdir()} for made in (one, two)]
+    assert contents[0] == contents[1]
     both = TrainingView(one)
     assert both.num_episodes == 4 and len(both) == 4 * FRAMES
     assert torch.equal(both[0][STATE], both[2 * FRAMES][STATE])
     assert both.meta.sensors == {"left": ["gelsight"], "right": ["tactip"]}
-
-
-def first_and_last(facts):
-    return facts.episode != 1

@@ -11,6 +11,8 @@ from uniforce_datasets.readers.gelsight_grasps import FILMS, WIDE_FRAMES, read_g
 from uniforce_vtla.errors import DatasetError
 
 SIDE_PX = 64
+NUTS = "base_data_for_training/bag_of_nuts/exp_num_1"
+MUG = "base_data_for_training/mug/exp_num_1"
 
 
 def film(path, frames, shade):
@@ -29,22 +31,17 @@ def trial(folder, frames, shade):
 
 @pytest.fixture
 def grasps(tmp_path):
-    first = trial(tmp_path / "base_data_for_training" / "bag_of_nuts" / "exp_num_1", 12, 0)
+    first = trial(tmp_path / NUTS, 12, 0)
     (first / "slip.txt").touch()
-    trial(tmp_path / "base_data_for_training" / "mug" / "exp_num_1", WIDE_FRAMES, 40)
+    trial(tmp_path / MUG, WIDE_FRAMES, 40)
     shutil.copytree(first, tmp_path / "bag_nuts" / "exp_num_1")
-    shutil.copytree(
-        first, tmp_path / "base_data" / "base_data_for_training" / "bag_of_nuts" / "exp_num_7"
-    )
+    shutil.copytree(first, (tmp_path / "base_data" / NUTS).with_name("exp_num_7"))
     return tmp_path
 
 
 def test_a_trial_that_stands_three_times_is_read_once_by_its_objects_name(grasps):
     nuts, mug = read_grasps(grasps)
-    assert (nuts.object_name, nuts.name) == (
-        "bag_of_nuts",
-        "base_data_for_training/bag_of_nuts/exp_num_1",
-    )
+    assert (nuts.object_name, nuts.name) == ("bag_of_nuts", NUTS)
     assert (nuts.campaign, mug.campaign) == ("close", "wide")
     assert nuts.slipped and not mug.slipped
     frames = list(film_frames(nuts.films["left"]))
@@ -52,14 +49,14 @@ def test_a_trial_that_stands_three_times_is_read_once_by_its_objects_name(grasps
 
 
 def test_a_trial_without_one_fingers_film_is_named(grasps):
-    gone = grasps / "base_data_for_training" / "mug" / "exp_num_1" / FILMS["right"]
+    gone = grasps / MUG / FILMS["right"]
     gone.unlink()
     with pytest.raises(DatasetError, match=f"mug.*no {FILMS['right']}"):
         read_grasps(grasps)
 
 
 def test_a_film_that_is_no_film_and_a_folder_without_any_are_named(grasps, tmp_path):
-    broken = grasps / "base_data_for_training" / "mug" / "exp_num_1" / FILMS["left"]
+    broken = grasps / MUG / FILMS["left"]
     broken.write_bytes(b"RIFF no film")
     with pytest.raises(DatasetError, match="whole film"):
         read_grasps(grasps)
@@ -73,7 +70,7 @@ def test_a_film_that_is_no_film_and_a_folder_without_any_are_named(grasps, tmp_p
 def test_a_link_out_of_the_data_set_is_refused(grasps, tmp_path_factory):
     outside = tmp_path_factory.mktemp("outside") / "film.avi"
     film(outside, 3, 0)
-    inside = grasps / "base_data_for_training" / "mug" / "exp_num_1" / FILMS["left"]
+    inside = grasps / MUG / FILMS["left"]
     inside.unlink()
     inside.symlink_to(outside)
     with pytest.raises(DatasetError, match="a path inside"):

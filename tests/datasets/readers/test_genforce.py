@@ -62,9 +62,14 @@ def test_unknown_sensor_lists_those_there(genforce):
         list(read_genforce(genforce, GenForceConfig(sensors=("digit",))))
 
 
+def read_sphere(release, z="-z", **options):
+    """Read the trial of a GelSight and a sphere."""
+    config = GenForceConfig(("gelsight",), "seen", ForceAxes(z=z), ReadOptions(**options))
+    return list(read_genforce(release, config))
+
+
 def test_a_long_trial_comes_in_parts(genforce, marker_trials):
-    config = GenForceConfig(sensors=("gelsight",), split="seen", options=ReadOptions(max_frames=4))
-    first, second = read_genforce(genforce, config)
+    first, second = read_sphere(genforce, max_frames=4)
     assert (first.first_frame, second.first_frame) == (0, 4)
     assert np.array_equal(np.concatenate([first.frames, second.frames]), marker_trials[0].frames)
     assert np.array_equal(np.concatenate([first.force_N, second.force_N]), marker_trials[0].force_N)
@@ -85,7 +90,7 @@ def frame(release, sensor="gelsight"):
 
 
 def save(release, array):
-    np.save(frame(release), array, allow_pickle=True)
+    np.save(frame(release), array)
 
 
 def picture(release, value, shape=(480, 640)):
@@ -97,23 +102,21 @@ def archive(release):
         np.savez(stream, a=np.zeros(3))
 
 
-def spoil_a_row(release, value):
-    table = pd.read_csv(force_file(release)).astype(object)
-    table.iloc[2] = value
-    table.to_csv(force_file(release), index=False)
-
-
 def no_frames(release):
     for path in image_folder(release).glob("*.npy"):
         path.unlink()
 
 
 def pressed_from_the_start(release):
-    edit_forces(release, lambda table: table.assign(**{"Fz(N)": table["Fz(N)"] - 1.0}))
+    edit_forces(release, lambda table: table - [0, 0, 1.0, 0, 0, 0])
+
+
+def set_z(release, z_N):
+    edit_forces(release, lambda table: 0 * table + np.outer(z_N, [0, 0, 1, 0, 0, 0]))
 
 
 def wrong_sign(release):
-    edit_forces(release, lambda table: table.assign(**{"Fz(N)": np.linspace(0, 8, len(table))}))
+    set_z(release, np.linspace(0, 8, 6))
 
 
 def linked(release, path):
@@ -123,16 +126,8 @@ def linked(release, path):
 
 BROKEN = {
     "truncated": (lambda r: cut(frame(r)), r"0002\.npy.*whole \.npy"),
-    "empty": (lambda r: cut(frame(r), 0), r"0002\.npy.*whole \.npy"),
-    "pickled": (
-        lambda r: save(r, np.array([{"a": 1}], dtype=object)),
-        r"0002\.npy.*Python objects",
-    ),
     "an archive": (archive, r"one array.*an archive"),
-    "another size": (
-        lambda r: save(r, np.packbits(np.zeros(240 * 320, bool))),
-        r"38400 packed bytes",
-    ),
+    "another size": (lambda r: save(r, np.zeros(9600, np.uint8)), r"38400 packed bytes"),
     "grey values": (lambda r: save(r, np.full((480, 640), 7, np.uint8)), r"38400 packed bytes"),
     "small jpeg": (lambda r: picture(r, 0, (240, 320)), r"480, 640.*240, 320"),
     "grey jpeg": (lambda r: picture(r, 120), r"black and white"),
@@ -144,9 +139,11 @@ BROKEN = {
         r"6 rows, one per image, got 5",
     ),
     "few columns": (lambda r: edit_forces(r, lambda table: table.iloc[:, :2]), r"three columns"),
-    "NaN": (lambda r: spoil_a_row(r, np.nan), r"finite forces"),
-    "infinite": (lambda r: spoil_a_row(r, np.inf), r"finite forces"),
-    "text": (lambda r: spoil_a_row(r, "none"), r"finite forces"),
+    "NaN": (lambda r: edit_forces(r, lambda table: table.shift()), r"finite forces"),
+    "text": (
+        lambda r: edit_forces(r, lambda table: table.shift().fillna("none")),
+        r"finite forces",
+    ),
     "missing frame": (lambda r: frame(r).unlink(), r"5 rows, one per image, got 6"),
     "two kinds": (lambda r: (image_folder(r) / "0009.jpg").touch(), r"one kind"),
     "no frames": (no_frames, r"got none"),
@@ -174,24 +171,19 @@ def test_a_pressed_trial_can_be_left_out_by_choice(genforce):
 
 
 def test_the_quietest_frame_can_be_the_reference(genforce, marker_trials):
-    fz_N = [-3.0, -2.0, 0.0, -2.0, -3.0, -3.0]
-    edit_forces(genforce, lambda t: t.assign(**{"Fz(N)": fz_N}) * [0, 0, 1, 0, 0, 0])
-    config = GenForceConfig(("gelsight",), "seen", ForceAxes(), ReadOptions(reference="quietest"))
-    (recording,) = read_genforce(genforce, config)
+    set_z(genforce, [-3.0, -2.0, 0.0, -2.0, -3.0, -3.0])
+    (recording,) = read_sphere(genforce, reference="quietest")
     assert np.array_equal(recording.reference, marker_trials[0].frames[2])
 
 
 def test_a_wrong_sign_can_be_turned(genforce):
     wrong_sign(genforce)
-    config = GenForceConfig(("gelsight",), "seen", ForceAxes(z="+z"))
-    (recording,) = read_genforce(genforce, config)
+    (recording,) = read_sphere(genforce, z="+z")
     assert recording.force_N[-1, 2] == 8.0
 
 
-@pytest.mark.parametrize("content", [None, "readme.txt"])
-def test_folders_without_the_layout_are_refused(tmp_path, content):
-    if content:
-        (tmp_path / content).touch()
+def test_folders_without_the_layout_are_refused(tmp_path):
+    (tmp_path / "readme.txt").touch()
     with pytest.raises(DatasetError, match=r"img/ and force/"):
         list(read_genforce(tmp_path))
     with pytest.raises(DatasetError, match="a folder"):
@@ -199,14 +191,6 @@ def test_folders_without_the_layout_are_refused(tmp_path, content):
 
 
 IMAGE = np.zeros((48, 64), np.uint8)
-IMAGE[10:20, 10:20] = 255
-
-
-def recording(**changes):
-    whole = LabelledRecording(
-        "g", "cone", "1", IMAGE, np.stack([IMAGE] * 3), np.zeros((3, 3), np.float32)
-    )
-    return replace(whole, **changes)
 
 
 @pytest.mark.parametrize(
@@ -223,9 +207,10 @@ def recording(**changes):
     ],
 )
 def test_a_recording_outside_the_form_is_refused(changes):
-    assert len(recording().frames) == 3
+    frames = np.stack([IMAGE] * 3)
+    whole = LabelledRecording("g", "cone", "1", IMAGE, frames, np.zeros((3, 3), np.float32))
     with pytest.raises(DatasetError, match="g/cone/1"):
-        recording(**changes)
+        replace(whole, **changes)
 
 
 def test_pairs_of_different_length_are_refused():
@@ -240,16 +225,12 @@ def test_axes_are_a_signed_permutation():
     assert ForceAxes("-y", "+x", "-z").to_image(recorded).tolist() == [[-2.0, 1.0, 3.0]]
 
 
-@pytest.mark.parametrize(
-    "axes", [("+x", "+x", "+z"), ("x", "+y", "-z"), ("+x", "+y", "+w"), ("", "", "")]
-)
+@pytest.mark.parametrize("axes", [("+x", "+x", "+z"), ("x", "+y", "-z")])
 def test_axes_that_are_none_are_refused(axes):
     with pytest.raises(ContractError, match="force axes"):
         ForceAxes(*axes)
 
 
-def test_a_trial_that_pulls_is_refused_and_drift_is_not():
+def test_drift_and_a_gel_that_sticks_are_no_wrong_sign():
     check_compression(np.array([[0, 0, -1.5], [0, 0, 0.2]]), "drift")
     check_compression(np.array([[0, 0, -2.5], [0, 0, 9.0]]), "sticky release")
-    with pytest.raises(DatasetError, match=r"7\.0 N of pull"):
-        check_compression(np.array([[0, 0, 0.4], [0, 0, -7.0]]), "wrong sign")

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.probes.labelled_set import LabelledSet
+from benchmarks.probes.labelled_set import LabelledSet, force_sequences
 from benchmarks.probes.recorded_set import of_indenters, of_sensor, shear_agreement, to_labelled_set
 from benchmarks.probes.zero_shot import POOL, encode_set, predict
 from uniforce_datasets.readers import LabelledRecording, read_genforce
@@ -17,52 +17,35 @@ from uniforce_vtla.tokenizer.pair_cache import shrink
 SIDE = 32
 
 
-def recording(trial, frames=None):
-    rows = slice(0, frames)
-    shown = trial.reference, trial.frames[rows], trial.force_N[rows]
-    return LabelledRecording(trial.sensor, trial.indenter, "1", *shown)
-
-
 def test_windows_of_recordings_of_different_length(marker_trials):
-    long, short = recording(marker_trials[0]), recording(marker_trials[1], 3)
+    long, short, *_ = marker_trials
+    short = replace(short, frames=short.frames[:3], force_N=short.force_N[:3])
     labelled = to_labelled_set([long, short], SIDE, 2)
-    assert labelled.reference.shape == (4, SIDE, SIDE) and labelled.frames.shape == (
-        4,
-        2,
-        SIDE,
-        SIDE,
-    )
-    assert labelled.descriptor.shape == (4, 2, 6) and labelled.force_N.shape == (4, 2, 3)
+    assert len(labelled.frames) == 4
     assert labelled.frames.dtype == labelled.reference.dtype == np.uint8
     for row, (source, start) in enumerate([(long, 0), (long, 2), (long, 4), (short, 0)]):
         window = slice(start, start + 2)
+        frames = source.frames[window]
         assert np.array_equal(labelled.reference[row], shrink(source.reference[None], SIDE)[0])
-        assert np.array_equal(labelled.frames[row], shrink(source.frames[window], SIDE))
-        assert np.array_equal(
-            labelled.descriptor[row], describe(source.reference, source.frames[window])
-        )
+        assert np.array_equal(labelled.frames[row], shrink(frames, SIDE))
+        assert np.array_equal(labelled.descriptor[row], describe(source.reference, frames))
         assert np.array_equal(labelled.force_N[row], source.force_N[window])
 
 
 def test_the_digest_names_the_content(marker_trials):
-    whole = recording(marker_trials[0])
-    length = 3
-    digest = to_labelled_set([whole], SIDE, length).digest
-    # of full-size images, as simulated sets
-    assert to_labelled_set([whole], 16, length).digest == digest
-    image = whole.frames.copy()
+    def digest(side=SIDE, **changes):
+        return to_labelled_set([replace(marker_trials[0], **changes)], side, 3).digest
+
+    image = marker_trials[0].frames.copy()
     image[1, 100, 100] ^= 255
-    other_force = whole.force_N + np.float32(1e-6)
-    for other in (
-        replace(whole, frames=image),
-        replace(whole, force_N=other_force),
-        replace(whole, sensor="g2"),
-    ):
-        assert to_labelled_set([other], SIDE, length).digest != digest
+    other_force = marker_trials[0].force_N + np.float32(1e-6)
+    assert digest(side=16) == digest()  # of full-size images, as simulated sets
+    for changes in ({"frames": image}, {"force_N": other_force}, {"sensor": "g2"}):
+        assert digest(**changes) != digest()
 
 
 def test_sets_of_several_sensors_or_of_nothing_are_refused(marker_trials):
-    one, other = recording(marker_trials[0]), recording(marker_trials[2])
+    one, _, other, *_ = marker_trials
     with pytest.raises(DatasetError, match="gelsight and tactip"):
         to_labelled_set([one, other], SIDE, 2)
     with pytest.raises(DatasetError, match="1 recordings are shorter"):
@@ -72,10 +55,9 @@ def test_sets_of_several_sensors_or_of_nothing_are_refused(marker_trials):
 
 
 def test_a_reference_without_markers_is_named(marker_trials):
-    blank = replace(recording(marker_trials[0]), reference=np.zeros((480, 640), np.uint8))
-    with pytest.raises(
-        DatasetError, match=r"gelsight/sphere/1: reference: expected at least 3 markers"
-    ):
+    blank = replace(marker_trials[0], reference=np.zeros((480, 640), np.uint8))
+    wanted = "gelsight/sphere/1: reference: expected at least 3 markers"
+    with pytest.raises(DatasetError, match=wanted):
         to_labelled_set([blank], SIDE, 2)
 
 
@@ -110,13 +92,9 @@ def test_shear_agreement_shows_the_signs():
 @pytest.mark.parametrize("sensor", ["gelsight", "uskin"])
 def test_simulated_markers_agree_with_our_axes(sensor):
     """Flat pads drag their markers along the shear force they report; a dome's pins follow it less."""
-    from benchmarks.probes.labelled_set import force_sequences
-
-    batch = force_sequences(
-        np.random.default_rng(1), sensor, 10, 5, ("sphere",), units=2, transform=None
-    )
+    batch = force_sequences(np.random.default_rng(1), sensor, 10, 5, ("sphere",), units=2)
     recordings = [
-        LabelledRecording(sensor, "sphere", str(k), *parts)
-        for k, parts in enumerate(zip(batch.reference, batch.frames, batch.force_N, strict=True))
+        LabelledRecording(sensor, "sphere", "1", *parts)
+        for parts in zip(batch.reference, batch.frames, batch.force_N, strict=True)
     ]
     assert (shear_agreement(to_labelled_set(recordings, SIDE, 5)) > 0.5).all()

