@@ -14,13 +14,7 @@ from lerobot_env_uniforce_wiping.rewrite import Rewrite, RewriteSettings
 from lerobot_env_uniforce_wiping.sequence import LOOKS_BACK, Sweep, look_back
 
 SEED = 9001
-SPANS = {
-    "after_s": (5.0, 5.0),
-    "height_m": (0.1, 0.1),
-    "length_m": (0.2, 0.2),
-    "strength": (1.0, 1.0),
-}
-EVERYWHERE = RewriteSettings(share=1.0, **SPANS)
+EVERYWHERE = RewriteSettings(1.0, (5.0, 5.0), (0.1, 0.1), (0.2, 0.2), (1.0, 1.0))
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -26,7 +27,6 @@ from uniforce_vtla.evaluation.episode import EpisodeTrace
 from uniforce_vtla.keys import tactile_name
 
 SEED = 4
-EASY_SEEDS = (1, 2, 4)
 
 
 @pytest.fixture(scope="module")
@@ -132,7 +132,7 @@ def test_step_reports_success_and_metrics_every_time():
     assert env.result().outcome == "failed_grasp"
 
 
-@pytest.mark.parametrize("seed", EASY_SEEDS)
+@pytest.mark.parametrize("seed", [1, 2, 4])
 def test_expert_wipes_clean_with_smooth_and_slow_targets(seed):
     env = WipeEnv(drawn=())
     speed = np.abs(np.diff(list(walk(env, WipeExpert(), seed)), axis=0)) * 30
@@ -229,13 +229,10 @@ def test_a_late_expert_answers_to_what_it_felt_before():
     exact = ExpertNoise(force_sd_N=0.0, force_gain_sd=0.0)
     env = WipeEnv("easy", drawn=())
     expert = WipeExpert(noise=exact, late_steps=2)
-    env.start(SEED)
-    expert.reset(env)
-    grips = []
+    grips = []  # after each step: the next answer may know of it
     answered = []
-    while len(grips) < 100:
+    for _ in islice(walk(env, expert, SEED), 100):
         grips.append(np.mean([env.true_wrench()[finger][2] for finger in FINGERS]))
-        env.advance(expert.act(env))
         answered.append(expert._contact.grip_N)
     assert max(grips) > 3
-    np.testing.assert_allclose(answered[2:], grips[:-2], atol=1e-5)
+    np.testing.assert_allclose(answered[3:], grips[:-3], atol=1e-5)

@@ -5,15 +5,16 @@ import pytest
 
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.markers.free_frame import Film, SAME_px, borrowed, pads
+from uniforce_vtla.markers.raster import CENTRE_PX
+from uniforce_vtla.sensors.layouts import rectangular, turned
 
 PITCH_px = 60.0
 WIDTH_px = 60.0  # of a dent
 
 
-def pattern(seed, rows=7, columns=9):
+def pattern(seed):
     """A printed grid (M, 2) px whose markers stand where the printer put them: a pad is known by that."""
-    x, y = np.meshgrid(np.arange(columns), np.arange(rows))
-    grid = np.column_stack([x.ravel(), y.ravel()]) * PITCH_px + 60
+    grid = CENTRE_PX + rectangular(7, 9, (PITCH_px, PITCH_px))
     return grid + np.random.default_rng(seed).normal(0, 3, grid.shape)
 
 
@@ -22,11 +23,6 @@ def pressed(centres_px, place, by_px):
     away = centres_px - place
     width = np.exp(-(away**2).sum(axis=1, keepdims=True) / (2 * WIDTH_px**2))
     return centres_px + by_px * width * away / WIDTH_px
-
-
-def clipped_on(centres_px, turn_rad, shift_px):
-    cos, sin = np.cos(turn_rad), np.sin(turn_rad)
-    return centres_px @ np.array([[cos, sin], [-sin, cos]]) + shift_px
 
 
 def film(pad, held, number, free_at=0, frames=6):
@@ -38,7 +34,7 @@ def film(pad, held, number, free_at=0, frames=6):
     found = []
     for frame in range(frames):
         by_px = 0.0 if frame == free_at else 6.0 + 2 * frame
-        moved = clipped_on(pressed(pad, place, by_px), turn_rad, shift_px)
+        moved = turned(pressed(pad, place, by_px), turn_rad) + shift_px
         found.append((moved + rng.normal(0, 0.15, moved.shape)).astype(np.float32))
     return Film(held, found)
 
