@@ -5,8 +5,6 @@ as on a GPU. Transfers to the host are counted: reading a number makes a GPU's q
 """
 
 import contextlib
-from collections.abc import Iterator
-from typing import Any
 from unittest import mock
 
 import torch
@@ -25,7 +23,7 @@ class Far(torch.Tensor):
     __torch_function__ = torch._C._disabled_torch_function_impl
 
     @staticmethod
-    def __new__(cls, near: torch.Tensor) -> "Far":
+    def __new__(cls, near):
         far = torch.Tensor._make_wrapper_subclass(
             cls, near.shape, near.stride(), near.storage_offset(), dtype=near.dtype, device=NAME
         )
@@ -33,18 +31,18 @@ class Far(torch.Tensor):
         return far
 
     @classmethod
-    def __torch_dispatch__(cls, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+    def __torch_dispatch__(cls, func, types, args=(), kwargs=None):
         return _run(func, args, kwargs or {})
 
 
 class FarDevice(TorchDispatchMode):
     """Makes tensors of the device while it is entered; counts the numbers that cross to the host."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__()
-        self.crossed: list[int] = []
+        self.crossed = []
 
-    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
         kwargs = kwargs or {}
         if func._schema.name == "aten::_local_scalar_dense" and isinstance(args[0], Far):
             self.crossed.append(1)
@@ -57,7 +55,7 @@ class FarDevice(TorchDispatchMode):
 class _Written(TorchFunctionMode):
     """``torch.tensor`` of numbers in the program, which no dispatcher sees being made."""
 
-    def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+    def __torch_function__(self, func, types, args=(), kwargs=None):
         kwargs = dict(kwargs or {})
         if func is not torch.tensor:
             return func(*args, **kwargs)
@@ -65,11 +63,11 @@ class _Written(TorchFunctionMode):
         return func(*args, **kwargs).to(device)
 
 
-def _is_host(device: Any) -> bool:
+def _is_host(device):
     return device is not None and torch.device(device).type == "cpu"
 
 
-def _run(func: Any, args: Any, kwargs: dict[str, Any]) -> Any:
+def _run(func, args, kwargs):
     """Run an operation on the numbers; its results are on the device if its tensors are, or if it was asked for."""
     name = func._schema.name
     tensors = [x for x in tree_flatten((args, kwargs))[0] if isinstance(x, torch.Tensor)]
@@ -91,12 +89,12 @@ def _run(func: Any, args: Any, kwargs: dict[str, Any]) -> Any:
     return tree_map(lambda x: Far(x) if is_far and isinstance(x, torch.Tensor) else x, found)
 
 
-def _near(x: Any) -> Any:
+def _near(x):
     return x.near if isinstance(x, Far) else x
 
 
 @contextlib.contextmanager
-def far_device() -> Iterator[FarDevice]:
+def far_device():
     """Let tensors be made on, and moved to, the device; autocast doesn't know it."""
     with mock.patch.object(torch, "autocast", mock.MagicMock()), _Written(), FarDevice() as device:
         yield device

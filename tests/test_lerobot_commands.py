@@ -8,7 +8,6 @@ import shlex
 import signal
 import socket
 import sys
-from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -37,26 +36,25 @@ PATIENT = """\
 has_client = pytest.mark.skipif(
     importlib.util.find_spec("franky") is None, reason="the Franka's client isn't installed"
 )
-Run = Callable[[str], None]
 
 
-def fenced(language: str) -> list[str]:
+def fenced(language):
     return re.findall(rf"^```{language}\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
 
 
-def line_of(command: str) -> str:
+def line_of(command):
     (line,) = (code for code in fenced("bash") if code.startswith(f"lerobot-{command} "))
     return line.replace("\\\n", " ")
 
 
-def free_port() -> int:
+def free_port():
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
 @pytest.fixture(scope="module")
-def addresses() -> dict[str, str]:
+def addresses():
     """The page's addresses and ports, and free ones to put in their place."""
     port = free_port()
     return {
@@ -67,9 +65,7 @@ def addresses() -> dict[str, str]:
 
 
 @pytest.fixture(scope="module")
-def run(
-    tmp_path_factory: pytest.TempPathFactory, addresses: dict[str, str]
-) -> Iterator[Callable[[str], None]]:
+def run(tmp_path_factory, addresses):
     """Run a command's line of the page in a folder that holds the page's files."""
     folder = tmp_path_factory.mktemp("commands")
     rig = fenced("yaml")[0]
@@ -93,7 +89,7 @@ def run(
         ):
             patch.setitem(limits.HARD_LIMITS[group], name, anything)
 
-        def run(command: str) -> None:
+        def run(command):
             patch.setattr(sys, "argv", shlex.split(line_of(command)))
             stops = (signal.SIGINT, signal.SIGTERM)
             before = [signal.getsignal(stop) for stop in stops]
@@ -108,7 +104,7 @@ def run(
 
 
 @pytest.fixture(scope="module")
-def arm(addresses: dict[str, str]) -> Iterator[ArmStandIn]:
+def arm(addresses):
     """The stand-ins that the page starts; return the arm's."""
     with ExitStack() as standins:
         for line in re.findall(r"^python -m uniforce_robots\.standins\.(.*)", PAGE, re.MULTILINE):
@@ -123,7 +119,7 @@ def arm(addresses: dict[str, str]) -> Iterator[ArmStandIn]:
 
 
 @pytest.fixture(scope="module")
-def recorded(run: Run, request: pytest.FixtureRequest) -> Path:
+def recorded(run, request):
     """Two episodes by ``lerobot-record``; without the Franka's client by our recorder."""
     root = Path("outputs/recorded").absolute()
     if importlib.util.find_spec("franky") is None:
@@ -134,18 +130,18 @@ def recorded(run: Run, request: pytest.FixtureRequest) -> Path:
 
 
 @pytest.fixture(scope="module")
-def trained(run: Run, recorded: Path) -> Path:
+def trained(run, recorded):
     run("train")
     return CHECKPOINT.absolute()
 
 
-def test_the_page_has_every_command_once_and_in_its_table() -> None:
+def test_the_page_has_every_command_once_and_in_its_table():
     assert all(line_of(command) and f"| `lerobot-{command}` |" in PAGE for command in COMMANDS)
 
 
 @pytest.mark.realtime
 @has_client
-def test_record_stores_tactile_cameras_exactly(recorded: Path) -> None:
+def test_record_stores_tactile_cameras_exactly(recorded):
     dataset = LeRobotDataset("local/recorded", root=recorded)
     assert dataset.num_episodes == 2 and dataset.num_frames >= 4
     assert dataset.meta.features["action"]["names"] == list(AXES)
@@ -156,25 +152,25 @@ def test_record_stores_tactile_cameras_exactly(recorded: Path) -> None:
     assert np.allclose(frame["observation.state"][:3], [0.307, 0, 0.48], atol=0.05)
 
 
-def test_edit_dataset_leaves_a_whole_dataset(run: Run, recorded: Path) -> None:
+def test_edit_dataset_leaves_a_whole_dataset(run, recorded):
     run("edit-dataset")
     dataset = LeRobotDataset("local/fewer", root="outputs/fewer")
     assert dataset.num_episodes == 1 and set(TACTILE_KEYS) <= dataset[0].keys()
 
 
-def test_dataset_viz_writes_an_episode(run: Run, recorded: Path) -> None:
+def test_dataset_viz_writes_an_episode(run, recorded):
     pytest.importorskip("rerun", reason="the extra rerun isn't installed")
     run("dataset-viz")
     assert Path("outputs/viz/local_recorded_episode_0.rrd").stat().st_size > 10_000
 
 
-def test_train_saves_a_policy_that_feels(trained: Path) -> None:
+def test_train_saves_a_policy_that_feels(trained):
     config = json.loads((trained / "config.json").read_text())
     assert config["type"] == "pi05_uniforce" and config["touch"]["slots"]
     assert any("force_tokens" in name for name in load_file(trained / "model.safetensors"))
 
 
-def test_eval_scores_the_shipped_policy_with_another_sensor(run: Run) -> None:
+def test_eval_scores_the_shipped_policy_with_another_sensor(run):
     run("eval")
     (scene,) = json.loads(Path("outputs/eval/eval_info.json").read_text())["per_task"]
     assert scene["task_group"] == "uniforce_wiping" and len(scene["metrics"]["successes"]) == 1
@@ -182,7 +178,7 @@ def test_eval_scores_the_shipped_policy_with_another_sensor(run: Run) -> None:
 
 @pytest.mark.realtime
 @has_client
-def test_rollout_drives_the_robot(run: Run, arm: ArmStandIn, trained: Path) -> None:
+def test_rollout_drives_the_robot(run, arm, trained):
     before_m = arm.do("look")["arm"]["position_m"]
     run("rollout")  # it raises what ends it early
     assert not np.allclose(arm.do("look")["arm"]["position_m"], before_m, atol=1e-5)

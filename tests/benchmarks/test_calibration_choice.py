@@ -4,14 +4,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
 import torch
 
 from benchmarks.calibration_choice import Case, compare, line, real_cases
 from benchmarks.real.grasps import SEALED, SEEN, Grasp
 from uniforce_datasets.readers.gelsight_grasps import GraspTrial
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
-from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
+from uniforce_vtla.tokenizer import Tokenizer
 
 
 class Numbers:
@@ -19,20 +18,20 @@ class Numbers:
 
     tokenizer_hash = "abc"
 
-    def __call__(self, z: torch.Tensor) -> torch.Tensor:
+    def __call__(self, z):
         return z.as_subclass(torch.Tensor)[:, 0, :3]
 
 
-def case(new: torch.Tensor, anchor: torch.Tensor) -> Case:
+def case(new, anchor):
     rows = np.arange(len(new))
-    return Case(new, anchor, rows, rows % 5, Numbers(), (0, 1, 2))  # type: ignore[arg-type]
+    return Case(new, anchor, rows, rows % 5, Numbers(), (0, 1, 2))
 
 
-def latents(seed: int) -> torch.Tensor:
+def latents(seed):
     return torch.randn(100, 4, 6, generator=torch.Generator().manual_seed(seed))
 
 
-def test_a_weaker_finger_is_calibrated_and_an_equal_one_is_not() -> None:
+def test_a_weaker_finger_is_calibrated_and_an_equal_one_is_not():
     anchor = latents(0)
     weaker, equal = compare(case(0.6 * anchor, anchor)), compare(case(anchor, anchor))
     assert weaker["error"]["chosen"] < 0.01 < weaker["error"]["none"] and weaker["never_worse"]
@@ -40,7 +39,7 @@ def test_a_weaker_finger_is_calibrated_and_an_equal_one_is_not() -> None:
     assert "(none none none none none)" in line("equal", equal)
 
 
-def test_a_choice_that_does_harm_where_it_is_judged_is_called_worse() -> None:
+def test_a_choice_that_does_harm_where_it_is_judged_is_called_worse():
     """The grasps that choose are of a weak finger; in those that judge, the same finger answers fully."""
     anchor = latents(0)
     weak = case(0.6 * anchor, anchor)
@@ -51,9 +50,7 @@ def test_a_choice_that_does_harm_where_it_is_judged_is_called_worse() -> None:
     assert found["error"]["none"] == 0.0 < found["error"]["chosen"] and not found["never_worse"]
 
 
-def test_development_objects_alone_are_read(
-    monkeypatch: pytest.MonkeyPatch, tiny: TokenizerConfig
-) -> None:
+def test_development_objects_alone_are_read(monkeypatch, tiny):
     images = np.zeros((2, *MARKER_IMAGE_SHAPE), np.uint8)
     images[:, 200:280, 280:360] = 255
     both = {"left": images, "right": images}
@@ -63,11 +60,11 @@ def test_development_objects_alone_are_read(
         GraspTrial(name, name, "close", {"left": Path(), "right": Path()}, slipped=False)
         for name in held
     ]
-    grasps = [Grasp(trial.object_name, "close", references, both) for trial in trials]  # type: ignore[arg-type]
+    grasps = [Grasp(trial.object_name, "close", references, both) for trial in trials]
     monkeypatch.setattr("benchmarks.calibration_choice.read_grasps", lambda folder: trials)
     monkeypatch.setattr("benchmarks.calibration_choice.find_grasps", lambda trials: grasps)
     tokenizer = Tokenizer.random(tiny)
-    cases = real_cases("", tokenizer, Numbers())  # type: ignore[arg-type]
+    cases = real_cases("", tokenizer, Numbers())
     by_trial = cases["GelSight Mini close, left finger, a left-out trial"]
     by_object = cases["GelSight Mini close, left finger, a left-out object"]
     assert len(cases) == 4 and len(by_trial.new) == 10
@@ -76,4 +73,4 @@ def test_development_objects_alone_are_read(
         "benchmarks.calibration_choice.find_grasps",
         lambda trials: grasps[: len(SEALED) + len(SEEN)],
     )
-    assert real_cases("", tokenizer, Numbers()) == {}  # type: ignore[arg-type]
+    assert real_cases("", tokenizer, Numbers()) == {}

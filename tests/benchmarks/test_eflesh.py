@@ -23,13 +23,13 @@ from benchmarks.real.eflesh import (
     weighed,
 )
 from uniforce_vtla.errors import DatasetError
-from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
+from uniforce_vtla.tokenizer import Tokenizer
 
 REAL = Path(__file__).parents[2].parent / "shared" / "real" / "eflesh"
 FIELD = np.random.default_rng(0).normal(size=15)  # µT of one unit per gram
 
 
-def write_run(folder: Path, units: int, rows: int = 120) -> Path:
+def write_run(folder, units, rows=120):
     """Press from 0 to 1,800 g and back, three times; the second unit answers by .7; every sixth force is missing."""
     folder.mkdir(parents=True)
     gram = 900 - 900 * np.cos(6 * np.pi * np.arange(rows) / (rows - 1))
@@ -45,7 +45,7 @@ def write_run(folder: Path, units: int, rows: int = 120) -> Path:
 
 
 @pytest.fixture
-def recorded(tmp_path: Path) -> Path:
+def recorded(tmp_path):
     for name in ("1_probe", "2_probe", SEALED[NORMAL]):
         write_run(tmp_path / NORMAL / name, units=1, rows=480)
     for name in ("3_probe", SEALED[SHEAR]):
@@ -53,7 +53,7 @@ def recorded(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_missing_forces_are_left_out_and_grams_become_newtons(tmp_path: Path) -> None:
+def test_missing_forces_are_left_out_and_grams_become_newtons(tmp_path):
     run = read_run(write_run(tmp_path / "a_probe", units=2), SHEAR, 1000)
     assert run.counts.shape == (100, 2, 5, 3) and run.force_N.max() == pytest.approx(
         1800 * GRAM_N, rel=0.01
@@ -65,7 +65,7 @@ def test_missing_forces_are_left_out_and_grams_become_newtons(tmp_path: Path) ->
     assert len(read_run(tmp_path / "a_probe", SHEAR, 30).force_N) == 30
 
 
-def test_sealed_runs_are_read_when_asked_for_alone(recorded: Path) -> None:
+def test_sealed_runs_are_read_when_asked_for_alone(recorded):
     opened = read_runs(recorded, 1000, sealed=False)
     assert [run.name for run in opened] == ["1_probe", "2_probe", "3_probe"]
     both = read_runs(recorded, 1000, sealed=True)
@@ -78,7 +78,7 @@ def test_sealed_runs_are_read_when_asked_for_alone(recorded: Path) -> None:
     assert [case.name for case in cases_of(both, sealed=True)].count("own head, normal") == 2
 
 
-def test_open_halves_of_a_run_do_not_overlap(recorded: Path) -> None:
+def test_open_halves_of_a_run_do_not_overlap(recorded):
     shear = [
         case
         for case in cases_of(read_runs(recorded, 1000, sealed=False), sealed=False)
@@ -90,19 +90,19 @@ def test_open_halves_of_a_run_do_not_overlap(recorded: Path) -> None:
         assert case.known is None or (case.known.unit == case.read.unit != case.fit.unit)
 
 
-def test_chips_are_turned_to_the_pads_axes() -> None:
+def test_chips_are_turned_to_the_pads_axes():
     """A field to the right, as each chip says it, comes out to the right; a normal field's sign is left out."""
     said = np.array([[[0, 3, -2], [0, 3, 2], [-3, 0, -2], [0, -3, 2], [3, 0, 2]]], float)
     assert np.allclose(on_the_pad(said), np.tile([3.0, 0.0, 2.0], (1, 5, 1)))
 
 
-def test_discs_move_and_grow_with_the_field() -> None:
+def test_discs_move_and_grow_with_the_field():
     rest, pressed = marker_images(np.array([np.zeros((5, 3)), np.full((5, 3), 300.0)]))
     assert rest.shape == (480, 640) and set(np.unique(rest)) == {0, 255}
     assert pressed.sum() > 5 * rest.sum() > 0
 
 
-def test_a_unit_that_answers_less_is_weighed(recorded: Path) -> None:
+def test_a_unit_that_answers_less_is_weighed(recorded):
     runs = read_runs(recorded, 1000, sealed=False)
     seen = {
         run.name: np.stack([raw_features(of) for of in run.counts.swapaxes(0, 1)], axis=1)
@@ -119,14 +119,14 @@ def test_a_unit_that_answers_less_is_weighed(recorded: Path) -> None:
     assert errors["three loads"] < 0.05 and errors["ten frames"] < 0.05
 
 
-def test_loads_that_were_never_pressed_are_named() -> None:
+def test_loads_that_were_never_pressed_are_named():
     known_N = np.linspace(0, 9, 100)
     with pytest.raises(DatasetError, match="got none near 10, 15 N"):
         weighed(known_N, known_N, known_N)
 
 
 @pytest.mark.parametrize("damage", ["gone", "short", "words"])
-def test_damaged_tables_are_refused(damage: str, tmp_path: Path) -> None:
+def test_damaged_tables_are_refused(damage, tmp_path):
     folder = write_run(tmp_path / "a_probe", units=1)
     states = folder / "states.csv"
     lines = states.read_text().splitlines()
@@ -138,7 +138,7 @@ def test_damaged_tables_are_refused(damage: str, tmp_path: Path) -> None:
         read_run(folder, NORMAL, 1000)
 
 
-def test_a_folder_without_the_sealed_runs_says_which(recorded: Path) -> None:
+def test_a_folder_without_the_sealed_runs_says_which(recorded):
     for name in ("sensor_post_baselines.csv", "states.csv"):
         (recorded / NORMAL / SEALED[NORMAL] / name).unlink()
     with pytest.raises(DatasetError, match=SEALED[NORMAL]):
@@ -148,9 +148,7 @@ def test_a_folder_without_the_sealed_runs_says_which(recorded: Path) -> None:
 
 
 @pytest.mark.parametrize("sealed", [False, True])
-def test_every_row_has_every_way_of_reading(
-    recorded: Path, tiny: TokenizerConfig, sealed: bool
-) -> None:
+def test_every_row_has_every_way_of_reading(recorded, tiny, sealed):
     found = eflesh_rows(recorded, Tokenizer.random(tiny), 1, 400, sealed)
     assert found["mae_N"].keys() == {
         "tokenizer",
@@ -173,7 +171,7 @@ def test_every_row_has_every_way_of_reading(
     )
 
 
-def test_raw_counts_read_a_real_run_of_the_same_unit() -> None:
+def test_raw_counts_read_a_real_run_of_the_same_unit():
     if not REAL.is_dir():
         pytest.skip(f"no real recordings at {REAL}")
     runs = read_runs(REAL, 500, sealed=False)
@@ -188,6 +186,6 @@ def test_raw_counts_read_a_real_run_of_the_same_unit() -> None:
         assert absolute_errors(case, seen, force_N, 1.0)[case.name].mean() < 1.0
 
 
-def test_nothing_named_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_nothing_named_is_refused(capsys):
     assert main([]) == 2
     assert "Name those that fit" in capsys.readouterr().err

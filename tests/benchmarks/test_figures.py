@@ -10,7 +10,7 @@ from uniforce_vtla.json_file import read_object
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
 
 
-def test_all_are_drawn_from_the_committed_results(tmp_path: Path) -> None:
+def test_all_are_drawn_from_the_committed_results(tmp_path):
     for file in RESULTS.glob("*.json"):
         shutil.copy(file, tmp_path)
     assert figures.main([f"results={tmp_path}"]) == 0
@@ -18,7 +18,7 @@ def test_all_are_drawn_from_the_committed_results(tmp_path: Path) -> None:
     assert drawn == {"wiping.png", "stress.png", "reading_expert.png", "chart_policy.png"}
 
 
-def test_lines_say_how_many_and_wear_their_sensors_colour() -> None:
+def test_lines_say_how_many_and_wear_their_sensors_colour():
     lines = figures.faults(read_object(RESULTS / "stress.json", ContractError))
     lag = next(line for line in lines if line.label == "TacTip 133 ms late")
     assert (lag.clean, lag.n, lag.colour) == (6, 25, figures.SENSOR_COLOURS["TacTip"])

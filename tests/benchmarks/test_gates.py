@@ -3,7 +3,6 @@
 import json
 from dataclasses import replace
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,15 +21,13 @@ from lerobot_env_uniforce_wiping.expert import Contact
 SEED = 4
 
 
-def test_no_scene_is_in_two_blocks() -> None:
+def test_no_scene_is_in_two_blocks():
     for (one, a), (other, b) in combinations(BLOCKS.items(), 2):
         assert a.stop <= b.start or b.stop <= a.start, f"{one} and {other} share scenes"
 
 
 @pytest.mark.parametrize("style", sorted(STYLES))
-def test_without_touch_the_press_depends_on_the_hidden_stiffness(
-    style: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_touch_the_press_depends_on_the_hidden_stiffness(style, monkeypatch):
     build, grips_N = STYLES[style]
     nominal = draw_scene(SEED, "touch")
     nominal = replace(nominal, gripper_gain=1.0, board_height_m=nominal.level.layout.board_height_m)
@@ -46,20 +43,20 @@ def test_without_touch_the_press_depends_on_the_hidden_stiffness(
 
 
 @pytest.mark.thorough
-def test_touch_that_stops_changing_or_misreads_does_not_wipe_this_board() -> None:
+def test_touch_that_stops_changing_or_misreads_does_not_wipe_this_board():
     env = WipeEnv(level="touch")
     assert sum(run_script(env, WipeExpert(), seed).clean for seed in range(5)) >= 4
     for change in (Frozen, lambda: scaled(0.7)):
         assert sum(run_script(env, ReadingExpert(change), seed).clean for seed in range(5)) <= 1
 
 
-def test_refreshed_touch_stands_still_between_looks() -> None:
+def test_refreshed_touch_stands_still_between_looks():
     rule = EverySixth()
-    read = [rule(Contact(float(k), 0.0), None, "wipe").grip_N for k in range(13)]  # type: ignore[arg-type]
+    read = [rule(Contact(float(k), 0.0), None, "wipe").grip_N for k in range(13)]
     assert read == [0] * 6 + [6] * 6 + [12]
 
 
-def test_the_lag_of_a_steady_motion_is_found_and_says_the_stiffness() -> None:
+def test_the_lag_of_a_steady_motion_is_found_and_says_the_stiffness():
     meter = LagMeter()
     assert meter.lag_s is None
     for k in range(40):
@@ -71,7 +68,7 @@ def test_the_lag_of_a_steady_motion_is_found_and_says_the_stiffness() -> None:
     ) == pytest.approx(400.0)
 
 
-def test_an_observer_learns_a_press_that_its_inputs_hold_and_no_other() -> None:
+def test_an_observer_learns_a_press_that_its_inputs_hold_and_no_other():
     rng = np.random.default_rng(0)
     seen = rng.standard_normal((40, 60, 11)).astype(np.float32)
     press = 6 + 2 * seen[..., 2]
@@ -82,7 +79,7 @@ def test_an_observer_learns_a_press_that_its_inputs_hold_and_no_other() -> None:
     assert known > 0.9 and unknown < 0.1
 
 
-def test_a_gate_holds_on_its_own_side_of_its_bar() -> None:
+def test_a_gate_holds_on_its_own_side_of_its_bar():
     passes, fails = (
         Gate(lambda f, p: WipeExpert(), **bar) for bar in ({"at_least": 0.9}, {"at_most": 0.2})
     )
@@ -92,9 +89,7 @@ def test_a_gate_holds_on_its_own_side_of_its_bar() -> None:
 
 
 @pytest.mark.thorough
-def test_a_run_scores_every_script_and_a_second_one_goes_on(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_scores_every_script_and_a_second_one_goes_on(tmp_path, capsys):
     small = ["level=easy", "learn_from=3", "sweep_on=1", "learn_seed=30000", "workers=2"]
     given = [*small, f"work={tmp_path / 'work'}", f"out={tmp_path / 'gates.json'}"]
     assert main([*given, "episodes=1"]) == 0

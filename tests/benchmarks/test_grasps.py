@@ -58,13 +58,13 @@ OTHERS = [
 ]
 
 
-def test_the_sealed_objects_are_the_first_six_by_hash() -> None:
+def test_the_sealed_objects_are_the_first_six_by_hash():
     by_hash = sorted(OTHERS, key=lambda name: hashlib.sha256(name.encode()).hexdigest())
     assert list(SEALED) == by_hash[:6]
     assert not {*SEALED} & {*SEEN} and not {*OTHERS} & {*SEEN}
 
 
-def test_contact_is_seen_by_shading_and_exposure_is_none() -> None:
+def test_contact_is_seen_by_shading_and_exposure_is_none():
     free = np.full((240, 320, 3), 120, np.uint8)
     for column in range(20, 320, 40):
         cv2.circle(free, (column, 120), 6, (20, 20, 20), cv2.FILLED)
@@ -75,19 +75,19 @@ def test_contact_is_seen_by_shading_and_exposure_is_none() -> None:
     assert shading(darker, free) < SHADED < shading(dented, free)
 
 
-def grasp() -> Grasp:
+def grasp():
     images = {"left": np.zeros((4, 2, 2)), "right": np.zeros((4, 2, 2))}
-    return Grasp("ball", "close", {"left": np.zeros((2, 2)), "right": np.zeros((2, 2))}, images)  # type: ignore[dict-item]
+    return Grasp("ball", "close", {"left": np.zeros((2, 2)), "right": np.zeros((2, 2))}, images)
 
 
-def test_the_error_is_the_mean_difference_over_the_mean_of_both() -> None:
+def test_the_error_is_the_mean_difference_over_the_mean_of_both():
     force_N = {"left": np.array([1.0, 2.0, 3.0, 4.0]), "right": np.array([2.0, 2.0, 4.0, 4.0])}
     found = agreement(read_grasp(grasp(), lambda reference, current, finger: force_N[finger]))
     assert found.relative_error == pytest.approx((0.5) / 2.75) and found.frames == 4
     assert found.r == pytest.approx(np.corrcoef(force_N["left"], force_N["right"])[0, 1])
 
 
-def test_objects_are_drawn_anew_and_not_trials() -> None:
+def test_objects_are_drawn_anew_and_not_trials():
     """Twenty trials of one object and one of another: the interval reaches from one object's error to the other's."""
     scores = [Score("mug", "close", 9, 0.1, 0.9, 0.2)] * 20 + [
         Score("ball", "close", 9, 0.7, 0.2, 0.2)
@@ -97,7 +97,7 @@ def test_objects_are_drawn_anew_and_not_trials() -> None:
     assert found["relative_error_95"] == [pytest.approx(0.1), pytest.approx(0.7)]
 
 
-def test_a_borrowed_reference_is_another_films_frame_and_is_marked() -> None:
+def test_a_borrowed_reference_is_another_films_frame_and_is_marked():
     frames = [
         [np.full((2, 2, 3), 10 * film + number, np.uint8) for number in range(3)]
         for film in range(3)
@@ -108,7 +108,7 @@ def test_a_borrowed_reference_is_another_films_frame_and_is_marked() -> None:
     assert films.reference(2) is None and not films.is_borrowed(2)
 
 
-def test_chance_pairs_fingers_that_held_different_objects() -> None:
+def test_chance_pairs_fingers_that_held_different_objects():
     ball, again, mug = (
         Reading(held, "close", np.full(count, left_N), np.full(count, right_N))
         for held, count, left_N, right_N in (
@@ -126,7 +126,7 @@ def test_chance_pairs_fingers_that_held_different_objects() -> None:
     assert by_chance([ball, again]) == []
 
 
-def test_groups_are_summed_up_apart() -> None:
+def test_groups_are_summed_up_apart():
     force_N = np.array([1.0, 2.0, 3.0])
     readings = [
         Reading("ball", "close", force_N, force_N),
@@ -134,4 +134,4 @@ def test_groups_are_summed_up_apart() -> None:
     ]
     found = by_group(readings)
     assert list(found) == ["close", "wide, borrowed"]
-    assert found["close"]["relative_error"] == 0.0 < found["wide, borrowed"]["relative_error"]  # type: ignore[index]
+    assert found["close"]["relative_error"] == 0.0 < found["wide, borrowed"]["relative_error"]

@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -17,16 +16,16 @@ from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow
 BLOCK = BLOCKS["swap ladder in the hand's rig"]
 
 
-def ended(scene: int, clean: bool) -> EpisodeRow:
+def ended(scene, clean):
     return EpisodeRow(scene, "success", clean, False, False, 0, 0, 0, 0, 0, 0)
 
 
-def row(codes: str) -> dict[str, Any]:
+def row(codes):
     seeds = [BLOCK.start, BLOCK.start + len(codes) - 1]
     return {"n": len(codes), "clean": codes.count("C"), "seeds": seeds, "by_seed": codes}
 
 
-def test_the_plan_names_rows_that_exist_and_chooses_on_development_scenes() -> None:
+def test_the_plan_names_rows_that_exist_and_chooses_on_development_scenes():
     rows = [row for part in PARTS.values() for row in part]
     names = {row.name for row in rows}
     assert len(names) == len(rows), "two rows of one name"
@@ -37,9 +36,7 @@ def test_the_plan_names_rows_that_exist_and_chooses_on_development_scenes() -> N
     assert all(row.rollouts % len(row.worn) == 0 for row in rows)
 
 
-def test_rows_wait_for_checkpoints_and_wear_their_units_in_turns(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rows_wait_for_checkpoints_and_wear_their_units_in_turns(tmp_path, monkeypatch):
     monkeypatch.setattr(ladder, "calibration_folder", lambda worn, fit, work: work / fit / worn)
     config = ladder.LadderCommand(checkpoints=str(tmp_path), work="work")
     wanted = Row("S2", "chosen/seed*", ("uskin:2", "uskin:3"), "grasps")
@@ -54,12 +51,12 @@ def test_rows_wait_for_checkpoints_and_wear_their_units_in_turns(
     assert [*first.seeds, *second.seeds] == list(BLOCK[:204])
 
 
-def test_a_part_without_any_checkpoint_is_refused(tmp_path: Path) -> None:
+def test_a_part_without_any_checkpoint_is_refused(tmp_path):
     with pytest.raises(CheckpointError, match="checkpoints of the plan"):
         ladder.scored(ladder.LadderCommand(checkpoints=str(tmp_path)))
 
 
-def test_a_rows_parts_are_joined_and_counted_by_training_seed() -> None:
+def test_a_rows_parts_are_joined_and_counted_by_training_seed():
     configs = [
         ScoreConfig(policy="a/seed0,a/seed1", arm="S2", first_seed=first, rollouts=4)
         for first in (10, 14)
@@ -73,7 +70,7 @@ def test_a_rows_parts_are_joined_and_counted_by_training_seed() -> None:
     assert found["clean_by_training_seed"] == {"seed0": "4/4", "seed1": "0/4"}
 
 
-def test_a_claim_holds_within_its_margin_and_bound() -> None:
+def test_a_claim_holds_within_its_margin_and_bound():
     good = row("C" * 190 + "r" * 14)
     poor = row("C" * 150 + "r" * 54)
     (held,) = ladder.claims({"S0": good, "S1 weighed": good})
@@ -83,7 +80,7 @@ def test_a_claim_holds_within_its_margin_and_bound() -> None:
     assert not broken["holds"]
 
 
-def test_variants_are_pooled_over_their_rungs_and_seeds() -> None:
+def test_variants_are_pooled_over_their_rungs_and_seeds():
     rows = {}
     for variant in ("shear", "newtons"):
         for seed in (0, 1):
@@ -93,9 +90,7 @@ def test_variants_are_pooled_over_their_rungs_and_seeds() -> None:
     assert (found["newtons"]["clean"], found["newtons"]["n"]) == (6, 12)
 
 
-def test_rows_scored_later_join_those_of_the_result_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rows_scored_later_join_those_of_the_result_file(tmp_path, monkeypatch):
     out = tmp_path / "swap.json"
     there = [f"checkpoints={tmp_path}"]
     full = {"clean_by_training_seed": {"seed0": "4/4"}}
@@ -107,14 +102,14 @@ def test_rows_scored_later_join_those_of_the_result_file(
     assert found["within"][0]["arms"] == ["S1 weighed", "S0"]
 
 
-def test_a_calibration_is_made_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_calibration_is_made_once(tmp_path, monkeypatch):
     made = []
 
     class Found:
-        def save(self, folder: Path) -> None:
+        def save(self, folder):
             folder.mkdir(parents=True)
 
-    def calibrate(command: Any, tokenizer: Any) -> Found:
+    def calibrate(command, tokenizer):
         made.append((command.new, command.grasps))
         return Found()
 

@@ -1,7 +1,6 @@
 """Recordings in their authors' form, made here: what is read, what a turned sensor's angle is, what is refused."""
 
 import json
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -19,12 +18,12 @@ from benchmarks.real.tactip_shear import SHEAR, marker_image, read_tactip_shear
 from uniforce_vtla.contact import TactileSimulator, free_air, gap_map
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.errors import DatasetError
-from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
+from uniforce_vtla.tokenizer import Tokenizer
 
 RADIUS_PX = 210
 
 
-def presses(n: int) -> tuple[ContactState, pd.DataFrame]:
+def presses(n):
     rng = np.random.default_rng(0)
     depth, shear = rng.uniform(1, 5, n), rng.uniform(-2, 2, (n, 2))
     force = np.column_stack([0.5 * shear, 3 * depth]).astype(np.float32)
@@ -37,7 +36,7 @@ def presses(n: int) -> tuple[ContactState, pd.DataFrame]:
 
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recording(tmp_path_factory):
     folder = tmp_path_factory.mktemp("a") / "robot" / "surface_3d" / "train"
     (folder / "processed_images").mkdir(parents=True)
     contact, table = presses(40)
@@ -60,7 +59,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_pictures_come_back_at_the_sensors_scale(recording: Path) -> None:
+def test_pictures_come_back_at_the_sensors_scale(recording):
     read = read_tactip_shear(recording, 10)
     wanted = TactileSimulator("tactip", seed=0).reference()
     assert (
@@ -75,7 +74,7 @@ def test_pictures_come_back_at_the_sensors_scale(recording: Path) -> None:
     assert overlap > 0.7
 
 
-def test_the_lightest_contact_stands_in_for_free_air(recording: Path, tmp_path: Path) -> None:
+def test_the_lightest_contact_stands_in_for_free_air(recording, tmp_path):
     for path in recording.iterdir():
         (tmp_path / path.name).symlink_to(path)
     (tmp_path / "processed_images").unlink()
@@ -86,7 +85,7 @@ def test_the_lightest_contact_stands_in_for_free_air(recording: Path, tmp_path: 
 
 
 @pytest.mark.parametrize("gone", ["processed_image_params.json", "processed_images/image_1.png"])
-def test_what_is_missing_is_named(recording: Path, tmp_path: Path, gone: str) -> None:
+def test_what_is_missing_is_named(recording, tmp_path, gone):
     copy = tmp_path / "copy"
     copy.mkdir()
     for path in recording.rglob("*.*"):
@@ -97,14 +96,14 @@ def test_what_is_missing_is_named(recording: Path, tmp_path: Path, gone: str) ->
         read_tactip_shear(copy, 40)
 
 
-def test_readouts_find_depth_and_shear(recording: Path, tiny: TokenizerConfig) -> None:
+def test_readouts_find_depth_and_shear(recording, tiny):
     read = read_tactip_shear(recording, 40)
     for features in (latent_features(Tokenizer.random(tiny)), descriptor_features):
         said = fit_readout(features(read), labels_mm(read), 0.1).predict(features(read))
         assert np.corrcoef(said[:, 0], read.depth_mm)[0, 1] > 0.9
 
 
-def test_a_turned_sensor_is_read_after_its_angle() -> None:
+def test_a_turned_sensor_is_read_after_its_angle():
     rng = np.random.default_rng(1)
     label = rng.normal(size=(200, 3))
     angle = np.radians(39)
@@ -116,6 +115,6 @@ def test_a_turned_sensor_is_read_after_its_angle() -> None:
     assert found["few_frames"]["shear_r2"] > 0.95 and found["few_frames"]["depth_r2"] > 0.95
 
 
-def test_a_picture_that_is_none(tmp_path: Path) -> None:
+def test_a_picture_that_is_none(tmp_path):
     with pytest.raises(DatasetError, match="picture"):
         marker_image(tmp_path / "none.png", 200.0)

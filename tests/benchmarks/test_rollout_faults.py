@@ -1,7 +1,5 @@
 """LeRobot's own rollout, over the stand-ins, holds what fails; ``make faults`` tries every kind ten times."""
 
-from pathlib import Path
-
 import pytest
 
 from benchmarks.trust.attempts import tally
@@ -13,13 +11,13 @@ from benchmarks.trust.rollout_trials import KINDS, Trial
 @pytest.mark.parametrize(
     "kind", ["finger_unplugged", pytest.param("policy_nan", marks=pytest.mark.thorough)]
 )
-def test_a_rollout_is_held_and_told_why(kind: str, tmp_path: Path) -> None:
+def test_a_rollout_is_held_and_told_why(kind, tmp_path):
     rows = attempt(kind, 1, tmp_path)
     assert len(rows) == 1 and [row for row in rows if not row.is_right] == []
     assert attempt(kind, 1, tmp_path) == rows, "what is there isn't tried again"
 
 
-def test_a_wrong_name_and_a_late_hold_are_seen() -> None:
+def test_a_wrong_name_and_a_late_hold_are_seen():
     assert len(KINDS) >= 10
     right = Trial("arm_reflex", "reflex", "", 0.1, 0.2)
     late, unnamed = (

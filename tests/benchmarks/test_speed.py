@@ -1,7 +1,6 @@
 """The programs for a GPU box, at a small size on a CPU: what they count is exact, what they time is there."""
 
 import json
-from pathlib import Path
 
 import pytest
 import torch
@@ -9,12 +8,11 @@ import torch
 from benchmarks.policy import chart, latency, training_speed
 from benchmarks.policy.network import build
 from benchmarks.policy.training_speed import TrainingSpeedConfig, steps_of
-from uniforce_cli.boundary import Command
 
 PROGRAMS = (latency.main, chart.main, training_speed.main)
 
 
-def run(main: Command, out: Path, size: str = "small") -> dict:
+def run(main, out, size="small"):
     """Run a program with a small network; return what it wrote."""
     assert main([f"size={size}", "rounds=1", f"out={out}"]) == 0
     (file,) = out.glob("*.json")
@@ -23,7 +21,7 @@ def run(main: Command, out: Path, size: str = "small") -> dict:
     return table
 
 
-def test_latency_and_its_parts(tmp_path: Path) -> None:
+def test_latency_and_its_parts(tmp_path):
     table = run(latency.main, tmp_path, "tiny")
     assert table["operations"]["fast"] <= 0.45 * table["operations"]["stock"]
     assert table["operations"]["stock_batched"] < table["operations"]["stock"]
@@ -33,7 +31,7 @@ def test_latency_and_its_parts(tmp_path: Path) -> None:
     assert parts < table["end_to_end_ms"].keys()
 
 
-def test_more_flow_steps_are_nearer_to_the_exact_chunk(tmp_path: Path) -> None:
+def test_more_flow_steps_are_nearer_to_the_exact_chunk(tmp_path):
     table = run(chart.main, tmp_path)
     float32 = [row["rms"] for row in table["points"] if row["dtype"] == "float32"]
     assert len(table["points"]) == 2 * len(float32) and float32[-1] < 0.2 * float32[0]
@@ -41,7 +39,7 @@ def test_more_flow_steps_are_nearer_to_the_exact_chunk(tmp_path: Path) -> None:
     assert (tmp_path / "chart.png").stat().st_size > 5000
 
 
-def test_training_beside_stock(tmp_path: Path) -> None:
+def test_training_beside_stock(tmp_path):
     table = run(training_speed.main, tmp_path)
     run_rows = [row for row in table["rows"] if "batch" in row]
     assert {(row["batch"], row["checkpointing"]) for row in run_rows} == {
@@ -54,7 +52,7 @@ def test_training_beside_stock(tmp_path: Path) -> None:
         assert row["touch_over_stock"] > 0 and row["tokenizer_unchanged"]
 
 
-def test_twenty_steps_of_bases_code_learn_touch_and_leave_the_tokenizer() -> None:
+def test_twenty_steps_of_bases_code_learn_touch_and_leave_the_tokenizer():
     """The code of ``base`` at reduced width."""
     config = TrainingSpeedConfig(size="small", rounds=19)
     row = steps_of(build("small", "cpu").train(), 1, config, learning_rate=1e-3)
@@ -64,10 +62,8 @@ def test_twenty_steps_of_bases_code_learn_touch_and_leave_the_tokenizer() -> Non
 
 
 @pytest.mark.parametrize("main", PROGRAMS)
-@pytest.mark.parametrize(("given", "says"), [("size=huge", "base"), ("device=cuda", "CUDA")])
-def test_what_is_not_there_is_said(
-    main: Command, given: str, says: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.mark.parametrize("given, says", [("size=huge", "base"), ("device=cuda", "CUDA")])
+def test_what_is_not_there_is_said(main, given, says, capsys):
     if given == "device=cuda" and torch.cuda.is_available():
         pytest.skip("a CUDA device is here")
     assert main([given]) == 2

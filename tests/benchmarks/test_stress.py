@@ -24,7 +24,7 @@ from uniforce_vtla.tokenizer.latent_range import LatentRange
 SCENE = 39_700
 
 
-def test_every_operator_has_five_doses_and_a_sensor_that_can_have_it() -> None:
+def test_every_operator_has_five_doses_and_a_sensor_that_can_have_it():
     for operator in OPERATORS.values():
         assert len(operator.doses) == 5
         away = np.abs(np.array(operator.doses) - operator.benign)
@@ -38,7 +38,7 @@ def test_every_operator_has_five_doses_and_a_sensor_that_can_have_it() -> None:
     assert worn_with(OPERATORS["M2 flicker"], "uskin:2", 0.1) is None
 
 
-def test_the_reading_expert_regulates_by_what_the_head_reads() -> None:
+def test_the_reading_expert_regulates_by_what_the_head_reads():
     env = WipeEnv("touch", drawn=("right",), right_sensor="uskin:2")
     expert = ReadsWorn("right", Tokenizer.from_pretrained(), ForceHead.from_pretrained())
     for _ in walk(env, expert, SCENE):
@@ -46,8 +46,8 @@ def test_the_reading_expert_regulates_by_what_the_head_reads() -> None:
     assert env.result().success
 
 
-def test_every_fault_has_four_doses_and_the_one_that_changes_nothing() -> None:
-    def felt(disturbance: Disturbance) -> list:
+def test_every_fault_has_four_doses_and_the_one_that_changes_nothing():
+    def felt(disturbance):
         env = DisturbedEnv(disturbance, "touch", drawn=())
         env.start(SCENE)
         for _ in range(70):  # past the first push
@@ -66,19 +66,19 @@ def test_every_fault_has_four_doses_and_the_one_that_changes_nothing() -> None:
     assert set(SCALES) <= {name for name, fault in FAULTS.items() if fault.sensor}
 
 
-def test_a_refused_reference_is_an_aborted_episode(tmp_path: Path, monkeypatch) -> None:
+def test_a_refused_reference_is_an_aborted_episode(tmp_path, monkeypatch):
     monkeypatch.setattr(actors, "SENSOR", "tactip:1+flicker=0.9")
     found = actors.play("cell", "expert that reads it", "", "", 0.0, SCENE, tmp_path)
     assert (found.cell, found.outcome) == ("cell", "aborted")
 
 
-def test_a_weighed_actor_wears_the_gain_of_its_faulty_sensor(tmp_path: Path, monkeypatch) -> None:
+def test_a_weighed_actor_wears_the_gain_of_its_faulty_sensor(tmp_path, monkeypatch):
     asked = []
 
     class StoppedError(Exception):
         pass
 
-    def folder(words: str, fit: str, work: Path) -> Path:
+    def folder(words, fit, work):
         asked.append((words, fit))
         raise StoppedError
 
@@ -89,14 +89,14 @@ def test_a_weighed_actor_wears_the_gain_of_its_faulty_sensor(tmp_path: Path, mon
     assert asked == [("tactip:1+stiffness=0.7", "tool"), ("tactip:1", "tool")]
 
 
-def row(cell: str, seed: int, clean: bool) -> Row:
+def row(cell, seed, clean):
     return Row(cell, seed, clean, "success" if clean else "residual", 0.9, False, False)
 
 
-def test_curves_are_rolled_out_scene_by_scene_and_go_on(tmp_path: Path, monkeypatch) -> None:
+def test_curves_are_rolled_out_scene_by_scene_and_go_on(tmp_path, monkeypatch):
     played = []
 
-    def play(name, actor, policy, fault, dose, seed, work) -> Row:
+    def play(name, actor, policy, fault, dose, seed, work):
         played.append((name, Path(policy).name, seed))
         return row(name, seed, clean=dose < 6)
 
@@ -117,7 +117,7 @@ def test_curves_are_rolled_out_scene_by_scene_and_go_on(tmp_path: Path, monkeypa
     assert out.with_suffix(".png").stat().st_size > 5000
 
 
-def test_a_ledger_of_other_policies_is_refused(tmp_path: Path, monkeypatch) -> None:
+def test_a_ledger_of_other_policies_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(stress, "content_of", lambda policy: (Path(policy) / "a").read_text())
     config = stress.StressCommand(checkpoints=str(tmp_path), work=str(tmp_path / "work"))
     with pytest.raises(CheckpointError, match="chosen/seed0"):
@@ -133,7 +133,7 @@ def test_a_ledger_of_other_policies_is_refused(tmp_path: Path, monkeypatch) -> N
             stress.policies_of(config)
 
 
-def test_a_monitors_alarm_is_timed_and_clean_wipes_are_told_from_faulty_ones() -> None:
+def test_a_monitors_alarm_is_timed_and_clean_wipes_are_told_from_faulty_ones():
     usual = LatentRange("tactip", "abc", 6, free_limit=1.0, run_limit=2.0)
     calm, odd = np.full(60, 0.5), np.full(60, 0.5)
     odd[30:] = 3.0  # looks of 1/15 s

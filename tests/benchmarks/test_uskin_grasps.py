@@ -14,14 +14,14 @@ HELD = 60  # scans
 FREE = 12
 
 
-def write_log(path: Path, scans: np.ndarray) -> None:
+def write_log(path, scans):
     path.parent.mkdir(parents=True, exist_ok=True)
     header = ",".join(f"txl{taxel}_{axis}" for taxel in range(1, 17) for axis in "xyz")
     np.savetxt(path, scans.reshape(-1, 48), delimiter=",", header=header, comments="", fmt="%d")
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     free = np.repeat(TactileSimulator("uskin").raw_reference()[None], FREE, axis=0)  # (FREE, 16, 3)
     free = free + np.random.default_rng(0).integers(-5, 6, free.shape)
     held = np.repeat(free[:1], HELD, axis=0)
@@ -33,7 +33,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_contact_is_read_and_borrowed_references_are_marked(folder: Path) -> None:
+def test_contact_is_read_and_borrowed_references_are_marked(folder):
     found = {grasp.held: grasp for grasp in find_uskin_grasps(folder)}
     assert set(found) == {LENDER, "held_throughout"}
     assert found[LENDER].group == "uskin" and found["held_throughout"].group == "uskin, borrowed"
@@ -43,7 +43,7 @@ def test_contact_is_read_and_borrowed_references_are_marked(folder: Path) -> Non
         assert changed > 1000
 
 
-def test_a_damaged_log_is_named(folder: Path) -> None:
+def test_a_damaged_log_is_named(folder):
     (folder / LENDER / LOGS["left"]).write_text("txl1_x\n1,2,3\n")
     with pytest.raises(DatasetError, match="48 counts"):
         next(find_uskin_grasps(folder))
@@ -53,7 +53,7 @@ def test_a_damaged_log_is_named(folder: Path) -> None:
 
 @pytest.mark.real
 @pytest.mark.skipif(not TRIALS.is_dir(), reason=f"recordings not found at {TRIALS}")
-def test_real_trials_are_read() -> None:
+def test_real_trials_are_read():
     found = list(find_uskin_grasps(TRIALS))
     assert len(found) == 7
     assert sum("borrowed" in grasp.group for grasp in found) == 5

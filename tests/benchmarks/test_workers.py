@@ -12,7 +12,7 @@ PROGRAMS = sorted(
 )
 
 
-def cached_functions(source: str) -> list[str]:
+def cached_functions(source):
     """Return the functions that a module keeps the results of."""
     found = []
     for node in ast.walk(ast.parse(source)):
@@ -24,12 +24,12 @@ def cached_functions(source: str) -> list[str]:
 
 
 @pytest.mark.parametrize("path", PROGRAMS, ids=lambda path: path.stem)
-def test_a_program_sends_no_cached_function_of_its_own_to_workers(path: Path) -> None:
+def test_a_program_sends_no_cached_function_of_its_own_to_workers(path):
     """Such a function is sent as ``__main__.NAME``, which a worker doesn't have: a broken pool."""
     assert cached_functions(path.read_text()) == []
 
 
-def test_a_cached_function_is_found() -> None:
+def test_a_cached_function_is_found():
     assert len(PROGRAMS) >= 3
     source = "from functools import cache\n@cache\ndef models(): ..."
     assert cached_functions(source) == ["models"]

@@ -22,7 +22,7 @@ MOMENTS = (0, 90, 200)  # control steps: at rest, the eraser held, wiping
 SIDE_PX = 56  # of a stored camera picture
 
 
-def observe(scene: int) -> dict[str, np.ndarray]:
+def observe(scene):
     """Return the states (3, 5), cameras (3, 2, 56, 56, 3) and marker images (3, 2, 2, 480, 640) of a scene."""
     env = WipeEnv("touch", right_sensor=SENSORS[scene])
     states, cameras, markers = [], [], []
@@ -44,7 +44,7 @@ def observe(scene: int) -> dict[str, np.ndarray]:
     return {"state": np.array(states), "camera": np.array(cameras), "marker": np.array(markers)}
 
 
-def main() -> None:
+def main():
     """Write the file."""
     scenes = [observe(scene) for scene in range(len(SENSORS))]
     stacked = {name: np.stack([scene[name] for scene in scenes]) for name in scenes[0]}

@@ -19,7 +19,7 @@ from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.readers.films import film_frames
 from uniforce_datasets.source import episode_frames
 from uniforce_datasets.synthetic import record_synthetic
-from uniforce_vtla.contracts import FINGERS, Finger
+from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import SensorError
 from uniforce_vtla.keys import ACTION, AXES, CAMERAS, STATE, tactile_name
 from uniforce_vtla.markers import Canonicalizer
@@ -39,7 +39,7 @@ REAL_FRAMES = (40, 80, 120, 160)  # of each film
 TOLERANCE = float(os.environ.get("UNIFORCE_GOLDEN_TOLERANCE", 1e-5))
 
 
-def same(name: str, found: np.ndarray) -> None:
+def same(name, found):
     """Compare with the golden of that name, or write it."""
     stored = dict(np.load(EXPECTED)) if EXPECTED.is_file() else {}
     if WRITES:
@@ -49,24 +49,24 @@ def same(name: str, found: np.ndarray) -> None:
 
 
 @pytest.fixture(scope="module")
-def observed() -> dict[str, np.ndarray]:
+def observed():
     stored = dict(np.load(FOLDER / "observed.npz"))
     stored["marker"] = np.unpackbits(stored["marker"], axis=-1) * np.uint8(255)
     return stored
 
 
 @pytest.fixture(scope="module")
-def tokenizer() -> Tokenizer:
+def tokenizer():
     return Tokenizer.from_pretrained()
 
 
 @pytest.fixture(scope="module")
-def head() -> ForceHead:
+def head():
     return ForceHead.from_pretrained()
 
 
 @pytest.fixture(scope="module")
-def calibrated(tokenizer: Tokenizer, head: ForceHead, tmp_path_factory) -> str:
+def calibrated(tokenizer, head, tmp_path_factory):
     """The folder of a made-up calibration of a GelSight whose grip can't be believed."""
     generator = torch.Generator().manual_seed(5)
     latent_map = LatentMap(16, tokenizer.config.latent)
@@ -79,7 +79,7 @@ def calibrated(tokenizer: Tokenizer, head: ForceHead, tmp_path_factory) -> str:
     return str(found.save(tmp_path_factory.mktemp("goldens") / "calibration"))
 
 
-def observation(observed: dict[str, np.ndarray], scene: int, moment: int) -> dict:
+def observation(observed, scene, moment):
     """Return an environment's observation."""
     pixels = dict(zip(CAMERAS, observed["camera"][scene, moment], strict=True))
     for finger, images in zip(FINGERS, observed["marker"][scene, moment], strict=True):
@@ -88,7 +88,7 @@ def observation(observed: dict[str, np.ndarray], scene: int, moment: int) -> dic
     return {"pixels": pixels, "agent_pos": observed["state"][scene, moment].astype(np.float32)}
 
 
-def test_the_goldens_are_of_the_shipped_checkpoints(tokenizer: Tokenizer, head: ForceHead) -> None:
+def test_the_goldens_are_of_the_shipped_checkpoints(tokenizer, head):
     config = PI05UniforcePolicy.config_class.from_pretrained(shipped_checkpoint())
     hashes = [tokenizer.hash, head.hash, config.tokenizer_hash, config.touch.head_hash]
     digits = np.array([[int(digit, 16) for digit in name] for name in hashes])
@@ -96,9 +96,9 @@ def test_the_goldens_are_of_the_shipped_checkpoints(tokenizer: Tokenizer, head: 
 
 
 @pytest.mark.parametrize("kind", ["tactip", "uskin", "gelsight"])
-def test_actions(kind: str, observed: dict[str, np.ndarray], calibrated: str) -> None:
+def test_actions(kind, observed, calibrated):
     scenes = [number for number, sensor in enumerate(SENSORS) if sensor == kind]
-    mounted: dict[Finger, str] = {"left": "gelsight", "right": kind}
+    mounted = {"left": "gelsight", "right": kind}
     folder = calibrated if kind == "gelsight" else ""
     controller = PolicyController(
         shipped_checkpoint(),
@@ -116,9 +116,7 @@ def test_actions(kind: str, observed: dict[str, np.ndarray], calibrated: str) ->
     same(f"actions_{kind}", np.array(actions))
 
 
-def test_latents_and_newtons_of_simulated_frames(
-    observed: dict[str, np.ndarray], tokenizer: Tokenizer, head: ForceHead
-) -> None:
+def test_latents_and_newtons_of_simulated_frames(observed, tokenizer, head):
     latents, newtons = [], []
     for scene in range(20):
         for moment in range(3):
@@ -130,7 +128,7 @@ def test_latents_and_newtons_of_simulated_frames(
     same("newtons", np.array(newtons))
 
 
-def test_latents_and_newtons_of_real_frames(tokenizer: Tokenizer, head: ForceHead) -> None:
+def test_latents_and_newtons_of_real_frames(tokenizer, head):
     if not FILMS.is_dir():
         pytest.skip(f"no real recordings at {FILMS}")
     latents, newtons, shown = [], [], []
@@ -152,13 +150,13 @@ def test_latents_and_newtons_of_real_frames(tokenizer: Tokenizer, head: ForceHea
     same("real_newtons", np.array(newtons))
 
 
-def drawn(name: str, *shape: int) -> torch.Tensor:
+def drawn(name, *shape):
     """Return numbers from 0 to 1 that depend on a name alone."""
     generator = torch.Generator().manual_seed(zlib.crc32(name.encode()))
     return torch.rand(shape, generator=generator)
 
 
-def test_the_loss_of_a_training_step() -> None:
+def test_the_loss_of_a_training_step():
     policy = PI05UniforcePolicy.from_pretrained(shipped_checkpoint(), warm=False)
     batch = made_up_batch(policy.config, torch.device("cpu"))
     for key, value in batch.items():
@@ -173,7 +171,7 @@ def test_the_loss_of_a_training_step() -> None:
     same("loss", loss.detach().numpy())
 
 
-def test_a_recorded_episode(tmp_path: Path) -> None:
+def test_a_recorded_episode(tmp_path):
     source = check_dataset(record_synthetic(tmp_path / "demos", episodes=1, frames=12))
     episode = source.episodes[0]
     columns = source.columns((STATE, ACTION))

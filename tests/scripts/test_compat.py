@@ -6,10 +6,8 @@ import inspect
 import json
 import pkgutil
 import re
-from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
@@ -31,24 +29,24 @@ LEFT_OUT = re.compile(r"__main__|\.children|\.assets|\.hub\b")
 PYTHONS = ("_abc_impl", "_is_protocol", "_registry_name")
 
 
-def source(module: str) -> str:
+def source(module):
     spec = find_spec(module)
     assert spec is not None and spec.origin is not None
     return Path(spec.origin).read_text()
 
 
 @pytest.mark.parametrize(
-    ("module", "name"), [(module, name) for module, names in PRIVATE.items() for name in names]
+    "module, name", [(module, name) for module, names in PRIVATE.items() for name in names]
 )
-def test_lerobot_has_what_we_rely_on(module: str, name: str) -> None:
+def test_lerobot_has_what_we_rely_on(module, name):
     assert re.search(rf"\b{name}\b", source(module)), f"{module} has no {name} any more"
 
 
-def is_private(name: str) -> bool:
+def is_private(name):
     return name.startswith("_") and not name.startswith("__") and name not in PYTHONS
 
 
-def modules() -> Iterator[ModuleType]:
+def modules():
     for room in ROOMS:
         package = importlib.import_module(room)
         for found in pkgutil.walk_packages(package.__path__, f"{room}."):
@@ -56,7 +54,7 @@ def modules() -> Iterator[ModuleType]:
                 yield importlib.import_module(found.name)
 
 
-def made(tree: ast.AST) -> set[str]:
+def made(tree):
     """Return the names of a tree's functions, classes and fields, and of attributes of ``self``."""
     names = set()
     for node in ast.walk(tree):
@@ -70,11 +68,11 @@ def made(tree: ast.AST) -> set[str]:
     return names
 
 
-def read(tree: ast.AST) -> set[str]:
+def read(tree):
     return {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
 
 
-def class_tree(kind: type) -> ast.AST:
+def class_tree(kind):
     """Return a class's tree, an empty one of a class that some function made."""
     for node in ast.walk(ast.parse(source(kind.__module__))):
         if isinstance(node, ast.ClassDef) and node.name == kind.__name__:
@@ -82,7 +80,7 @@ def class_tree(kind: type) -> ast.AST:
     return ast.Module([], [])
 
 
-def shared_with_lerobot(kind: type) -> set[tuple[str, str]]:
+def shared_with_lerobot(kind):
     """Return (module, name) of what a class of ours takes from, or gives to, LeRobot's above it."""
     found = set()
     bases = [base for base in kind.__mro__[1:] if base.__module__.startswith("lerobot.")]
@@ -93,7 +91,7 @@ def shared_with_lerobot(kind: type) -> set[tuple[str, str]]:
     return found
 
 
-def test_no_private_name_of_lerobot_is_used_unlisted() -> None:
+def test_no_private_name_of_lerobot_is_used_unlisted():
     known = {(module, name) for module, names in PRIVATE.items() for name in names}
     used = set()
     ours = set()
@@ -114,7 +112,7 @@ def test_no_private_name_of_lerobot_is_used_unlisted() -> None:
     listed = {name for _, name in known}
     # nobody here made it, so another library did
     theirs = {name for name in reached - ours if is_private(name)} - listed
-    folder = Path(find_spec("lerobot").submodule_search_locations[0])  # type: ignore[union-attr, index]
+    folder = Path(find_spec("lerobot").submodule_search_locations[0])
     of_lerobot = set()
     for file in folder.rglob("*.py"):
         text = file.read_text()
@@ -125,7 +123,7 @@ def test_no_private_name_of_lerobot_is_used_unlisted() -> None:
     assert not [name for name in listed if not re.search(rf"\b{name}\b", text)], "no longer used"
 
 
-def test_a_fine_tuned_policy_may_act_where_its_own_demonstrations_did(tmp_path: Path) -> None:
+def test_a_fine_tuned_policy_may_act_where_its_own_demonstrations_did(tmp_path):
     stored = {"low": [0.0], "high": [1.0], "margin": 0.5}
     steps = [{"registry_name": "device_processor", "config": {}}]
     steps.append({"registry_name": CHECK_ACTION, "config": stored})
@@ -138,7 +136,7 @@ def test_a_fine_tuned_policy_may_act_where_its_own_demonstrations_did(tmp_path: 
     assert found[0] == steps[0]
 
 
-def test_another_policys_processors_are_left_alone(tmp_path: Path) -> None:
+def test_another_policys_processors_are_left_alone(tmp_path):
     (tmp_path / CONFIG).write_text(json.dumps({"type": "act"}))
     store_action_range(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == [CONFIG]

@@ -1,7 +1,5 @@
 """The page of one scene with each sensor, in a real browser."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from headless_browser import find_browser, open_browser
@@ -17,7 +15,7 @@ LENGTHS = (12, 8)  # frames
 
 
 @pytest.fixture
-def page_path(tmp_path: Path) -> Path:
+def page_path(tmp_path):
     films = []
     for name, row, length in zip(("TacTip", "uSkin"), (ROW, SPOILT), LENGTHS, strict=True):
         video = tmp_path / f"{name}.mp4"
@@ -28,13 +26,13 @@ def page_path(tmp_path: Path) -> Path:
     return write_sensors_page(films, tmp_path / "sensors.html")
 
 
-def test_it_says_how_each_rollout_ended(page_path: Path) -> None:
+def test_it_says_how_each_rollout_ended(page_path):
     text = page_path.read_text()
     assert "<b>TacTip</b>: clean wipe, 90% of the way within the band" in text
     assert "residual, slip, too much force, 40% of the way within the band" in text
 
 
-def test_it_plays_in_a_browser(page_path: Path, tmp_path: Path) -> None:
+def test_it_plays_in_a_browser(page_path, tmp_path):
     executable = find_browser()
     if executable is None:
         pytest.skip("no Chromium on this machine: the page isn't tried in a browser")

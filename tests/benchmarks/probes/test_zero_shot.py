@@ -28,12 +28,12 @@ RESULTS = Path(__file__).parents[3] / "docs" / "results"
 SHORT = replace(FROZEN, sequences=2, length=3)
 
 
-def test_frozen_indenters_are_unseen_and_training_ones_seen() -> None:
+def test_frozen_indenters_are_unseen_and_training_ones_seen():
     assert set(FROZEN.indenters) == set(UNSEEN) and set(HEAD_TRAINING.indenters) == set(SEEN)
     assert not set(UNSEEN) & set(SEEN) and FROZEN.seed != HEAD_TRAINING.seed
 
 
-def test_sensors_feel_the_same_contacts_and_draws_repeat() -> None:
+def test_sensors_feel_the_same_contacts_and_draws_repeat():
     sets = {sensor: draw_labelled(SHORT, sensor, 16) for sensor in SENSORS}
     for labelled in sets.values():
         np.testing.assert_array_equal(labelled.force_N, sets["gelsight"].force_N)
@@ -43,7 +43,7 @@ def test_sensors_feel_the_same_contacts_and_draws_repeat() -> None:
     assert draw_labelled(replace(SHORT, seed=1), "uskin", 16).digest != sets["uskin"].digest
 
 
-def test_a_set_that_changed_is_refused() -> None:
+def test_a_set_that_changed_is_refused():
     drawn = {sensor: draw_labelled(replace(SHORT, sequences=1), sensor, 16) for sensor in SENSORS}
     facts = set_facts(FROZEN, drawn)
     check_frozen(facts, drawn)
@@ -51,7 +51,7 @@ def test_a_set_that_changed_is_refused() -> None:
         check_frozen(facts | {"set_hash": "0"}, drawn)
 
 
-def test_score_of_truth_mean_and_offset() -> None:
+def test_score_of_truth_mean_and_offset():
     truth = np.random.default_rng(0).uniform(-2, 8, (5, 4, 3))
     assert score(truth, truth)["r2"] == [1, 1, 1]
     mean = np.broadcast_to(truth.reshape(-1, 3).mean(axis=0), truth.shape)
@@ -59,13 +59,13 @@ def test_score_of_truth_mean_and_offset() -> None:
     assert score(truth, truth + 0.5)["mae_N"] == pytest.approx([0.5] * 3)
 
 
-def test_paper_range() -> None:
+def test_paper_range():
     force = np.array([[0, 0, 12.0], [3.1, 0, 1], [0, -3, 5], [0, 0, 12.1]])
     assert within(force).tolist() == [True, False, True, False]
 
 
 @pytest.mark.parametrize("name", ["zero_shot_v2", "hetero_hard_v2"])
-def test_committed_table_belongs_to_the_frozen_set_and_meets_its_form(name: str) -> None:
+def test_committed_table_belongs_to_the_frozen_set_and_meets_its_form(name):
     report_set = REPORT_SETS[name]
     if not (RESULTS / report_set.table).exists():
         pytest.skip(f"no table of {name} committed")
@@ -83,7 +83,7 @@ def test_committed_table_belongs_to_the_frozen_set_and_meets_its_form(name: str)
 BRIEF = replace(HETERO_HARD, sequences=2, length=4)
 
 
-def test_seeds_and_indenters_of_training_and_frozen_sets_differ() -> None:
+def test_seeds_and_indenters_of_training_and_frozen_sets_differ():
     sets = (HETERO_HARD, HETERO_HARD_TRAINING, FROZEN, HEAD_TRAINING, FE_DEV, FE_CONTACTS)
     assert len({s.seed for s in sets}) == len(sets)
     assert set(HETERO_HARD.indenters) == set(UNSEEN) and set(HETERO_HARD_TRAINING.indenters) == set(
@@ -91,7 +91,7 @@ def test_seeds_and_indenters_of_training_and_frozen_sets_differ() -> None:
     )
 
 
-def test_no_held_out_sensor_is_in_the_pretraining_family() -> None:
+def test_no_held_out_sensor_is_in_the_pretraining_family():
     assert any(
         line.startswith("visible: marker_shape") for line in outside(hetero_sensors()["gelsight_d"])
     )
@@ -100,7 +100,7 @@ def test_no_held_out_sensor_is_in_the_pretraining_family() -> None:
             found = outside(sensor)
             assert found and all(line.startswith("hidden") for line in found), (sensor.name, found)
     keen, usual = hidden_sensors()["uskin_keen"].material, as_virtual("uskin").material
-    assert keen.rest_counts > 1.25 * usual.rest_counts  # type: ignore[union-attr]
+    assert keen.rest_counts > 1.25 * usual.rest_counts
 
 
 # of BRIEF, by code that draws the whole set to its committed hash
@@ -108,24 +108,24 @@ SCORED = {"gelsight_d": "8e6c838602f5", "tactip": "f217d66e3144", "uskin": "179b
 
 
 @pytest.mark.parametrize("name", SCORED)
-def test_a_set_draws_as_it_was_scored(name: str) -> None:
+def test_a_set_draws_as_it_was_scored(name):
     one = draw_hard(BRIEF, hetero_sensors()[name], 32)
     assert one.digest.startswith(SCORED[name])
     assert one.frames.shape == (2, 4, 32, 32) and one.force_N.shape == (2, 4, 3)
 
 
-def test_every_sensor_of_a_recipe_feels_the_same_forces() -> None:
+def test_every_sensor_of_a_recipe_feels_the_same_forces():
     forces = [draw_hard(BRIEF, s, 16).force_N for s in hetero_sensors().values()]
     assert all(np.array_equal(forces[0], f) for f in forces)
 
 
-def test_the_canonicalizer_is_in_the_way() -> None:
+def test_the_canonicalizer_is_in_the_way():
     sensor = hetero_sensors()["gelsight_d"]
     direct = draw_hard(replace(BRIEF, canonicalize=False), sensor, 32)
     assert not np.array_equal(direct.frames, draw_hard(BRIEF, sensor, 32).frames)
 
 
-def test_a_cached_set_is_drawn_once(tmp_path: Path) -> None:
+def test_a_cached_set_is_drawn_once(tmp_path):
     calls = []
 
     def draw():
@@ -142,7 +142,7 @@ def test_a_cached_set_is_drawn_once(tmp_path: Path) -> None:
     assert len(calls) == 2
 
 
-def test_report_sets_have_names_and_files_of_their_own() -> None:
+def test_report_sets_have_names_and_files_of_their_own():
     assert all(REPORT_SETS[name].name == name for name in REPORT_SETS)
     files = {file for s in REPORT_SETS.values() for file in (s.facts_file, s.table)}
     assert len(files) == 2 * len(REPORT_SETS)
