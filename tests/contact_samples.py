@@ -1,9 +1,22 @@
-"""Contacts that tests of several rooms press on simulated pads."""
+"""Contacts that tests of several rooms press on simulated pads, and a finger without a device."""
 
 import numpy as np
 
 from uniforce_vtla.contact import flat_face_gap, gap_map
 from uniforce_vtla.contracts import ContactState
+from uniforce_vtla.markers import Canonicalizer
+
+
+class StillFinger:
+    """A finger that has its reference, as far as checks need one; a subclass has its next frames."""
+
+    def __init__(self, sensor, reference):
+        canonicalizer = Canonicalizer(sensor, stream=True)
+        canonicalizer.set_reference(reference)
+        self.reference_raw, self.marker_image = reference, canonicalizer.marker_image
+
+    def reference_image(self):
+        return self.marker_image(self.reference_raw)[..., None]
 
 
 def faces(force_N, side_mm):

@@ -1,7 +1,8 @@
-"""A trace of an episode that goes well; tests change it."""
+"""An episode that goes well, as a trace and as a row; tests change it."""
 
 import numpy as np
 
+from uniforce_vtla.evaluation.arms import EpisodeRow
 from uniforce_vtla.evaluation.episode import STEP_FIELDS, EpisodeTrace
 
 N = 120  # steps at 30 Hz
@@ -20,3 +21,7 @@ def good_trace(**changes):
         "phase": phase,
     }
     return EpisodeTrace(**(fields | changes), rated_depth_mm=(1.5, 5.0))
+
+
+def good_row(seed, clean=True):
+    return EpisodeRow(seed, "success", clean, False, False, 0, 0, 0, 0, 0, 0)

@@ -25,26 +25,52 @@ PACKAGES = {  # folder, and the packages it may import
     COMMAND: (ROOT / "scripts" / COMMAND, {LIBRARY, ENVS, DATASETS, POLICIES, ROBOTS}),
     BENCHMARKS: (ROOT / BENCHMARKS, {LIBRARY, ENVS, DATASETS, POLICIES, ROBOTS, COMMAND}),
 }
+ROOMS = {  # the robot's folders and what each may not import of the others
+    "franka": {"teleop", "recorder", "pairs", "standins"},
+    "sensors": {"franka", "teleop", "recorder", "pairs", "standins"},
+    "teleop": {"recorder", "pairs"},
+    "recorder": {"pairs", "standins"},
+    "pairs": {"standins"},
+}
+ROBOT = ROOT / "robots" / ROBOTS
+FCI = ROBOT / "standins" / "fci"
 # LeRobot imports it to find all the distribution brings
 REGISTERS = ROOT / "policies" / POLICIES / "__init__.py"
 
 
-def modules_of(file):
-    for node in ast.walk(ast.parse(file.read_text())):
+def forbidden():
+    """Yield folders and the packages that none of their modules may import."""
+    for package, (folder, may) in PACKAGES.items():
+        yield folder, set(PACKAGES) - {package} - may
+    for stage, may in STAGES.items():
+        yield ROOT / LIBRARY / stage, {f"{LIBRARY}.{name}" for name in {*STAGES} - {stage} - may}
+    for room, others in ROOMS.items():
+        yield ROBOT / room, {f"{ROBOTS}.{name}" for name in others}
+    yield ROOT / LIBRARY, {"lerobot"}
+    yield (
+        ROBOT / "sensors",
+        {f"{LIBRARY}.{name}" for name in ("contact", "tokenizer", "evaluation")},
+    )
+    yield ROBOT / "franka" / "children", {*PACKAGES, "lerobot"}
+    yield FCI, set(PACKAGES) - {ROBOTS} | {"lerobot", "torch"}  # it stands for a device
+
+
+def modules_of(nodes):
+    for node in nodes:
         if isinstance(node, ast.ImportFrom):
             yield node.module or ""
         elif isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
 
 
-def foreign_imports(folder, forbidden):
-    """Return "file: module" for each import of a package, or of a module in one, that is forbidden."""
+def foreign_imports(folder, names):
+    """Return "file: module" for each import of one of these packages, or of a module in one."""
     return [
         f"{file.relative_to(ROOT)}: {module}"
         for file in folder.rglob("*.py")
         if file != REGISTERS
-        for module in modules_of(file)
-        if any(module == name or module.startswith(f"{name}.") for name in forbidden)
+        for module in modules_of(ast.walk(ast.parse(file.read_text())))
+        if any(f"{module}.".startswith(f"{name}.") for name in names)
     ]
 
 
@@ -57,67 +83,22 @@ def test_every_package_has_its_place():
     assert {path.name for path in found - inner} == set(PACKAGES)
 
 
-@pytest.mark.parametrize("package", PACKAGES)
-def test_arrows_point_down(package):
-    folder, may = PACKAGES[package]
-    assert not foreign_imports(folder, set(PACKAGES) - {package} - may)
+@pytest.mark.parametrize("folder, names", forbidden(), ids=str)
+def test_arrows_point_down(folder, names):
+    assert folder.is_dir() and not foreign_imports(folder, names)
 
 
-@pytest.mark.parametrize("stage", STAGES)
-def test_stage_imports_only_from_its_left(stage):
-    others = {f"{LIBRARY}.{name}" for name in set(STAGES) - {stage} - STAGES[stage]}
-    assert not foreign_imports(ROOT / LIBRARY / stage, others)
-
-
-def test_the_library_knows_no_lerobot():
-    assert not foreign_imports(ROOT / LIBRARY, {"lerobot"})
-
-
-def test_the_arms_stand_in_knows_nothing_of_the_project():
-    """It stands for a device, shares the arm's published numbers alone, and starts without torch."""
-    standins = f"{ROBOTS}.standins.fci"
-    ours = {m for m in PACKAGES if m != ROBOTS} | {"lerobot", "torch"}
-    folder = ROOT / "robots" / ROBOTS / "standins" / "fci"
-    assert not foreign_imports(folder, ours)
-    robots = [line for line in foreign_imports(folder, {ROBOTS}) if standins not in line]
-    assert all(
-        f"{ROBOTS}.standins." in line or line.endswith(f"{ROBOTS}.fr3") for line in robots
-    ), robots
-
-
-def test_the_arms_children_import_nothing_of_ours():
-    assert not foreign_imports(
-        ROOT / "robots" / ROBOTS / "franka" / "children", {*PACKAGES, "lerobot"}
-    )
-
-
-@pytest.mark.parametrize(
-    "room, forbidden",
-    [
-        ("franka", {"teleop", "recorder", "pairs", "standins"}),
-        ("sensors", {"franka", "teleop", "recorder", "pairs", "standins"}),
-        ("teleop", {"recorder", "pairs"}),
-        ("recorder", {"pairs", "standins"}),
-        ("pairs", {"standins"}),
-    ],
-)
-def test_rooms_of_the_robot_stay_apart(room, forbidden):
-    folder = ROOT / "robots" / ROBOTS / room
-    assert not foreign_imports(folder, {f"{ROBOTS}.{name}" for name in forbidden})
-
-
-def test_devices_know_sensors_and_markers_only():
-    others = {f"{LIBRARY}.{name}" for name in ("contact", "tokenizer", "evaluation")}
-    assert not foreign_imports(ROOT / "robots" / ROBOTS / "sensors", others)
+def test_the_arms_stand_in_shares_the_arms_published_numbers_alone():
+    allowed = f"{ROBOTS}.standins.", f"{ROBOTS}.fr3"
+    assert not [
+        line for line in foreign_imports(FCI, {ROBOTS}) if not any(map(line.count, allowed))
+    ]
 
 
 def test_the_vendors_client_is_loaded_where_it_is_needed_only():
     """It is no core dependency: no module imports it at its top."""
-    for file in (ROOT / "robots" / ROBOTS / "franka").rglob("*.py"):
-        top = ast.parse(file.read_text()).body
-        names = [alias.name for node in top if isinstance(node, ast.Import) for alias in node.names]
-        names += [node.module or "" for node in top if isinstance(node, ast.ImportFrom)]
-        assert "franky" not in names, f"{file.relative_to(ROOT)} imports a client"
+    for file in (ROBOT / "franka").rglob("*.py"):
+        assert "franky" not in modules_of(ast.parse(file.read_text()).body), file
 
 
 def test_no_folder_shadows_the_datasets_library():

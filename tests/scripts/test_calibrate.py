@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from contact_samples import faces
+from contact_samples import StillFinger, faces
 
 from uniforce_cli.calibrate import main
 from uniforce_cli.known_loads import presses_by_hand
@@ -23,7 +23,6 @@ from uniforce_vtla.contact.worn import WornView
 from uniforce_vtla.contact.worn_in_words import wear
 from uniforce_vtla.contracts import FINGERS, ContactState
 from uniforce_vtla.errors import ContractError
-from uniforce_vtla.markers.canonicalizer import Canonicalizer
 from uniforce_vtla.markers.mirror import mirrored
 from uniforce_vtla.tokenizer import ForceHead, Latent, Tokenizer
 from uniforce_vtla.tokenizer.calibration import Calibration
@@ -31,38 +30,36 @@ from uniforce_vtla.tokenizer.gains import gain_of_loads, gain_through_a_tool
 from uniforce_vtla.tokenizer.mount_relation import SETTINGS
 
 
-def test_a_unit_learns_to_read_as_another_one_does(tmp_path, capsys):
+@pytest.fixture
+def calibrated(tmp_path):
+    """Return a function: calibrate by some words → what was stored."""
+
+    def calibrate(*words):
+        assert main([*words, f"out={tmp_path / 'found'}"]) == 0
+        return Calibration.load(tmp_path / "found", Tokenizer.from_pretrained().hash)
+
+    return calibrate
+
+
+def test_a_unit_learns_to_read_as_another_one_does(calibrated, capsys):
     """Unit 12 of a TacTip is stiffer and answers to the same grasp by .84 of unit 1."""
-    out = tmp_path / "map"
-    assert main(["new=tactip:12", "anchor=tactip:1", "grasps=120", f"out={out}"]) == 0
+    found = calibrated("new=tactip:12", "anchor=tactip:1", "grasps=120")
     printed = capsys.readouterr().out
     assert "tactip:12 against tactip:1" in printed and "chosen by" in printed
-    found = Calibration.load(out, Tokenizer.from_pretrained().hash)
     assert (found.new, found.anchor) == ("tactip:12", "tactip:1")
     for judged in found.agreement.values():
         assert judged.r2[2] > 0.95 and judged.r2[2] > judged.r2_before[2]
 
 
-def test_a_grasp_that_the_canonicaliser_refuses_is_left_out(tmp_path, caplog):
+def test_a_grasp_that_the_canonicaliser_refuses_is_left_out(calibrated, caplog):
     """A pad of four tenths its stiffness moves markers further than any that pretraining saw, in the firmest grasps."""
-    assert (
-        main(
-            [
-                "new=tactip:1+stiffness=0.4",
-                "anchor=tactip:1",
-                "grasps=120",
-                f"out={tmp_path / 'map'}",
-            ]
-        )
-        == 0
-    )
+    calibrated("new=tactip:1+stiffness=0.4", "anchor=tactip:1", "grasps=120")
     assert "of 120 grasps are left out" in caplog.text
 
 
 @pytest.mark.parametrize("words", ["tactip:any", "tactip:left", "nose:3"])
-def test_only_a_sensor_that_stays_the_same_is_calibrated(words, capsys):
-    assert main([f"new={words}"]) == 2
-    assert words.partition(":")[0] in capsys.readouterr().err
+def test_only_a_sensor_that_stays_the_same_is_calibrated(words, refuses):
+    refuses(main, [f"new={words}"], words.partition(":")[0])
 
 
 @pytest.mark.parametrize(
@@ -86,9 +83,7 @@ def test_recorded_pairs_of_two_units_of_a_kind_are_kept_apart(sensors, new_is, t
     anchor = "gelsight" if "gelsight" in sensors else "tactip:1"
     grasps = recorded_grasps(str(tmp_path), "tactip:7", anchor, "tool,flat", tokenizer)
     assert grasps.classes == ("tool",) * 3 and len(grasps.new) == 3 and grasps.numbers == (0, 0, 0)
-    assert (
-        float(grasps.new.mean()) == value[new_is] and float(grasps.anchor.mean()) != value[new_is]
-    )
+    assert float(grasps.new.mean()) == value[new_is] != float(grasps.anchor.mean())
 
 
 def record_pairs(root, new, anchor, mount):
@@ -123,12 +118,9 @@ def test_a_sensor_mounted_the_wrong_way_is_refused_until_it_is_said(
     if mount != "upright":
         assert main(asked) == 2
         said = capsys.readouterr().err
-        assert (
-            f"the one {mount} against the other" in said
-            and f"mounted={mount}" in said
-            and "rotation_deg=180" in said
-        )
-        assert ("flip=true" in said) == (mount == "mirrored_y") and not (tmp_path / "map").exists()
+        assert f"the one {mount} against the other" in said and f"mounted={mount}" in said
+        assert "rotation_deg=180" in said and ("flip=true" in said) == (mount == "mirrored_y")
+        assert not (tmp_path / "map").exists()
     assert main([*asked, f"mounted={mount}"]) == 0
     assert (tmp_path / "map").exists()
 
@@ -137,11 +129,9 @@ def test_a_mount_is_stated_of_recorded_pairs_alone(refuses):
     refuses(main, ["new=uskin:2", "mounted=turned"], "recorded pairs")
 
 
-def test_simulated_loads_undo_a_pad_that_answers_less(tmp_path, capsys):
-    out = tmp_path / "gain"
-    assert main(["new=tactip:1+gain=0.7", "loads_N=3,6,9", f"out={out}"]) == 0
+def test_simulated_loads_undo_a_pad_that_answers_less(calibrated, capsys):
+    found = calibrated("new=tactip:1+gain=0.7", "loads_N=3,6,9")
     assert "tactip:1+gain=0.7: gain 1." in capsys.readouterr().out
-    found = Calibration.load(out, Tokenizer.from_pretrained().hash)
     assert found.gain == pytest.approx(1 / 0.7, abs=0.12) and not found.map.weight.any()
 
 
@@ -157,34 +147,29 @@ def test_simulated_loads_undo_a_pad_that_answers_less(tmp_path, capsys):
         (["loads_N=3,6,9", "rig={folder}/rig.yaml"], "new, as"),
     ],
 )
-def test_loads_that_can_not_be_pressed_are_refused(arguments, reason, tmp_path, capsys):
+def test_loads_that_can_not_be_pressed_are_refused(arguments, reason, tmp_path, refuses):
     camera = "{type: uniforce_tactile, finger: right, sensor: tactip, source: /dev/x}"
     (tmp_path / "rig.yaml").write_text(f"robot:\n  cameras:\n    tactile_right: {camera}\n")
     given = [word.format(folder=tmp_path) for word in arguments]
     sensor = "uskin" if reason.startswith("new") else "tactip"
-    assert main([f"new={sensor}", *given, f"out={tmp_path / 'gain'}"]) == 2
-    assert reason in capsys.readouterr().err and not (tmp_path / "gain").exists()
+    refuses(main, [f"new={sensor}", *given, f"out={tmp_path / 'gain'}"], reason)
+    assert not (tmp_path / "gain").exists()
 
 
-class Pressed:
+class Pressed(StillFinger):
     """A TacTip on the right finger that is pressed with what was asked for."""
 
     config = SimpleNamespace(finger="right")
 
     def __init__(self, grip_N=0.0):
-        self.simulator, self.load_N, self.index = TactileSimulator("tactip", seed=1), 0.0, 0
+        self.simulator, self.load_N = TactileSimulator("tactip", seed=1), 0.0
         self.grip_N = grip_N  # of the tool that it holds; 0: it is pressed bare
-        self.canonicalizer = Canonicalizer("tactip", stream=True)
-        self.canonicalizer.set_reference(self.simulator.raw_reference())
-        self.marker_image = self.canonicalizer.marker_image
+        super().__init__("tactip", self.simulator.raw_reference())
 
     def ask(self, said):
-        self.load_N = (
-            0.0 if "hang free" in said else float(said.partition("(")[2].partition(" N")[0])
-        )
-
-    def reference_image(self):
-        return np.repeat(self.marker_image(self.simulator.raw_reference())[..., None], 3, axis=2)
+        self.load_N = 0.0
+        if "hang free" not in said:
+            self.load_N = float(said.partition("(")[2].partition(" N")[0])
 
     def next_touch(self, index):
         force = [0, -self.load_N / 2, self.grip_N] if self.grip_N else [0, 0, self.load_N]
@@ -206,20 +191,14 @@ def test_a_person_lets_the_tool_hang_and_presses_it(capsys):
     finger, tokenizer = Pressed(grip_N=10.0), Tokenizer.from_pretrained()
     asked = (finger, (3, 6, 9), tokenizer.pooled, True)
     z, load_N = presses_by_hand(*asked, ask=finger.ask)
-    assert (
-        sorted(set(load_N.tolist())) == [0, 3, 6, 9] and "grasp the tool" in capsys.readouterr().out
-    )
+    assert {*load_N.tolist()} == {0, 3, 6, 9} and "grasp the tool" in capsys.readouterr().out
     assert 0.8 < gain_through_a_tool(z, load_N, ForceHead.from_pretrained(), "tactip").gain < 1.25
 
 
 @pytest.mark.parametrize("worn", ["tactip:2", "uskin:2", "gelsight:2"])
-def test_every_kind_is_weighed_through_the_tool(worn, tmp_path):
+def test_every_kind_is_weighed_through_the_tool(worn, calibrated):
     """A covered flat gel can't be weighed bare; the shear of what it holds it shows."""
-    assert main([f"new={worn}", "loads_N=3,6,9", "through=tool", f"out={tmp_path / 'gain'}"]) in (
-        None,
-        0,
-    )
-    found = Calibration.load(tmp_path / "gain", Tokenizer.from_pretrained().hash)
+    found = calibrated(f"new={worn}", "loads_N=3,6,9", "through=tool")
     assert found.through_tool and 0.6 < found.gain < 1.4
 
 
@@ -242,11 +221,10 @@ def record_wipe(root, frames):
     return root
 
 
-def test_recorded_wipes_scale_the_sensor_beside_a_known_one(tmp_path, capsys, refuses):
+def test_recorded_wipes_scale_the_sensor_beside_a_known_one(tmp_path, calibrated, capsys, refuses):
     wipes = record_wipe(tmp_path / "wipes", frames=132)
-    asked = ["new=uskin:2", "anchor=tactip", f"wipes={wipes}", f"out={tmp_path / 'gain'}"]
-    assert main(asked) in (None, 0)
+    asked = ["new=uskin:2", "anchor=tactip", f"wipes={wipes}"]
+    found = calibrated(*asked)
     assert "uskin:2: gain of shear" in capsys.readouterr().out
-    found = Calibration.load(tmp_path / "gain", Tokenizer.from_pretrained().hash)
     assert found.through_tool and found.anchor == "tactip" and 0.5 < found.gain < 1.5
     refuses(main, [*asked, "finger=left"], "finger=")

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from headless_browser import find_browser, open_browser
+from headless_browser import open_browser
 from lerobot.utils.io_utils import write_video
 
 from uniforce_cli.sensors_page import SensorFilm, write_sensors_page
@@ -33,12 +33,9 @@ def test_it_says_how_each_rollout_ended(page_path):
 
 
 def test_it_plays_in_a_browser(page_path, tmp_path):
-    executable = find_browser()
-    if executable is None:
-        pytest.skip("no Chromium on this machine: the page isn't tried in a browser")
     images = "[...document.querySelectorAll('#films img')]"
-    with open_browser(executable, tmp_path / "profile") as page:
-        page.open(page_path, width=1280, height=800)
+    with open_browser(tmp_path / "profile") as page:
+        page.open(page_path)
         assert page.read(f"{images}.map((image) => image.naturalWidth)") == [96, 96]
         first = page.read(f"{images}.map((image) => image.src)")
         page.read("document.getElementById('frame').focus()")

@@ -5,7 +5,6 @@ import os
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import MagicMock
 
@@ -21,6 +20,7 @@ from benchmarks.trust.injuries import edit_json
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy
 from lerobot_policy_pi05_uniforce import make_pi05_uniforce_pre_post_processors as make_processors
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TouchSettings
+from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
 from lerobot_policy_pi05_uniforce.model_card import model_card
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import FOLDER
 from uniforce_cli import share
@@ -29,9 +29,8 @@ from uniforce_datasets.cards import read_card
 from uniforce_datasets.lossless import check_dataset, rehash
 from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_datasets.synthetic import FPS, record_synthetic, synthetic_frame
-from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
+from uniforce_vtla.tokenizer import Tokenizer
 
-SHIPPED = "assets/wiping_vt/README.md"
 ELSEWHERE = """
 import sys, torch
 from lerobot.configs import PreTrainedConfig
@@ -61,15 +60,11 @@ def raw_observation():
 
 
 @pytest.fixture
-def trained(tmp_path):
-    """A checkpoint as the trainer leaves it, its text tokenizer in a folder of its own, and what it answers."""
+def trained(tmp_path, tiny):
+    """A checkpoint as the trainer leaves it, its tokenizers in folders of their own; action.pt is what it answers."""
     torch.manual_seed(0)
-    torch.set_num_threads(1)
     shutil.copytree(FOLDER, tmp_path / "words")
-    tactile = TokenizerConfig(
-        side=64, patch=8, width=16, depth=1, decoder_depth=1, heads=2, embed_hidden=0
-    )
-    Tokenizer.random(tactile).save(tmp_path / "tactile")
+    Tokenizer.random(tiny).save(tmp_path / "tactile")
     touch = TouchSettings(input="latent", tokenizer_path=str(tmp_path / "tactile"))
     config = small_config(touch=touch, text_tokenizer_name=str(tmp_path / "words"))
     one = {"q01": np.zeros(5), "q99": np.ones(5), "min": np.zeros(5), "max": np.ones(5)}
@@ -84,77 +79,94 @@ def trained(tmp_path):
     (tmp_path / "trained" / "train_config.json").write_text(
         '{"steps": 40, "output_dir": "/machine/only"}'
     )
-    return tmp_path / "trained", after(policy.select_action(before(raw_observation())))
+    torch.save(after(policy.select_action(before(raw_observation()))), tmp_path / "action.pt")
+    return tmp_path / "trained"
 
 
-def test_another_machine_gets_the_same_action(trained, tmp_path, monkeypatch):
-    checkpoint, action = trained
+@pytest.fixture
+def shared(tmp_path):
+    return tmp_path / "shared"
+
+
+@pytest.fixture
+def share_trained(trained, shared):
+    """Return a function: share the checkpoint into ``shared`` with more words → exit code."""
+    return lambda more: share.main([f"checkpoint={trained}", f"out={shared}", *more])
+
+
+@pytest.fixture
+def scores(tmp_path):
     (tmp_path / "wiping.json").write_text(json.dumps(SCORES))
-    scores = f"scores={tmp_path / 'wiping.json'}"
-    assert share.main([f"checkpoint={checkpoint}", f"out={tmp_path / 'shared'}", scores]) == 0
+    return tmp_path / "wiping.json"
+
+
+def test_another_machine_gets_the_same_action(share_trained, scores, shared, tmp_path):
+    assert share_trained([f"scores={scores}"]) == 0
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
-    shutil.move(tmp_path / "shared", elsewhere / "moved")
+    moved = shared.rename(elsewhere / "moved")
     for gone in ("words", "tactile", "trained"):
         shutil.rmtree(tmp_path / gone)
     torch.save(raw_observation(), elsewhere / "raw.pt")
     env = os.environ | {"HF_HUB_OFFLINE": "1", "HF_HOME": str(elsewhere / "no_cache")}
-    call = [sys.executable, "-c", ELSEWHERE, str(elsewhere / "moved")]
+    call = [sys.executable, "-c", ELSEWHERE, str(moved)]
     subprocess.run(call, cwd=elsewhere, env=env, check=True, timeout=240, capture_output=True)
-    assert torch.equal(torch.load(elsewhere / "action.pt"), action)
-    for file in (elsewhere / "moved").glob("*.json"):
+    assert torch.equal(torch.load(elsewhere / "action.pt"), torch.load(tmp_path / "action.pt"))
+    for file in moved.glob("*.json"):
         assert str(tmp_path) not in file.read_text() and "/machine/only" not in file.read_text()
-    card = (elsewhere / "moved" / "README.md").read_text()
+    card = (moved / "README.md").read_text()
     assert "somebody/wipe" in card and "| V+T | 16/20 | 17/20 |" in card and "steps: 40" in card
 
 
-def test_a_card_does_not_carry_another_policys_scores(trained, tmp_path, capsys):
-    checkpoint, file = trained[0], tmp_path / "wiping.json"
-    call = [f"checkpoint={checkpoint}", f"out={tmp_path / 'shared'}", f"scores={file}"]
-    for acted, code in (("another one's", 2), (content_of(str(checkpoint)), 0)):
-        file.write_text(
-            json.dumps(SCORES | {"arms": {"V+T": SCORES["arms"]["V+T"] | {"policies": [acted]}}})
-        )
-        assert share.main(call) == code
-    assert "expected those of this checkpoint, got another policy's" in capsys.readouterr().err
+def test_a_card_does_not_carry_another_policys_scores(trained, share_trained, scores, refuses):
+    def scored(policy):
+        edit_json(scores, lambda table: table["arms"]["V+T"].update(policies=[policy]))
+
+    scored("another one's")
+    wanted = "expected those of this checkpoint, got another policy's"
+    refuses(share_trained, [f"scores={scores}"], wanted)
+    scored(content_of(str(trained)))
+    assert share_trained([f"scores={scores}"]) == 0
 
 
-def test_what_is_pushed_is_what_was_named_first(trained, tmp_path, monkeypatch, capsys):
-    pushed = []
-    hub = SimpleNamespace(
-        create_repo=lambda repo_id, **_: SimpleNamespace(repo_id=repo_id),
-        upload_folder=lambda **given: pushed.append(given),
-    )
+def test_what_is_pushed_is_what_was_named_first(share_trained, shared, monkeypatch, capsys):
+    hub = MagicMock()
+    hub.create_repo = lambda repo_id, **_: SimpleNamespace(repo_id=repo_id)
     monkeypatch.setattr("huggingface_hub.HfApi", lambda: hub)
-    given = [f"checkpoint={trained[0]}", f"out={tmp_path / 'shared'}", "push=somebody/pi05-wipe"]
-    assert share.main(given) == 0
-    shared = tmp_path / "shared"
-    assert (pushed[0]["repo_id"], pushed[0]["folder_path"]) == ("somebody/pi05-wipe", shared)
+    assert share_trained(["push=somebody/pi05-wipe"]) == 0
+    pushed = hub.upload_folder.call_args.kwargs
+    assert (pushed["repo_id"], pushed["folder_path"]) == ("somebody/pi05-wipe", shared)
     there = {path.name for path in shared.iterdir()}
     hashed = json.loads((shared / "hashes.json").read_text())
     assert hashed.keys() == there - {"hashes.json"}
     assert {"config.json", "model.safetensors", "README.md", "policy_preprocessor.json"} <= there
-    assert set(pushed[0]["allow_patterns"]) == there <= set(capsys.readouterr().out.split())
+    assert set(pushed["allow_patterns"]) == there <= set(capsys.readouterr().out.split())
     card = ModelCard.load(shared / "README.md")
-    assert "# pi05-wipe" in card.text and ModelCard(str(card)).data.to_dict() == card.data.to_dict()
+    assert "# pi05-wipe" in card.text
     assert (card.data.license, card.data.library_name) == ("apache-2.0", "lerobot")
     assert (card.data.pipeline_tag, card.data.datasets) == ("robotics", "somebody/wipe")
     assert {"lerobot", "robotics", "tactile"} <= {*card.data.tags}
 
 
-def test_a_pushed_datasets_card_is_what_the_hub_reads(tmp_path, monkeypatch, refuses):
-    cards = []
-    monkeypatch.setattr("lerobot.datasets.lerobot_dataset.HfApi", MagicMock())
-    monkeypatch.setattr(DatasetCard, "push_to_hub", lambda card, **_: cards.append(card))
+@pytest.fixture
+def hub(monkeypatch):
+    """Stand for the hub that LeRobot pushes datasets to; ``cards`` are what it got."""
+    hub = MagicMock(cards=[])
+    monkeypatch.setattr("lerobot.datasets.lerobot_dataset.HfApi", lambda: hub)
+    monkeypatch.setattr(DatasetCard, "push_to_hub", lambda card, **_: hub.cards.append(str(card)))
+    return hub
+
+
+def test_a_pushed_datasets_card_is_what_the_hub_reads(tmp_path, hub, refuses):
     given = [f"dataset={record_synthetic(tmp_path / 'demos', 1, 2)}", "push=somebody/wiping"]
     refuses(share.main, [*given, "licence=CC BY"], "cc-by-4.0")
     assert share.main([*given, "licence=cc-by-4.0"]) == 0 and share.main(given) == 0
-    stated, unstated = (DatasetCard(str(card)).data for card in cards)  # parsed again from the text
+    stated, unstated = (DatasetCard(card).data for card in hub.cards)  # parsed again from the text
     assert stated.license == "cc-by-4.0" and unstated.license is None
     assert stated.task_categories == ["robotics"] and {"LeRobot", "robotics", "tactile"} <= set(
         stated.tags
     )
-    assert "marker images" in cards[0].text and '"total_episodes": 1' in cards[0].text
+    assert "marker images" in hub.cards[0] and '"total_episodes": 1' in hub.cards[0]
 
 
 HOME = "/home/jane.doe"
@@ -178,8 +190,10 @@ CARD_BEFORE = {
         "rig": f"{HOME}/rig.yaml",
         "root": f"{HOME}/patient_7",
         "devices": ["--x=172.16.0.2"],
-    }
-    | {"prompts": ["wipe"], "window": 17, "quick_notes": ["patient"]},
+        "prompts": ["wipe"],
+        "window": 17,
+        "quick_notes": ["patient"],
+    },
 }
 CARD_AFTER = {
     "episode": 0,
@@ -190,12 +204,7 @@ CARD_AFTER = {
     "settings": {"robot": "franka", "prompts": ["wipe"], "window": 17},
 }
 STRAYS = (
-    "notes.txt",
-    "meta/notes.json",
-    "data/chunk-000/file-000.csv",
-    "cards/todo.json",
-    "meta/info.json.bak",
-    ".env",
+    "notes.txt meta/notes.json data/chunk-000/file-000.csv cards/todo.json meta/info.json.bak .env"
 )
 
 
@@ -213,13 +222,10 @@ def demos(tmp_path):
 
 
 def test_a_pushed_dataset_tells_nothing_of_this_machine_and_stays_whole(
-    demos, tmp_path, monkeypatch, capsys
+    demos, hub, tmp_path, monkeypatch, capsys
 ):
-    hub = MagicMock()
-    monkeypatch.setattr("lerobot.datasets.lerobot_dataset.HfApi", lambda: hub)
-    cards = []
-    monkeypatch.setattr(DatasetCard, "push_to_hub", lambda card, **_: cards.append(card))
-    for name in STRAYS:
+    strays = STRAYS.split()
+    for name in strays:
         (demos / name).write_text("s3cret")
     before = {path: path.read_bytes() for path in demos.rglob("*") if path.is_file()}
     # it would refuse the strays
@@ -228,9 +234,9 @@ def test_a_pushed_dataset_tells_nothing_of_this_machine_and_stays_whole(
     sent = hub.upload_folder.call_args.kwargs
     named = [line.strip() for line in capsys.readouterr().out.splitlines() if line.startswith("  ")]
     goes = {*filter_repo_objects(named, allow_patterns=sent["allow_patterns"])}
-    assert goes == {*named} - {"README.md"} and not goes & {*STRAYS}
+    assert goes == {*named} - {"README.md"} and not goes & {*strays}
     downloaded = shutil.copytree(sent["folder_path"], tmp_path / "downloaded")  # links become files
-    for content in (str(cards[0]).encode(), *((downloaded / name).read_bytes() for name in goes)):
+    for content in (hub.cards[0].encode(), *((downloaded / name).read_bytes() for name in goes)):
         assert not [secret for secret in SECRETS if secret.encode() in content]
     assert read_card(downloaded, 0) == CARD_AFTER
     monkeypatch.undo()
@@ -238,10 +244,8 @@ def test_a_pushed_dataset_tells_nothing_of_this_machine_and_stays_whole(
     assert before == {path: path.read_bytes() for path in demos.rglob("*") if path.is_file()}
 
 
-def test_who_may_not_write_there_hears_it_before_the_long_check(demos, monkeypatch, refuses):
-    hub = MagicMock()
+def test_who_may_not_write_there_hears_it_before_the_long_check(demos, hub, monkeypatch, refuses):
     hub.create_repo.side_effect = OfflineModeIsEnabled("no")
-    monkeypatch.setattr("lerobot.datasets.lerobot_dataset.HfApi", lambda: hub)
     monkeypatch.setattr(share, "share_dataset", lambda _: pytest.fail("it was checked"))
     refuses(share.main, [f"dataset={demos}", "push=somebody/wiping"], "HF_HUB_OFFLINE")
 
@@ -249,53 +253,43 @@ def test_who_may_not_write_there_hears_it_before_the_long_check(demos, monkeypat
 @pytest.mark.parametrize(
     "other", ["wandb.json", "notes/credentials.json", "train_config.json", "model.bin"]
 )
-def test_a_folder_with_other_files_is_not_handed_on(trained, tmp_path, other, refuses):
-    file = tmp_path / "shared" / other
+def test_a_folder_with_other_files_is_not_handed_on(other, shared, refuses):
+    file = shared / other
     file.parent.mkdir(parents=True)
     file.write_text("{}")
-    for given in (f"checkpoint={trained[0]}", "scene=true"):
-        refuses(share.main, [given, f"out={tmp_path / 'shared'}"], other)
-    assert not (tmp_path / "shared" / "README.md").exists()
+    for given in (f"checkpoint={shipped_checkpoint()}", "scene=true"):
+        refuses(share.main, [given, f"out={shared}"], other)
+    assert not (shared / "README.md").exists()
 
 
 def test_scores_and_provenance_lose_their_paths_and_a_config_with_one_is_refused(
-    trained, tmp_path, refuses
+    trained, share_trained, scores, shared, refuses
 ):
-    checkpoint, file = trained[0], tmp_path / "wiping.json"
-    scores, provenance = SCORES | {"version": "1", "tests": []}, {"device": "cpu", "dirty": False}
-    file.write_text(json.dumps(scores | {"command": f"uniforce score policy={HOME}/x"}))
-    (checkpoint / "provenance.json").write_text(json.dumps(provenance | {"command": HOME}))
-    given = [f"checkpoint={checkpoint}", f"scores={file}", f"out={tmp_path / 'shared'}"]
-    assert share.main(given) == 0
-    assert json.loads((tmp_path / "shared" / "scores.json").read_text()) == scores
-    assert json.loads((tmp_path / "shared" / "provenance.json").read_text()) == provenance
+    table, provenance = SCORES | {"version": "1", "tests": []}, {"device": "cpu", "dirty": False}
+    scores.write_text(json.dumps(table | {"command": f"uniforce score policy={HOME}/x"}))
+    (trained / "provenance.json").write_text(json.dumps(provenance | {"command": HOME}))
+    assert share_trained([f"scores={scores}"]) == 0
+    assert json.loads((shared / "scores.json").read_text()) == table
+    assert json.loads((shared / "provenance.json").read_text()) == provenance
     trained_on = {"repo_id": f"{HOME}/demos"}
-    edit_json(checkpoint / "config.json", lambda config: config.update(trained_on=trained_on))
-    refuses(share.main, given, "repo_id in config.json: expected no path of this machine")
+    edit_json(trained / "config.json", lambda config: config.update(trained_on=trained_on))
+    refuses(share_trained, [], "repo_id in config.json: expected no path of this machine")
 
 
 def test_the_shipped_policys_card_parses_and_a_local_dataset_is_no_link():
-    shipped = ModelCard.load(Path(sys.modules[model_card.__module__].__file__).parent / SHIPPED)
+    shipped = ModelCard.load(shipped_checkpoint() / "README.md")
     assert (shipped.data.license, shipped.data.library_name) == ("apache-2.0", "lerobot")
     config = PI05UniforceConfig(size="tiny", device="cpu", trained_on={"repo_id": "local/view"})
     assert model_card(config).data.datasets is None and "local/view" in model_card(config).text
 
 
-def test_what_is_no_score_or_no_checkpoint_is_said(trained, tmp_path, refuses):
-    refuses(share.main, [f"checkpoint={trained[0]}", "scores=/nowhere.json"], "/nowhere.json")
-    refuses(share.main, [f"checkpoint={tmp_path / 'nothing'}"], "a checkpoint's folder")
-
-
-def test_half_the_size_the_same_action_and_the_tokenizer_bit_by_bit(trained, tmp_path):
-    source, _ = trained
-    whole, half = tmp_path / "whole", tmp_path / "half"
-    for out, rounded in ((whole, "false"), (half, "true")):
-        assert share.main([f"checkpoint={source}", f"out={out}", f"half={rounded}"]) == 0
-    sizes = [(out / "model.safetensors").stat().st_size for out in (half, whole)]
-    assert sizes[0] < 0.7 * sizes[1]  # the tokenizer stays whole
-    first, second = (PI05UniforcePolicy.from_pretrained(out) for out in (whole, half))
+def test_half_the_size_the_same_action_and_the_tokenizer_bit_by_bit(trained, share_trained, shared):
+    assert share_trained(["half=true"]) == 0
+    whole, half = ((out / "model.safetensors").stat().st_size for out in (trained, shared))
+    assert half < 0.7 * whole  # the tokenizer stays whole
+    first, second = (PI05UniforcePolicy.from_pretrained(out) for out in (trained, shared))
     assert first.config.tokenizer_hash == second.config.tokenizer_hash
-    pairs = list(zip(first.state_dict().items(), second.state_dict().values(), strict=True))
-    assert all(a.dtype == b.dtype for (_, a), b in pairs)
-    assert all(torch.allclose(a.float(), b.float(), rtol=1e-3, atol=1e-6) for (_, a), b in pairs)
-    assert any(not torch.equal(a, b) for (_, a), b in pairs)
+    pairs = list(zip(first.state_dict().values(), second.state_dict().values(), strict=True))
+    assert all(a.dtype == b.dtype for a, b in pairs)
+    assert all(torch.allclose(a.float(), b.float(), rtol=1e-3, atol=1e-6) for a, b in pairs)
+    assert any(not torch.equal(a, b) for a, b in pairs)
