@@ -14,8 +14,8 @@ class FakeHand:
     ``moves``: its fingers go at their speed and close on an object of ``object_m``; else they are there at the end.
     """
 
-    def __init__(self, takes_s=0.1, succeeds=True, clock=time.monotonic, moves=False):
-        self.takes_s, self.succeeds, self.clock, self.moves = takes_s, succeeds, clock, moves
+    def __init__(self, takes_s=0.1, clock=time.monotonic, moves=False):
+        self.takes_s, self.clock, self.moves = takes_s, clock, moves
         self.width_m, self.max_width_m, self.object_m = 0.08, 0.08, 0.0
         self.commands = []
         self.overlaps = self.stops = 0
@@ -63,7 +63,7 @@ class FakeHand:
             self.width_m += float(np.clip(self._goal_m(command) - self.width_m, -step_m, step_m))
         if now_s < self._ends_s:
             return
-        self.width_m, self._ends_s, self._outcome = self._goal_m(command), None, self.succeeds
+        self.width_m, self._ends_s, self._outcome = self._goal_m(command), None, True
         if self.moves and command.force_N:
             self.is_grasped = self._outcome = 0 < self.object_m == self.width_m
 
