@@ -74,12 +74,9 @@ class Room:
     def damaged(self, name, marker):
         return self.folder / f"{name}_{marker.replace('/', '_')}"
 
-    def sound(self, marker, policy):
-        whole = {
-            "meta/info.json": str(self.folder / "dataset"),
-            VIEW_MARKER: str(self.folder / "view"),
-        }
-        return whole.get(marker, policy)
+    def sound(self, marker):
+        whole = {"meta/info.json": self.folder / "dataset", VIEW_MARKER: self.folder / "view"}
+        return whole.get(marker, shipped_checkpoint())
 
 
 def bad_inputs(options, room):
@@ -104,19 +101,16 @@ def bad_forms(options):
 
 def bad_values(option, room):
     kind = option.kind
-    if not isinstance(option.default, str | None):
+    if option.default or not isinstance(option.default, str | None):
         yield "empty", ""
     if get_origin(kind) is Literal:
-        choices = get_args(kind)
-        yield from (("choice", text) for text in ("nosuch", f"{choices[-1]}x", f"../{choices[-1]}"))
+        yield from (("choice", text) for text in ("nosuch", f"../{get_args(kind)[-1]}"))
         return
     wrong = WRONG_TYPE.get(get_origin(kind) or kind, ())
     yield from (("type", text) for text in wrong if text != "null" or not option.optional)
     if isinstance(option.rule, Range):
         yield from (("range", _listed(kind, number)) for number in _outside(option.rule, kind))
     if kind is str:
-        if option.default:
-            yield "empty", ""
         yield from (("text", text) for text in TEXTS)
         yield from _bad_texts(option.rule, room)
     if isinstance(option.rule, Names) and kind is not str:
@@ -125,24 +119,20 @@ def bad_values(option, room):
 
 def _outside(allowed, kind):
     step = 1 if kind is int else 0.001
-    yield allowed.low if allowed.above else allowed.low - step
-    yield from (
-        -1e9 if kind is not int else -(10**9),
-        allowed.high + max(step, abs(allowed.high) * 1e-3),
-    )
+    below = allowed.low if allowed.above else allowed.low - step
+    return below, allowed.high + max(step, abs(allowed.high) * 1e-3)
 
 
 def _listed(kind, number):
-    text = str(int(number)) if kind is int or get_args(kind)[:1] == (int,) else repr(float(number))
+    is_whole = int in (kind, *get_args(kind))
+    text = str(int(number)) if is_whole else repr(float(number))
     return {list: f"[{text}]", tuple: f"[{text}, {text}]"}.get(get_origin(kind), text)
 
 
 def _bad_texts(rule, room):
     if isinstance(rule, Names):
-        yield from (
-            ("choice", text)
-            for text in ("nosuch", rule.known[0].upper() + "X", "../" + rule.known[0])
-        )
+        yield "choice", "nosuch"
+        yield "choice", f"../{rule.known[0]}"
         if rule.many:
             yield "choice", f"{rule.known[0]},nosuch"
     if isinstance(rule, Pattern):
@@ -161,16 +151,12 @@ def _bad_sources(rule, room):
     yield "missing", str(here / "garbage" / "below")
     if rule.marker:
         yield "file for folder", str(here / "garbage")
-    else:
-        yield "folder for file", str(here / "some_folder")
-    if rule.marker not in ("", "."):
-        yield "missing", str(here / "some_folder")
+    kind = {"": "folder for file", ".": "nothing in it"}.get(rule.marker, "missing")
+    yield kind, str(here / "some_folder")
     if rule.marker == "config.json":
         yield "another kind", str(TOKENIZER if "checkpoint" in rule.what else shipped_checkpoint())
-    if rule.marker == ".":
-        yield "nothing in it", str(here / "some_folder")
-    for name in CONTENTS:
-        if rule.marker != ".":
+    if rule.marker != ".":
+        for name in CONTENTS:
             yield "damaged", str(room.damaged(name, rule.marker) if rule.marker else here / name)
 
 

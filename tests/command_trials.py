@@ -9,7 +9,6 @@ from pathlib import Path
 from bad_words import BadInput, Room, bad_inputs
 
 from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
-from uniforce_cli.boundary import REFUSED
 from uniforce_cli.main import VERBS
 from uniforce_vtla.arguments import options_of
 from uniforce_vtla.options import Existing
@@ -27,41 +26,39 @@ MODULES = {verb: f"uniforce_cli.{verb}" for verb in VERBS} | {
     for name in BENCHMARKS
 }
 SOUND = {  # what a command needs besides sound folders, to begin its work
-    "verify": ("root={room}/dataset",),
-    "share": ("checkpoint={shipped}",),
-    "touch": ("source=standin",),
-    "estimate": ("pad_friction=0.6,0.7",),
-    "calibrate": ("grasps=60",),
-    "convert": ("view={room}/view",),
-    "real": ("data={room}/dataset",),
+    "verify": "root={room}/dataset",
+    "share": "checkpoint={shipped}",
+    "touch": "source=standin",
+    "estimate": "pad_friction=0.6,0.7",
+    "calibrate": "grasps=60",
+    "convert": "view={room}/view",
+    "real": "data={room}/dataset",
 }
-ROBOT = ("robot=franka", "teleop=keyboard", "prompts=[wipe]")
+ROBOT = {"robot": "franka", "teleop": "keyboard", "prompts": "[wipe]"}
 
 
 @dataclass(frozen=True)
 class Trial:
     """A command line that must be refused: sound words that would do, with bad ones in place."""
 
-    command: str
     bad: BadInput
-    sound: tuple[str, ...]
+    sound: dict[str, object]
 
     @property
     def words(self):
         given = {word.removeprefix("--").partition("=")[0] for word in self.bad.words}
-        return (*(w for w in self.sound if w.partition("=")[0] not in given), *self.bad.words)
+        sound = [f"{name}={text}" for name, text in self.sound.items() if name not in given]
+        return [*sound, *self.bad.words]
 
 
 def trials(command, room):
     if command == "train":
         return _train_trials(room)
     options = options_of(entry(command).config_class)
-    named = []
-    for word in SOUND.get(command, ()):
-        named.append(word.format(room=room.folder, shipped=shipped_checkpoint()))
-    given = {word.partition("=")[0] for word in named}
-    sound = [*named, *(w for w in _sound(options, room) if w.partition("=")[0] not in given)]
-    found = [Trial(command, bad, tuple(sound)) for bad in bad_inputs(options, room)]
+    sound = _sound(options, room)
+    named = SOUND.get(command, "").format(room=room.folder, shipped=shipped_checkpoint())
+    sound |= dict(word.split("=") for word in named.split())
+    found = [Trial(bad, sound) for bad in bad_inputs(options, room)]
     if command == "record":
         found += _robot_trials(room)
     return found
@@ -81,12 +78,12 @@ def exit_code(main, words):
 
 
 def _sound(options, room):
-    """Return words that name something whole for every input that must be there."""
-    found = []
+    """Return option → something whole for every input that must be there."""
+    found = {}
     for option in options.values():
         rule = option.rule
         if isinstance(rule, Existing) and option.default not in ("", *rule.words, str(PUBLISHED)):
-            found.append(f"{option.name}={room.sound(rule.marker, str(shipped_checkpoint()))}")
+            found[option.name] = room.sound(rule.marker)
     return found
 
 
@@ -103,19 +100,17 @@ def _train_trials(room):
         "config_path": "nothing/train_config.json",
         "output_dir": "/proc/nothing/run",
     }
-    sound = (
-        "policy=pi05_uniforce",
-        "policy.size=tiny",
-        "policy.device=cpu",
-        "dataset.repo_id=local/view",
-        f"dataset.root={room.folder / 'view'}",
-        "num_workers=0",
-        "output_dir=run",
-    )
-    bad = list(bad_inputs(options, room))
-    for name, text in paths.items():
-        bad.append(BadInput("path", (f"{name}={text}",), name))
-    return [Trial("train", one, sound) for one in bad]
+    sound = {
+        "policy": "pi05_uniforce",
+        "policy.size": "tiny",
+        "policy.device": "cpu",
+        "dataset.repo_id": "local/view",
+        "dataset.root": room.folder / "view",
+        "num_workers": 0,
+        "output_dir": "run",
+    }
+    bad = [BadInput("path", (f"{name}={text}",), name) for name, text in paths.items()]
+    return [Trial(one, sound) for one in (*bad_inputs(options, room), *bad)]
 
 
 def _robot_trials(room):
@@ -126,20 +121,8 @@ def _robot_trials(room):
     found = []
     for config, prefix in ((UniforceFrankaConfig, "robot."), (UniforceKeyboardConfig, "teleop.")):
         for bad in bad_inputs(options_of(config, prefix), room):
-            found.append(Trial("record", bad, ROBOT))
+            found.append(Trial(bad, ROBOT))
     return found
-
-
-def judge(trial, code, said):
-    """Return how a trial ended, "one_line" where it was refused as it must be."""
-    if "Traceback" in said or code == 70:
-        return "tracebacks"
-    if code != REFUSED:
-        return "silent"
-    lines = [line for line in said.splitlines() if line.strip()]
-    if len(lines) == 1 and trial.bad.is_named_in(lines[0]):
-        return "one_line"
-    return "long_or_beside_the_point"
 
 
 def hashes(folder):
