@@ -3,20 +3,12 @@
 import socket
 import struct
 import time
-from dataclasses import replace
 
 import numpy as np
 
-from uniforce_robots.fr3 import JOINTS
 from uniforce_robots.standins.fci import protocol as p
-from uniforce_robots.standins.fci.arm import TORQUE_STEP_Nm
 
 TIMEOUT_s = 30.0  # a busy machine is slow, a hung server is for ever
-
-
-def move(controller=p.EXTERNAL, generator=p.NO_GENERATOR):
-    """Return a Move's payload; deviations and speeds, which the stand-in does not use, as libfranka's."""
-    return p.MOVE.pack(controller, generator, *(10.0, 3.12, 2 * np.pi) * 2, False, *[2.0] * 7)
 
 
 def decode_state(datagram):
@@ -51,16 +43,12 @@ class RawClient:
         udp.bind((tcp.getsockname()[0], 0))  # states go to the address the TCP connection came from
         udp.settimeout(TIMEOUT_s)
         self.tcp, self.udp, self.header = tcp, udp, header
-        self.server = None
         self._buffer, self._next_id = b"", 1
 
     def __enter__(self):
         return self
 
     def __exit__(self, *_):
-        self.close()
-
-    def close(self):
         self.tcp.close()
         self.udp.close()
 
@@ -89,18 +77,15 @@ class RawClient:
         data, self.server = self.udp.recvfrom(65536)
         return data
 
-    def greet(self, version):
-        layout = struct.Struct("<BH" if self.header is p.ARM_HEADER else "<HH")
+    def greet(self, version, layout):
         answer = self.ask(p.ArmCommand.CONNECT, p.CONNECT.pack(version, self.udp.getsockname()[1]))
-        self.status, self.version = p.unpack(layout, answer, "answer to Connect")
+        self.status, _ = p.unpack(struct.Struct(layout), answer, "answer to Connect")
 
 
 class RawArm(RawClient):
-    _tau_Nm: np.ndarray = np.zeros(JOINTS)  # last sent
-
-    def __init__(self, address, version=p.ARM_VERSION):
+    def __init__(self, address):
         super().__init__(address, p.ARM_PORT, p.ARM_HEADER)
-        self.greet(version)
+        self.greet(p.ARM_VERSION, "<BH")
 
     def state(self):
         """Return the next state, in order: older ones may be queued."""
@@ -120,43 +105,31 @@ class RawArm(RawClient):
 
     def move(self, generator=p.NO_GENERATOR):
         """Ask for a motion; return the request's id. The first answer is still to be received."""
-        self._tau_Nm = np.zeros(JOINTS)
-        return self.send(p.ArmCommand.MOVE, move(generator=generator))
+        # deviations and speeds, which the stand-in does not use, as libfranka's
+        limits = *(10.0, 3.12, 2 * np.pi) * 2, False, *[2.0] * 7
+        return self.send(p.ArmCommand.MOVE, p.MOVE.pack(p.EXTERNAL, generator, *limits))
 
     def start(self):
         """Begin a torque motion, which the arm has to accept; return the request's id."""
         command_id, answer = self.move(), self.receive()
-        assert (answer.command_id, answer.payload) == (
-            command_id,
-            bytes([p.MoveStatus.MOTION_STARTED]),
-        )
+        started = bytes([p.MoveStatus.MOTION_STARTED])
+        assert (answer.command_id, answer.payload) == (command_id, started)
         return command_id
 
-    def command(self, command):
-        if self.server is None:
-            raise ConnectionError("no state has come yet: where commands go is not known")
-        self.udp.sendto(encode_command(command), self.server)
-
     def loop(self, law, ticks):
-        """Answer so many states with a control law, its torques limited in rate; return the last one."""
+        """Answer so many states with a control law."""
         for _ in range(ticks):
-            state = self.newest()
-            command = law(state)
-            step = np.clip(command.tau_J_d - self._tau_Nm, -TORQUE_STEP_Nm, TORQUE_STEP_Nm)
-            self._tau_Nm = self._tau_Nm + step
-            self.command(replace(command, tau_J_d=self._tau_Nm))
-        return state
+            self.udp.sendto(encode_command(law(self.newest())), self.server)
 
 
 class RawHand(RawClient):
-    def __init__(self, address, version=p.HAND_VERSION):
+    def __init__(self, address):
         super().__init__(address, p.HAND_PORT, p.HAND_HEADER)
-        self.greet(version)
+        self.greet(p.HAND_VERSION, "<HH")
 
     def status_of(self, command, payload=b""):
-        return int(
-            p.unpack(struct.Struct("<H"), self.ask(command, payload), "answer of the hand")[0]
-        )
+        (status,) = p.unpack(struct.Struct("<H"), self.ask(command, payload), "answer of the hand")
+        return status
 
 
 def wait_until(condition, timeout_s=10.0, what="condition"):

@@ -1,6 +1,8 @@
 """``ForceSensor``: the chain of touch from a raw frame to newtons, and what it refuses."""
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from uniforce_vtla import Canonicalizer, ForceHead, ForceSensor, Tokenizer
 from uniforce_vtla.contact import free_air
 from uniforce_vtla.contact.worn import WornView
 from uniforce_vtla.contact.worn_in_words import wear
-from uniforce_vtla.contracts import FINGERS, ContactState
+from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import CheckpointError, ContractError, SensorError
 from uniforce_vtla.tokenizer import pool_latent
 from uniforce_vtla.tokenizer.calibration import Calibration
@@ -44,15 +46,25 @@ def raw():
 def frames_of(kind):
     simulator = WornView(wear(f"{kind}:1")(0)).simulator
     free = free_air(1)
-    flat_mm = np.zeros_like(free.gap_mm)
     force_N = np.array([[0.0, 1.0, 6.0]], np.float32)
-    pressed = ContactState(flat_mm, force_N, np.zeros(1, np.float32))
+    pressed = replace(free, gap_mm=np.zeros_like(free.gap_mm), force_N=force_N)
     return simulator.raw_frames(free)[0], simulator.raw_frames(pressed)[0]
 
 
-def test_a_frame_gives_what_the_parts_give_one_after_another(raw, tokenizer, head):
+@pytest.fixture(scope="module")
+def make_sensor(tokenizer, head):
+    return partial(ForceSensor, tokenizer=tokenizer, head=head)
+
+
+def read(sensor, frames):
+    """Return what a sensor reads in the second of two frames, the first being free air."""
+    sensor.tare(frames[0])
+    return sensor.read(frames[1])
+
+
+def test_a_frame_gives_what_the_parts_give_one_after_another(raw, make_sensor, tokenizer, head):
     for kind, (free, pressed) in raw.items():
-        sensor = ForceSensor(kind, "left", tokenizer=tokenizer, head=head)
+        sensor = make_sensor(kind)
         reference = sensor.tare(free)
         reading = sensor.read(pressed)
         canonicalizer = Canonicalizer(kind, stream=True)
@@ -65,49 +77,34 @@ def test_a_frame_gives_what_the_parts_give_one_after_another(raw, tokenizer, hea
         assert np.isnan(reading.health), "nothing is watched"
 
 
-def test_newtons_are_of_the_fingers_own_frame(raw, tokenizer, head):
-    free, pressed = raw["tactip"]
-    read_N = {}
-    for finger, before, after in (
-        ("left", free, pressed),
-        ("right", free[:, ::-1], pressed[:, ::-1]),
-    ):
-        sensor = ForceSensor("tactip", finger, tokenizer=tokenizer, head=head)
-        sensor.tare(np.ascontiguousarray(before))
-        read_N[finger] = sensor.read(np.ascontiguousarray(after)).force_N
+def test_newtons_are_of_the_fingers_own_frame(raw, make_sensor):
+    mirrored = [np.ascontiguousarray(frame[:, ::-1]) for frame in raw["tactip"]]
+    left_N = read(make_sensor("tactip", "left"), raw["tactip"]).force_N
+    right_N = read(make_sensor("tactip", "right"), mirrored).force_N
     # facing fingers see one load mirrored
-    np.testing.assert_allclose(read_N["left"] * (-1, 1, 1), read_N["right"], atol=0.2)
-    assert read_N["left"][2] > 2
+    np.testing.assert_allclose(left_N * (-1, 1, 1), right_N, atol=0.2)
+    assert left_N[2] > 2
 
 
-def test_several_frames_in_a_row_make_a_reference(raw, tokenizer, head):
+def test_several_frames_in_a_row_make_a_reference(raw, make_sensor):
     for kind, (free, pressed) in raw.items():
-        one = ForceSensor(kind, tokenizer=tokenizer, head=head)
-        several = ForceSensor(kind, tokenizer=tokenizer, head=head)
-        one.tare(free)
-        several.tare([free, free, free])
-        np.testing.assert_array_equal(one.read(pressed).latent, several.read(pressed).latent)
+        one = read(make_sensor(kind), (free, pressed))
+        several = read(make_sensor(kind), ([free, free, free], pressed))
+        np.testing.assert_array_equal(one.latent, several.latent)
     free, pressed = raw["tactip"]
     with pytest.raises(SensorError, match="still"):
-        ForceSensor("tactip", tokenizer=tokenizer, head=head).tare([free, pressed, pressed])
+        make_sensor("tactip").tare([free, pressed, pressed])
 
 
-def made_up(tokenizer, head, **more):
+def test_a_calibration_maps_the_latent_and_scales_newtons(
+    raw, make_sensor, tokenizer, head, tmp_path
+):
     latent_map = LatentMap(16, tokenizer.config.latent)
     latent_map.shift.fill_(0.1)
     names = tokenizer.hash, head.hash, "tactip:3", "tactip:1", 0.0, 0.0
-    return Calibration(latent_map, *names, {}, **more)
-
-
-def test_a_calibration_maps_the_latent_and_scales_newtons(raw, tokenizer, head, tmp_path):
-    free, pressed = raw["tactip"]
-    plain = ForceSensor("tactip", tokenizer=tokenizer, head=head)
-    folder = made_up(tokenizer, head, gain=1.5).save(tmp_path)
-    sensor = ForceSensor("tactip", tokenizer=tokenizer, head=head, calibration=folder)
-    plain.tare(free)
-    sensor.tare(free)
-    before = plain.read(pressed)
-    after = sensor.read(pressed)
+    folder = Calibration(latent_map, *names, {}, gain=1.5).save(tmp_path)
+    before = read(make_sensor("tactip"), raw["tactip"])
+    after = read(make_sensor("tactip", calibration=folder), raw["tactip"])
     np.testing.assert_allclose(after.latent, before.latent + 0.1, atol=1e-6)
     shifted = torch.from_numpy(before.latent + 0.1)[None]
     np.testing.assert_allclose(after.force_N, 1.5 * head.model.step(shifted, None)[0][0], rtol=1e-5)
@@ -115,10 +112,10 @@ def test_a_calibration_maps_the_latent_and_scales_newtons(raw, tokenizer, head, 
         ForceSensor("tactip", tokenizer="small", calibration=folder)
 
 
-def test_a_sensor_that_is_not_healthy_stops_and_free_air_is_told_apart(raw, tokenizer):
+def test_a_sensor_that_is_not_healthy_stops_and_free_air_is_told_apart(raw, make_sensor):
     free, pressed = raw["tactip"]
     with pytest.raises(CheckpointError):  # of nano no ranges are shipped
-        ForceSensor("tactip", tokenizer=tokenizer, head=None, watch=FREE_LOOKS)
+        make_sensor("tactip", watch=FREE_LOOKS)
     sensor = ForceSensor("tactip", head=None, watch=FREE_LOOKS)
     sensor.tare(free)
     healthy = [sensor.read(free).health for _ in range(FREE_LOOKS)]
@@ -130,16 +127,13 @@ def test_a_sensor_that_is_not_healthy_stops_and_free_air_is_told_apart(raw, toke
             sensor.read(pressed)
 
 
-def test_without_a_head_there_are_no_newtons(raw, tokenizer):
-    free, pressed = raw["uskin"]
-    sensor = ForceSensor("uskin", tokenizer=tokenizer, head=None)
-    sensor.tare(free)
-    assert np.isnan(sensor.read(pressed).force_N).all()
+def test_without_a_head_there_are_no_newtons(raw, make_sensor):
+    assert np.isnan(read(make_sensor("uskin", head=None), raw["uskin"]).force_N).all()
 
 
-def test_bad_input_is_refused(raw, tokenizer, head):
+def test_bad_frames_are_refused(raw, make_sensor):
     free, pressed = raw["tactip"]
-    sensor = ForceSensor("tactip", tokenizer=tokenizer, head=head)
+    sensor = make_sensor("tactip")
     with pytest.raises(ContractError, match="tare"):
         sensor.read(pressed)
     with pytest.raises(SensorError):
@@ -148,19 +142,22 @@ def test_bad_input_is_refused(raw, tokenizer, head):
     for frame in (np.zeros_like(free), free[:, :100], free.astype(np.float32), free[..., 0]):
         with pytest.raises((ContractError, SensorError)):
             sensor.read(frame)
-    with pytest.raises(SensorError, match="tactip"):
-        ForceSensor("nose", tokenizer=tokenizer, head=head)
-    with pytest.raises(ContractError, match="finger"):
-        ForceSensor("tactip", "thumb", tokenizer=tokenizer, head=head)
     with pytest.raises(ContractError, match="kind"):
-        ForceSensor("", tokenizer=tokenizer, head=head).tare(free)
+        make_sensor("").tare(free)
 
 
-def test_two_threads_may_read_with_one_tokenizer(raw, tokenizer, head):
+def test_unknown_sensors_and_fingers_are_refused(make_sensor):
+    with pytest.raises(SensorError, match="tactip"):
+        make_sensor("nose")
+    with pytest.raises(ContractError, match="finger"):
+        make_sensor("tactip", "thumb")
+
+
+def test_two_threads_may_read_with_one_tokenizer(raw, make_sensor):
     free, pressed = raw["gelsight"]
 
     def forces(finger):
-        sensor = ForceSensor("gelsight", finger, tokenizer=tokenizer, head=head)
+        sensor = make_sensor("gelsight", finger)
         sensor.tare(free)
         return np.array([sensor.read(pressed).force_N for _ in range(10)])
 

@@ -16,28 +16,21 @@ from lerobot_policy_pi05_uniforce.checkpoint import PROCESSORS, TYPE
 from lerobot_policy_pi05_uniforce.weights import CONFIG
 from uniforce_cli.compat import PRIVATE, store_action_range
 
-ROOMS = (
-    "uniforce_vtla",
-    "lerobot_env_uniforce_wiping",
-    "uniforce_datasets",
-    "lerobot_policy_pi05_uniforce",
-    "uniforce_robots",
-    "uniforce_cli",
-)
+ROOMS = """
+    uniforce_vtla lerobot_env_uniforce_wiping uniforce_datasets lerobot_policy_pi05_uniforce
+    uniforce_robots uniforce_cli
+"""
 # programs of their own, and files of a checkpoint
 LEFT_OUT = re.compile(r"__main__|\.children|\.assets|\.hub\b")
+KNOWN = {(module, name) for module, names in PRIVATE.items() for name in names}
 PYTHONS = ("_abc_impl", "_is_protocol", "_registry_name")
 
 
 def source(module):
-    spec = find_spec(module)
-    assert spec is not None and spec.origin is not None
-    return Path(spec.origin).read_text()
+    return Path(find_spec(module).origin).read_text()
 
 
-@pytest.mark.parametrize(
-    "module, name", [(module, name) for module, names in PRIVATE.items() for name in names]
-)
+@pytest.mark.parametrize("module, name", sorted(KNOWN))
 def test_lerobot_has_what_we_rely_on(module, name):
     assert re.search(rf"\b{name}\b", source(module)), f"{module} has no {name} any more"
 
@@ -47,7 +40,7 @@ def is_private(name):
 
 
 def modules():
-    for room in ROOMS:
+    for room in ROOMS.split():
         package = importlib.import_module(room)
         for found in pkgutil.walk_packages(package.__path__, f"{room}."):
             if not LEFT_OUT.search(found.name):
@@ -92,15 +85,14 @@ def shared_with_lerobot(kind):
 
 
 def test_no_private_name_of_lerobot_is_used_unlisted():
-    known = {(module, name) for module, names in PRIVATE.items() for name in names}
     used = set()
     ours = set()
     reached = set()  # by attribute, of any object
-    texts = []
+    words = set()
     for module in modules():
         tree = ast.parse(inspect.getsource(module))
         if module.__name__ != "uniforce_cli.compat":
-            texts.append(inspect.getsource(module))
+            words |= {*re.findall(r"\w+", inspect.getsource(module))}
         ours |= made(tree)
         reached |= read(tree)
         for node in ast.walk(tree):
@@ -109,18 +101,15 @@ def test_no_private_name_of_lerobot_is_used_unlisted():
         for kind in vars(module).values():
             if inspect.isclass(kind) and kind.__module__ == module.__name__:
                 used |= shared_with_lerobot(kind)
-    listed = {name for _, name in known}
+    assert not used - KNOWN
+    listed = {name for _, name in KNOWN}
+    assert not listed - words, "no longer used"
     # nobody here made it, so another library did
     theirs = {name for name in reached - ours if is_private(name)} - listed
-    folder = Path(find_spec("lerobot").submodule_search_locations[0])
     of_lerobot = set()
-    for file in folder.rglob("*.py"):
-        text = file.read_text()
-        of_lerobot |= {name for name in theirs if re.search(rf"(def |self\.){name}\b", text)}
-    assert not used - known
+    for file in Path(find_spec("lerobot").origin).parent.rglob("*.py"):
+        of_lerobot |= {*re.findall(r"(?:def |self\.)(\w+)\b", file.read_text())} & theirs
     assert not of_lerobot - {"_version", "_device"}  # torch's, psutil's
-    text = "\n".join(texts)
-    assert not [name for name in listed if not re.search(rf"\b{name}\b", text)], "no longer used"
 
 
 def test_a_fine_tuned_policy_may_act_where_its_own_demonstrations_did(tmp_path):
