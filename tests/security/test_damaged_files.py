@@ -16,8 +16,8 @@ from uniforce_datasets.synthetic import record_synthetic
 from uniforce_vtla.array_file import read_array
 from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError
 from uniforce_vtla.file_hashes import HASHES, check_hashes, drop_hashes
-from uniforce_vtla.tokenizer import ForceHead, Tokenizer, TokenizerConfig
-from uniforce_vtla.tokenizer.calibration import Agreement, Calibration
+from uniforce_vtla.tokenizer import ForceHead, Tokenizer
+from uniforce_vtla.tokenizer.calibration import Calibration
 from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig
 from uniforce_vtla.tokenizer.latent_map import LatentMap
 from uniforce_vtla.tokenizer.weights import load_state
@@ -54,18 +54,22 @@ def test_a_video_whose_metadata_is_no_text(dataset):
         stored_frames(video)
 
 
-IMPOSSIBLE = [
-    ("total_frames", 10**15),
-    ("total_episodes", 10**15),
-    ("total_frames", -1),
-    ("fps", 0),
-]
-IMPOSSIBLE += [("fps", float("nan")), ("fps", "30"), ("features", []), ("codebase_version", None)]
-
-
-@pytest.mark.parametrize("name, value", [*IMPOSSIBLE, ("features", {"observation.state": None})])
-def test_an_info_that_cannot_be(dataset, name, value):
-    set_in(dataset / "meta" / "info.json", **{name: value})
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"total_frames": 10**15},
+        {"total_episodes": 10**15},
+        {"total_frames": -1},
+        {"fps": 0},
+        {"fps": float("nan")},
+        {"fps": "30"},
+        {"features": []},
+        {"codebase_version": None},
+        {"features": {"observation.state": None}},
+    ],
+)
+def test_an_info_that_cannot_be(dataset, changes):
+    set_in(dataset / "meta" / "info.json", **changes)
     began_s = time.process_time()
     with pytest.raises(DatasetError):
         read_source(dataset).columns(("episode_index",))
@@ -82,13 +86,15 @@ def test_a_processors_state_that_is_damaged(policy_copy):
 @pytest.mark.parametrize(
     "changes",
     [
-        *(
-            {"tiny": {"depth": 10**9}},
-            {"tiny": {"width": 10**9}},
-            {"image_resolution": [10**9, 56]},
-        ),
-        *({"type": "pi05"}, {"type": ["pi05_uniforce"]}, {"touch": 7}, {"touch": {"slots": 7}}),
-        *({"swap": 5}, {"chunk_size": "16"}),
+        {"tiny": {"depth": 10**9}},
+        {"tiny": {"width": 10**9}},
+        {"image_resolution": [10**9, 56]},
+        {"type": "pi05"},
+        {"type": ["pi05_uniforce"]},
+        {"touch": 7},
+        {"touch": {"slots": 7}},
+        {"swap": 5},
+        {"chunk_size": "16"},
     ],
 )
 def test_a_policy_that_cannot_be(policy_copy, changes):
@@ -97,32 +103,38 @@ def test_a_policy_that_cannot_be(policy_copy, changes):
         PolicyController(policy_copy, {})
 
 
-def test_sizes_beyond_any_machine_cost_nothing(tmp_path):
-    small = TokenizerConfig(
-        side=32, patch=8, width=16, depth=1, decoder_depth=1, heads=2, embed_hidden=0
-    )
-    tokenizer = Tokenizer.random(small).save(tmp_path / "tokenizer")
-    head = ForceHead(ForceRegressor(HeadConfig()), "tactip", "a").save(tmp_path / "head")
-    agreed = {"small": Agreement(9, (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))}
-    calibration = Calibration(LatentMap(4, 6), "a", "b", "new", "anchor", 1.0, 0.0, agreed).save(
-        tmp_path / "map"
-    )
-    for folder in (tokenizer, head, calibration):
-        drop_hashes(folder)
-    facts = json.loads((tokenizer / "config.json").read_text())["model"]
+def refuses(load, folder, **changes):
+    """Check that a checkpoint is read, and refused after changes to its settings, which are undone."""
+    drop_hashes(folder)
+    load()
+    sound = (folder / "config.json").read_text()
+    set_in(folder / "config.json", **changes)
+    with pytest.raises(CheckpointError):
+        load()
+    (folder / "config.json").write_text(sound)
+
+
+def test_tokenizers_beyond_any_machine_cost_nothing(tmp_path, tiny):
+    folder = Tokenizer.random(tiny).save(tmp_path / "tokenizer")
     for changes in (
         {"width": 8192, "depth": 64},
         {"depth": 10**9},
         {"side": 2048, "patch": 1},
         {"patch": 0},
     ):
-        set_in(tokenizer / "config.json", model=facts | changes)
-        with pytest.raises(CheckpointError):
-            Tokenizer.from_pretrained(tokenizer)
-    for changes in ({"hidden": 4096, "grid": 64}, {"mlp": 10**12}, {"channels": "6"}):
-        set_in(head / "config.json", head=changes)
-        with pytest.raises(CheckpointError):
-            ForceHead.from_pretrained(path=head)
+        model = tiny.facts() | changes
+        refuses(lambda: Tokenizer.from_pretrained(folder), folder, model=model)
+
+
+def test_heads_beyond_any_machine_cost_nothing(tmp_path):
+    folder = ForceHead(ForceRegressor(HeadConfig()), "tactip", "a").save(tmp_path / "head")
+    for head in ({"hidden": 4096, "grid": 64}, {"mlp": 10**12}, {"channels": "6"}):
+        refuses(lambda: ForceHead.from_pretrained(path=folder), folder, head=head)
+
+
+def test_calibrations_beyond_any_machine_cost_nothing(tmp_path):
+    found = Calibration(LatentMap(4, 6), "a", "b", "new", "anchor", 1.0, 0.0, {})
+    folder = found.save(tmp_path / "map")
     for changes in (
         {"patches": 16384},
         {"latent": 10**12},
@@ -130,9 +142,7 @@ def test_sizes_beyond_any_machine_cost_nothing(tmp_path):
         {"choice": {"form": "all"}},
         {"agreement": {"small": 1}},
     ):
-        set_in(calibration / "config.json", **{"latent": 6, "patches": 4, "ridge": 1.0} | changes)
-        with pytest.raises(CheckpointError):
-            Calibration.load(calibration, "a")
+        refuses(lambda: Calibration.load(folder, "a"), folder, **changes)
 
 
 def test_an_array_that_announces_more_than_it_holds(tmp_path):

@@ -1,6 +1,5 @@
 """Paths that a file names never lead out of its folder, and are refused before anything else is opened."""
 
-import json
 import shutil
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,6 +9,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from benchmarks.trust.injuries import edit_json
 from uniforce_cli.pretrain import PRESETS, PretrainCommand
 from uniforce_cli.show import ShowDatasetConfig, show_dataset
 from uniforce_datasets import dataset_info
@@ -48,12 +48,6 @@ def dataset(recorded, tmp_path, monkeypatch):
     return root
 
 
-def rewrite(root, change):
-    info = json.loads((root / INFO).read_text())
-    change(info)
-    (root / INFO).write_text(json.dumps(info))
-
-
 def rename_video(info, name):
     info["features"][name] = info["features"].pop("observation.images.front")
 
@@ -85,14 +79,14 @@ SPOILT = [
 @pytest.mark.parametrize("opener", OPENERS)
 @pytest.mark.parametrize("spoil", SPOILT[:3])
 def test_every_opener_refuses_paths_that_lead_outside(dataset, opener, spoil):
-    rewrite(dataset, spoil)
+    edit_json(dataset / INFO, spoil)
     with pytest.raises(DatasetError, match="a path inside"):
         OPENERS[opener](dataset)
 
 
 @pytest.mark.parametrize("spoil", SPOILT)
 def test_all_kinds_of_paths_are_judged(dataset, spoil):
-    rewrite(dataset, spoil)
+    edit_json(dataset / INFO, spoil)
     with pytest.raises(DatasetError, match=r"a path inside|names of features"):
         read_source(dataset)
 
@@ -100,8 +94,7 @@ def test_all_kinds_of_paths_are_judged(dataset, spoil):
 @pytest.mark.parametrize("opener", OPENERS)
 @pytest.mark.parametrize("part", ["meta/info.json", "videos", "data/chunk-000/file-000.parquet"])
 def test_links_out_of_a_dataset_are_refused(dataset, tmp_path, opener, part):
-    outside = tmp_path / "outside"
-    (dataset / part).rename(outside)
+    outside = (dataset / part).rename(tmp_path / "outside")
     (dataset / part).symlink_to(outside)
     with pytest.raises(DatasetError, match="a path inside"):
         OPENERS[opener](dataset)
@@ -114,21 +107,22 @@ def test_links_within_a_dataset_are_followed(recorded, tmp_path):
     assert read_source(root).num_frames == 3
 
 
-@pytest.mark.parametrize("name", ["front", "latent_left", "uniforce_view.json"])
-def test_links_out_of_a_view_are_refused(recorded, tmp_path, name):
-    view = build_view(recorded, tmp_path / "view", encoder=BlockMeans())
-    file = view / (name if "." in name else f"{name}.npy")
-    file.rename(tmp_path / "outside")
-    file.symlink_to(tmp_path / "outside")
+@pytest.fixture
+def view(recorded, tmp_path):
+    return build_view(recorded, tmp_path / "view", encoder=BlockMeans())
+
+
+@pytest.mark.parametrize("name", ["front.npy", "latent_left.npy", "uniforce_view.json"])
+def test_links_out_of_a_view_are_refused(view, tmp_path, name):
+    outside = (view / name).rename(tmp_path / "outside")
+    (view / name).symlink_to(outside)
     with pytest.raises(DatasetError, match="a path inside"):
         TrainingView(view)
 
 
-def test_a_views_slots_name_fingers_and_no_files(recorded, tmp_path):
-    view = build_view(recorded, tmp_path / "view", encoder=BlockMeans())
-    marker = json.loads((view / "uniforce_view.json").read_text())
-    marker["slots"] = {"touch0": "../../etc/passwd"}
-    (view / "uniforce_view.json").write_text(json.dumps(marker))
+def test_a_views_slots_name_fingers_and_no_files(view, tmp_path):
+    slots = {"touch0": "../../etc/passwd"}
+    edit_json(view / "uniforce_view.json", lambda marker: marker.update(slots=slots))
     np.save(tmp_path / "passwd.npy", np.zeros(3))
     with pytest.raises(ContractError, match="finger"):
         TrainingView(view, verify="off")
