@@ -1,30 +1,28 @@
 """The chosen calibration is judged on grasps that had no part in its choice; only development objects are read."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import torch
 
+from benchmarks import calibration_choice
 from benchmarks.calibration_choice import Case, compare, line, real_cases
 from benchmarks.real.grasps import SEALED, SEEN, Grasp
-from uniforce_datasets.readers.gelsight_grasps import GraspTrial
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
 from uniforce_vtla.tokenizer import Tokenizer
 
 
-class Numbers:
-    """Stands for a head: it reads the first three numbers of a latent."""
+def head(z):
+    """Read the first three numbers of a latent."""
+    return z.as_subclass(torch.Tensor)[:, 0, :3]
 
-    tokenizer_hash = "abc"
 
-    def __call__(self, z):
-        return z.as_subclass(torch.Tensor)[:, 0, :3]
+head.tokenizer_hash = "abc"
 
 
 def case(new, anchor):
     rows = np.arange(len(new))
-    return Case(new, anchor, rows, rows % 5, Numbers(), (0, 1, 2))
+    return Case(new, anchor, rows, rows % 5, head, (0, 1, 2))
 
 
 def latents(seed):
@@ -56,21 +54,14 @@ def test_development_objects_alone_are_read(monkeypatch, tiny):
     both = {"left": images, "right": images}
     references = {"left": images[0], "right": images[0]}
     held = [*SEALED, *SEEN, "lemon", "lemon", "mug", "mug", "ball"]
-    trials = [
-        GraspTrial(name, name, "close", {"left": Path(), "right": Path()}, slipped=False)
-        for name in held
-    ]
-    grasps = [Grasp(trial.object_name, "close", references, both) for trial in trials]
-    monkeypatch.setattr("benchmarks.calibration_choice.read_grasps", lambda folder: trials)
-    monkeypatch.setattr("benchmarks.calibration_choice.find_grasps", lambda trials: grasps)
+    grasps = [Grasp(name, "close", references, both) for name in held]
+    monkeypatch.setattr(calibration_choice, "read_grasps", lambda folder: folder)
+    monkeypatch.setattr(calibration_choice, "find_grasps", lambda trials: grasps)
     tokenizer = Tokenizer.random(tiny)
-    cases = real_cases("", tokenizer, Numbers())
+    cases = real_cases("", tokenizer, head)
     by_trial = cases["GelSight Mini close, left finger, a left-out trial"]
     by_object = cases["GelSight Mini close, left finger, a left-out object"]
     assert len(cases) == 4 and len(by_trial.new) == 10
     assert len(set(by_trial.grasps.tolist())) == 5 and len(set(by_object.grasps.tolist())) == 3
-    monkeypatch.setattr(
-        "benchmarks.calibration_choice.find_grasps",
-        lambda trials: grasps[: len(SEALED) + len(SEEN)],
-    )
-    assert real_cases("", tokenizer, Numbers()) == {}
+    del grasps[len(SEALED) + len(SEEN) :]
+    assert real_cases("", tokenizer, head) == {}

@@ -45,9 +45,13 @@ def test_without_touch_the_press_depends_on_the_hidden_stiffness(style, monkeypa
 @pytest.mark.thorough
 def test_touch_that_stops_changing_or_misreads_does_not_wipe_this_board():
     env = WipeEnv(level="touch")
-    assert sum(run_script(env, WipeExpert(), seed).clean for seed in range(5)) >= 4
-    for change in (Frozen, lambda: scaled(0.7)):
-        assert sum(run_script(env, ReadingExpert(change), seed).clean for seed in range(5)) <= 1
+
+    def clean(script):
+        return sum(run_script(env, script, seed).clean for seed in range(5))
+
+    assert clean(WipeExpert()) >= 4
+    assert clean(ReadingExpert(Frozen)) <= 1
+    assert clean(ReadingExpert(lambda: scaled(0.7))) <= 1
 
 
 def test_refreshed_touch_stands_still_between_looks():
@@ -63,29 +67,24 @@ def test_the_lag_of_a_steady_motion_is_found_and_says_the_stiffness():
         meter(0.001 * k, 0.001 * k - 0.003)  # 30 mm/s, 3 mm behind
     assert meter.lag_s == pytest.approx(0.1)
     law = LagLaw(a=float(np.log(0.1)), b=-1.0)  # nominal · 0.1 s / lag
-    assert law.stiffness(800.0, 0.1) == pytest.approx(800.0) and law.stiffness(
-        800.0, 0.2
-    ) == pytest.approx(400.0)
+    assert law.stiffness(800.0, 0.1) == pytest.approx(800.0)
+    assert law.stiffness(800.0, 0.2) == pytest.approx(400.0)
 
 
 def test_an_observer_learns_a_press_that_its_inputs_hold_and_no_other():
     rng = np.random.default_rng(0)
     seen = rng.standard_normal((40, 60, 11)).astype(np.float32)
     press = 6 + 2 * seen[..., 2]
+    shuffled = rng.permutation(press.ravel()).reshape(press.shape)
     _, known = train_observer(list(zip(seen, press, strict=True)))
-    _, unknown = train_observer(
-        list(zip(seen, rng.permutation(press.ravel()).reshape(press.shape), strict=True))
-    )
+    _, unknown = train_observer(list(zip(seen, shuffled, strict=True)))
     assert known > 0.9 and unknown < 0.1
 
 
 def test_a_gate_holds_on_its_own_side_of_its_bar():
-    passes, fails = (
-        Gate(lambda f, p: WipeExpert(), **bar) for bar in ({"at_least": 0.9}, {"at_most": 0.2})
-    )
-    assert (
-        passes.holds(0.9) and not passes.holds(0.89) and fails.holds(0.2) and not fails.holds(0.21)
-    )
+    passes, fails = Gate(None, at_least=0.9), Gate(None, at_most=0.2)
+    assert passes.holds(0.9) and not passes.holds(0.89)
+    assert fails.holds(0.2) and not fails.holds(0.21)
 
 
 @pytest.mark.thorough
@@ -97,8 +96,6 @@ def test_a_run_scores_every_script_and_a_second_one_goes_on(tmp_path, capsys):
     first = rows.read_text()
     assert main([*given, "episodes=1"]) == 0 and rows.read_text() == first
     written = json.loads((tmp_path / "gates.json").read_text())
-    assert (
-        set(written["must_pass"] | written["must_fail"]) == set(GATES)
-        and written["must_pass"]["expert"]["n"] == 1
-    )
+    assert set(written["must_pass"] | written["must_fail"]) == set(GATES)
+    assert written["must_pass"]["expert"]["n"] == 1
     assert "DOES NOT HOLD" in capsys.readouterr().out or written["all_hold"]

@@ -2,8 +2,10 @@
 
 import json
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
+from episode_samples import good_row
 
 from benchmarks import calibrations
 from benchmarks.ladder import __main__ as ladder
@@ -11,13 +13,9 @@ from benchmarks.ladder.plan import BETTER, CLAIMS, DEVELOPMENT, PARTS, Row
 from benchmarks.scene_blocks import BLOCKS
 from uniforce_cli.score_settings import ScoreConfig
 from uniforce_vtla.errors import CheckpointError
-from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow
+from uniforce_vtla.evaluation.arms import ArmReport
 
 BLOCK = BLOCKS["swap ladder in the hand's rig"]
-
-
-def ended(scene, clean):
-    return EpisodeRow(scene, "success", clean, False, False, 0, 0, 0, 0, 0, 0)
 
 
 def row(codes):
@@ -63,7 +61,7 @@ def test_a_rows_parts_are_joined_and_counted_by_training_seed():
     ]
     reports = []
     for config in configs:
-        reports.append(ArmReport("S2", [ended(scene, scene % 2 == 0) for scene in config.seeds]))
+        reports.append(ArmReport("S2", [good_row(scene, scene % 2 == 0) for scene in config.seeds]))
     found = ladder.joined(configs, reports)["S2"]
     assert found["seeds"] == [10, 17]
     assert found["by_seed"] == "CsCsCsCs"
@@ -74,10 +72,8 @@ def test_a_claim_holds_within_its_margin_and_bound():
     good = row("C" * 190 + "r" * 14)
     poor = row("C" * 150 + "r" * 54)
     (held,) = ladder.claims({"S0": good, "S1 weighed": good})
-    assert held["holds"]
-    assert held["difference"] == 0
     (broken,) = ladder.claims({"S0": good, "S1 weighed": poor})
-    assert not broken["holds"]
+    assert held["holds"] and held["difference"] == 0 and not broken["holds"]
 
 
 def test_variants_are_pooled_over_their_rungs_and_seeds():
@@ -86,8 +82,8 @@ def test_variants_are_pooled_over_their_rungs_and_seeds():
         for seed in (0, 1):
             rows[f"{variant} {seed} S0"] = row("CCCr")
     found = ladder.pooled(rows | {"newtons 0 S1": row("rrrr")})
-    assert (found["shear"]["clean"], found["shear"]["n"]) == (6, 8)
-    assert (found["newtons"]["clean"], found["newtons"]["n"]) == (6, 12)
+    counts = {name: (pool["clean"], pool["n"]) for name, pool in found.items()}
+    assert counts == {"shear": (6, 8), "newtons": (6, 12)}
 
 
 def test_rows_scored_later_join_those_of_the_result_file(tmp_path, monkeypatch):
@@ -103,17 +99,10 @@ def test_rows_scored_later_join_those_of_the_result_file(tmp_path, monkeypatch):
 
 
 def test_a_calibration_is_made_once(tmp_path, monkeypatch):
-    made = []
-
-    class Found:
-        def save(self, folder):
-            folder.mkdir(parents=True)
-
-    def calibrate(command, tokenizer):
-        made.append((command.new, command.grasps))
-        return Found()
-
+    calibrate = Mock()
+    calibrate.return_value.save = lambda folder: folder.mkdir(parents=True)
     monkeypatch.setattr(calibrations, "calibrate_sensor", calibrate)
     for _ in range(2):
         calibrations.calibration_folder("uskin:2", "grasps", tmp_path)
-    assert made == [("uskin:2", 300)]
+    ((command, _),) = [call.args for call in calibrate.call_args_list]
+    assert (command.new, command.grasps) == ("uskin:2", 300)

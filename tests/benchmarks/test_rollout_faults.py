@@ -12,23 +12,16 @@ from benchmarks.trust.rollout_trials import KINDS, Trial
     "kind", ["finger_unplugged", pytest.param("policy_nan", marks=pytest.mark.thorough)]
 )
 def test_a_rollout_is_held_and_told_why(kind, tmp_path):
-    rows = attempt(kind, 1, tmp_path)
-    assert len(rows) == 1 and [row for row in rows if not row.is_right] == []
-    assert attempt(kind, 1, tmp_path) == rows, "what is there isn't tried again"
+    (row,) = attempt(kind, 1, tmp_path)
+    assert row.is_right, row
+    assert attempt(kind, 1, tmp_path) == [row], "what is there isn't tried again"
 
 
 def test_a_wrong_name_and_a_late_hold_are_seen():
     assert len(KINDS) >= 10
     right = Trial("arm_reflex", "reflex", "", 0.1, 0.2)
-    late, unnamed = (
-        Trial("arm_reflex", "reflex", "", 0.6, 0.7),
-        Trial("arm_reflex", "", "", 0.1, 0.2),
-    )
+    late = Trial("arm_reflex", "reflex", "", 0.6, 0.7)
+    unnamed = Trial("arm_reflex", "", "", 0.1, 0.2)
     assert right.is_right and not late.is_right and not unnamed.is_right
     line = tally([right, late, unnamed])["arm_reflex"]
-    assert (line["trials"], line["named_right"], line["held"], line["worst_hold_s"]) == (
-        3,
-        2,
-        2,
-        0.6,
-    )
+    assert line.items() >= {"trials": 3, "named_right": 2, "held": 2, "worst_hold_s": 0.6}.items()
