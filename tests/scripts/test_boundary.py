@@ -23,6 +23,7 @@ from uniforce_cli.boundary import Gripper, Level, command, guarded
 from uniforce_vtla.arguments import help_text, options_of, parse
 from uniforce_vtla.errors import FULL, ContractError, DiskFullError
 from uniforce_vtla.options import (
+    LONGEST,
     Count,
     Dataset,
     Names,
@@ -103,9 +104,12 @@ def test_a_tilde_that_the_shell_left_leads_home(here, monkeypatch):
         ("count=0", "count: expected 1 … 10,000,000, got 0"),
         ("count=1.5", "a whole number"),
         ("count=true", "a whole number"),
+        ("count=null", "a whole number"),
+        ("count=", "got nothing"),
         ("width=0", "above 0"),
         ("width=nan", "a number"),
         ("width=inf", "a number"),
+        ("width=1e999", "a number"),
         ("kind=third", "one | other"),
         ("names=a,c", "got c"),
         ("seeds=[1, -1]", "got -1"),
@@ -116,9 +120,11 @@ def test_a_tilde_that_the_shell_left_leads_home(here, monkeypatch):
         ("words=[a: 1]", "words: expected a list"),
         ("flag=yes", "true | false"),
         ("note=a\x07", "printable"),
+        ("note=" + "x" * (LONGEST + 1), "at most 4,000 characters"),
         ("inner.share=2", "inner.share"),
         ("inner.shar=2", "Did you mean inner.share"),
         ("data=nowhere", "recorded dataset"),
+        ("data=" + "n" * 300, "data"),
         ("out=", "got nothing"),
         ("out=/proc/nothing/x", "out"),
         ("out=" + "n" * 300, "out"),
