@@ -1,6 +1,6 @@
 """Shared by tests of the policy's network: its inputs, norms that do something, LeRobot's own loop beside ours."""
 
-from contextlib import contextmanager
+from unittest.mock import patch
 
 import torch
 from lerobot.configs import FeatureType, PolicyFeature
@@ -20,21 +20,17 @@ OPEN = [0.6, 1.5]  # gates of two slots
 
 def small_config(cameras=("front", "wrist"), **settings):
     """Settings of a policy of two layers with cameras of 28 px, state and action of five axes."""
-    visual = {
-        f"observation.images.{name}": PolicyFeature(FeatureType.VISUAL, (3, 28, 28))
-        for name in cameras
-    }
-    small = {
+    picture = PolicyFeature(FeatureType.VISUAL, (3, 28, 28))
+    visual = {f"observation.images.{name}": picture for name in cameras}
+    usual = {
         "size": "tiny",
+        "device": "cpu",
         "image_resolution": (28, 28),
         "tiny": TinySettings(width=64, depth=2, mlp_dim=32),
+        "input_features": visual | {"observation.state": PolicyFeature(FeatureType.STATE, (5,))},
+        "output_features": {"action": PolicyFeature(FeatureType.ACTION, (5,))},
     }
-    return PI05UniforceConfig(
-        device="cpu",
-        input_features=visual | {"observation.state": PolicyFeature(FeatureType.STATE, (5,))},
-        output_features={"action": PolicyFeature(FeatureType.ACTION, (5,))},
-        **small | settings,
-    )
+    return PI05UniforceConfig(**usual | settings)
 
 
 def inputs(policy, batch):
@@ -58,23 +54,13 @@ def alive(policy, gate=None, std=0.3):
     return policy
 
 
-@contextmanager
-def lerobots_layers(network):
-    """Run LeRobot's own layers in the tiny network, whose training path is ours."""
-    network.paligemma_with_expert.fused = False
-    try:
-        yield
-    finally:
-        network.paligemma_with_expert.fused = True
-
-
 def lerobots_own(policy, given, noise, steps=4, **rtc):
     """Sample with LeRobot's loop and LeRobot's layers: nothing of ours but the weights and the extra tokens."""
     *seen, felt = given
-    with lerobots_layers(policy.model), policy.model.feeling(felt):
-        return stock.PI05Pytorch.sample_actions(
-            policy.model, *seen, noise=noise, num_steps=steps, **rtc
-        )
+    network, how = policy.model, {"noise": noise, "num_steps": steps, **rtc}
+    # the training path of the tiny network is ours
+    with patch.object(network.paligemma_with_expert, "fused", False), network.feeling(felt):
+        return stock.PI05Pytorch.sample_actions(network, *seen, **how)
 
 
 def ours(policy, given, noise, steps=4, **rtc):
