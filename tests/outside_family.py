@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from uniforce_vtla.sensors.material import PadMaterial
 from uniforce_vtla.tokenizer.family import FamilyBounds
 
 
@@ -16,44 +15,43 @@ def outside(sensor, bounds=None):
 
     ``visible: …`` entries show in a reference image, ``hidden: …`` do not.
     """
-    b = bounds or FamilyBounds()
-    spec, material = sensor.spec, sensor.material
-    assert isinstance(material, PadMaterial)
-    shapes = b.flat.shapes if spec.dome_radius_mm is None else ("disc",)
-    found = [] if spec.marker_shape in shapes else [f"visible: marker_shape {spec.marker_shape}"]
-    low, high = b.flat.px_per_mm if spec.dome_radius_mm is None else b.dome.px_per_mm
-    if not low <= spec.px_per_mm[0] <= high:
-        found.append(f"visible: px_per_mm {spec.px_per_mm[0]:.3g}")
+    spec, bounds = sensor.spec, bounds or FamilyBounds()
+    is_flat = spec.dome_radius_mm is None
+    found = []
+    if spec.marker_shape not in (bounds.flat.shapes if is_flat else ("disc",)):
+        found.append(f"visible: marker_shape {spec.marker_shape}")
     if not _is_lattice(spec.layout_mm):
         found.append("visible: layout is no lattice of the family")
-    if np.any(half_extent_px(sensor) > np.array([320, 240])):
+    if np.any(half_extent_px(sensor) > (320, 240)):
         found.append("visible: layout reaches beyond the image")
-    return found + [
-        f"hidden: {name} {value:.3g} (family {span[0]}–{span[1]})"
-        for name, (value, span) in _hidden_numbers(
-            material, b, flat=spec.dome_radius_mm is None
-        ).items()
-        if not span[0] - 1e-9 <= value <= span[1] + 1e-9
+    numbers = _of_gel(sensor, bounds.flat) if is_flat else _of_dome(sensor, bounds.dome)
+    for name, value, (low, high) in numbers:
+        if not low - 1e-9 <= value <= high + 1e-9:
+            found.append(f"{name} {value:.3g} (family {low}–{high})")
+    return found
+
+
+def _of_gel(sensor, family):
+    """Return name, the sensor's number and the family's range of each."""
+    skin, material = sensor.material.layers[0], sensor.material
+    return [
+        ("visible: px_per_mm", sensor.spec.px_per_mm[0], family.px_per_mm),
+        ("hidden: thickness", skin.thickness_mm, family.thickness_mm),
+        ("hidden: Young's modulus", skin.young_MPa * material.stiffness, family.young_MPa),
+        ("hidden: Poisson's ratio", skin.poisson, family.poisson),
+        ("hidden: marker depth", material.readout_mm, family.readout_mm),
     ]
 
 
-def _hidden_numbers(material, b, flat):
-    """Return name → (the material's number, the family's range) of what no reference image shows."""
-    skin = material.layers[0]
-    young = skin.young_MPa * material.stiffness
-    if flat:
-        return {
-            "thickness": (skin.thickness_mm, b.flat.thickness_mm),
-            "Young's modulus": (young, b.flat.young_MPa),
-            "Poisson's ratio": (skin.poisson, b.flat.poisson),
-            "marker depth": (material.readout_mm, b.flat.readout_mm),
-        }
-    return {
-        "thickness": (skin.thickness_mm, b.dome.skin_mm),
-        "Young's modulus": (young, b.dome.skin_MPa),
-        "filling": (material.layers[1].thickness_mm, b.dome.filling_mm),
-        "pin": (material.pin_mm, b.dome.pin_mm),
-    }
+def _of_dome(sensor, family):
+    (skin, filling), material = sensor.material.layers[:2], sensor.material
+    return [
+        ("visible: px_per_mm", sensor.spec.px_per_mm[0], family.px_per_mm),
+        ("hidden: thickness", skin.thickness_mm, family.skin_mm),
+        ("hidden: Young's modulus", skin.young_MPa * material.stiffness, family.skin_MPa),
+        ("hidden: filling", filling.thickness_mm, family.filling_mm),
+        ("hidden: pin", material.pin_mm, family.pin_mm),
+    ]
 
 
 def _is_lattice(points_mm):

@@ -116,22 +116,25 @@ def test_actions(kind, observed, calibrated):
     same(f"actions_{kind}", np.array(actions))
 
 
+def same_touch(prefix, latents, head):
+    """Compare pooled latents and newtons of (1, P, L) latents."""
+    same(f"{prefix}latents", np.array([pool_latent(latent)[0].numpy() for latent in latents]))
+    same(f"{prefix}newtons", np.array([head(latent)[0].numpy() for latent in latents]))
+
+
 def test_latents_and_newtons_of_simulated_frames(observed, tokenizer, head):
-    latents, newtons = [], []
+    latents = []
     for scene in range(20):
         for moment in range(3):
             reference, current = observed["marker"][scene, moment, 1]
-            latent = tokenizer.encode(reference[None], current[None], "right")
-            latents.append(pool_latent(latent)[0].numpy())
-            newtons.append(head(latent)[0].numpy())
-    same("latents", np.array(latents))
-    same("newtons", np.array(newtons))
+            latents.append(tokenizer.encode(reference[None], current[None], "right"))
+    same_touch("", latents, head)
 
 
 def test_latents_and_newtons_of_real_frames(tokenizer, head):
     if not FILMS.is_dir():
         pytest.skip(f"no real recordings at {FILMS}")
-    latents, newtons, shown = [], [], []
+    latents, shown = [], []
     for path in sorted(FILMS.glob("*/exp_num_1/camera_0.avi"))[:10]:
         frames = list(film_frames(path))
         canonicalizer = Canonicalizer("gelsight")
@@ -140,14 +143,11 @@ def test_latents_and_newtons_of_real_frames(tokenizer, head):
                 pair = canonicalizer.pair(frames[0], frames[number % len(frames)], "left")
             except SensorError:
                 continue
-            latent = tokenizer.encode(pair)
-            latents.append(pool_latent(latent)[0].numpy())
-            newtons.append(head(latent)[0].numpy())
+            latents.append(tokenizer.encode(pair))
             shown.append(cv2.resize(pair.current, (8, 6), interpolation=cv2.INTER_AREA))
     assert len(latents) >= 20
     same("real_markers", np.array(shown))
-    same("real_latents", np.array(latents))
-    same("real_newtons", np.array(newtons))
+    same_touch("real_", latents, head)
 
 
 def drawn(name, *shape):
