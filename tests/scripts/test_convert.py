@@ -1,7 +1,10 @@
 """A published π0.5 becomes a pi05_uniforce: names of the real size, and a whole conversion in miniature."""
 
+import shutil
+
 import pytest
 import torch
+from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.policies.pi05 import modeling_pi05 as stock
 from lerobot.policies.pi05.configuration_pi05 import PI05Config
 from policy_samples import small_config
@@ -24,8 +27,6 @@ def test_every_tensor_of_the_real_size_finds_its_place():
         theirs = stock.PI05Pytorch(PI05Config(device="cpu"))
     touch = TouchSettings(input="wrench")
     config = PI05UniforceConfig(size="base", device="cpu", dtype="bfloat16", touch=touch)
-    from lerobot.configs import FeatureType, PolicyFeature
-
     config.input_features = {"observation.state": PolicyFeature(FeatureType.STATE, (5,))}
     ours = PI05UniforcePytorch(config, empty=True)
     published = {f"model.{name}": tuple(t.shape) for name, t in theirs.state_dict().items()}
@@ -42,10 +43,12 @@ def test_every_tensor_of_the_real_size_finds_its_place():
 
 
 def test_a_tied_embedding_is_found_and_openpis_names_are_understood():
-    names = own_names([HEADS[0].removeprefix("model."), "action_time_mlp_in.weight", "strange"])
-    assert names[HEADS[0].removeprefix("model.")] == EMBEDDING
-    assert names["action_time_mlp_in.weight"] == "model.time_mlp_in.weight"
-    assert names["strange"] == "model.strange"  # no known tensor: the loader will name it
+    wanted = {
+        HEADS[0].removeprefix("model."): EMBEDDING,
+        "action_time_mlp_in.weight": "model.time_mlp_in.weight",
+        "strange": "model.strange",  # no known tensor: the loader will name it
+    }
+    assert own_names(list(wanted)) == wanted
 
 
 @pytest.fixture(scope="module")
@@ -67,48 +70,34 @@ def published(tmp_path_factory):
     return folder
 
 
-def convert(published, view, out, *more):
-    return main([f"source={published}", f"view={view}", f"out={out}", *more])
-
-
 def test_a_conversion_keeps_every_weight_and_trains_on(published, view, tmp_path):
     out = tmp_path / "converted"
-    assert convert(published, view, out, "touch_input=wrench") == 0
+    assert main([f"source={published}", f"view={view}", f"out={out}", "touch_input=wrench"]) == 0
     policy = PI05UniforcePolicy.from_pretrained(out)
     before = load_file(published / "model.safetensors")
     after = policy.state_dict()
-    assert all(
-        torch.equal(after[name], tensor) for name, tensor in before.items() if name not in HEADS
-    )
+    for name in before.keys() - {*HEADS}:
+        assert torch.equal(after[name], before[name]), name
     assert any("force_tokens" in name for name in after.keys() - before.keys())
     data = ["dataset.repo_id=local/view", f"dataset.root={view}", f"output_dir={tmp_path / 'run'}"]
     run = ["steps=2", "batch_size=2", "num_workers=0", "save_freq=2", "policy.device=cpu"]
     lerobot_training.train([f"policy.path={out}", *data, *run])
-    assert (
-        tmp_path / "run" / "checkpoints" / "last" / "pretrained_model" / "model.safetensors"
-    ).exists()
+    last = tmp_path / "run" / "checkpoints" / "last" / "pretrained_model"
+    assert (last / "model.safetensors").exists()
 
 
-@pytest.mark.parametrize(
-    "change, says",
-    [
-        (
-            lambda tensors: tensors.pop("model.action_in_proj.weight") is None,
-            "model.action_in_proj.weight",
-        ),
-        (lambda tensors: tensors.update({"model.strange": torch.zeros(1)}), "model.strange"),
-    ],
-)
-def test_missing_and_strange_tensors_are_named(change, says, published, view, tmp_path, capsys):
+@pytest.mark.parametrize("name", ["model.action_in_proj.weight", "model.strange"])
+def test_missing_and_strange_tensors_are_named(name, published, view, tmp_path, refuses):
     tensors = load_file(published / "model.safetensors")
-    change(tensors)
-    (tmp_path / "config.json").write_text((published / "config.json").read_text())
+    if tensors.pop(name, None) is None:
+        tensors[name] = torch.zeros(1)
+    shutil.copy(published / "config.json", tmp_path)
     save_file(tensors, tmp_path / "model.safetensors")
-    assert convert(tmp_path, view, tmp_path / "out", "touch_input=wrench") == 2
-    assert says in capsys.readouterr().err and not (tmp_path / "out").exists()
+    words = [f"source={tmp_path}", f"view={view}", f"out={tmp_path / 'out'}", "touch_input=wrench"]
+    refuses(main, words, name)
+    assert not (tmp_path / "out").exists()
 
 
-def test_another_policy_is_refused(view, tmp_path, capsys):
+def test_another_policy_is_refused(view, tmp_path, refuses):
     (tmp_path / "config.json").write_text('{"type": "act"}')
-    assert convert(tmp_path, view, tmp_path / "out") == 2
-    assert "pi05" in capsys.readouterr().err
+    refuses(main, [f"source={tmp_path}", f"view={view}", f"out={tmp_path / 'out'}"], "pi05")
