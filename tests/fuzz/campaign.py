@@ -5,7 +5,6 @@ leaves the input in the file ``$UNIFORCE_FUZZ_KEEP``, if that is set.
 """
 
 import json
-import mmap
 import os
 import resource
 import signal
@@ -15,7 +14,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from mutations import mutate, mutate_json
+from mutations import is_json, mutate, mutate_json
 
 SLOWEST_S = 20.0  # CPU time of one input; the kernel ends the process
 KEPT_BYTES = 1 << 16  # the beginning of a larger input is enough to know it again
@@ -66,78 +65,70 @@ def run(name, inputs, read, right, typed):
 
 
 def byte_campaign(inputs, seed, names):
-    """Yield each parser's counts: nine in ten inputs injured, one plain noise."""
+    """Yield each parser's counts."""
     from byte_targets import BYTE_TARGETS
 
     limit_memory()
-    held = Kept()
     for name in names or BYTE_TARGETS:
-        target, rng = BYTE_TARGETS[name], np.random.default_rng(seed)
+        yield injure_bytes(name, BYTE_TARGETS[name], inputs, np.random.default_rng(seed))
 
-        def read(i, target=target, rng=rng, name=name):
-            noise = i % 10 == 9
-            data = rng.bytes(int(rng.integers(0, 2000))) if noise else mutate(rng, target.seed)
-            held.hold(name, data)
-            target.feed(rng, data)
 
-        calm = np.random.default_rng(0)
-        yield run(
-            name,
-            inputs,
-            read,
-            lambda target=target, calm=calm: target.feed(calm, target.seed),
-            target.typed,
-        )
+def injure_bytes(name, target, inputs, rng):
+    """Return a parser's counts: nine in ten inputs injured, one plain noise."""
+
+    def read(i):
+        noise = i % 10 == 9
+        data = rng.bytes(int(rng.integers(0, 2000))) if noise else mutate(rng, target.seed)
+        hold(name, data)
+        target.feed(rng, data)
+
+    calm = np.random.default_rng(0)
+    return run(name, inputs, read, lambda: target.feed(calm, target.seed), target.typed)
 
 
 def file_campaign(inputs, seed, names):
-    """Yield each reader's counts: one file of its folder injured at a time, values of JSON as often as bytes."""
+    """Yield each reader's counts."""
     import torch
-    from file_targets import FILE_TARGETS, is_json
+    from file_targets import FILE_TARGETS, open_target
 
     torch.set_num_threads(1)
-    held = Kept()
     for name in names or FILE_TARGETS:
         with tempfile.TemporaryDirectory(dir=IN_MEMORY if IN_MEMORY.is_dir() else None) as folder:
-            target, rng = FILE_TARGETS[name](Path(folder)), np.random.default_rng(seed)
-            whole = {file: file.read_bytes() for file in target.files}
-            textual = {file for file, data in whole.items() if is_json(data)}
-
-            def read(_, target=target, rng=rng, whole=whole, textual=textual):
-                file = list(whole)[int(rng.integers(len(whole)))]
-                injure = mutate_json if file in textual and rng.random() < 0.7 else mutate
-                data = (
-                    injure(rng, whole[file])
-                    if injure is mutate_json
-                    else mutate(rng, whole[file], True)
-                )
-                held.hold(file.name, data)
-                file.write_bytes(data)
-                try:
-                    target.read()
-                finally:
-                    for path, content in whole.items():
-                        # written by one of the readers
-                        if path == file or path.name == "stats.json":
-                            path.write_bytes(content)
-
-            limit_memory()
-            yield run(name, inputs, read, target.read, target.typed)
+            sound, files = open_target(name, Path(folder) / "data")
+            yield injure_files(name, sound, files, inputs, np.random.default_rng(seed))
 
 
-class Kept:
-    """The input being read, in a mapped file: a process that dies can't tell what killed it. No call per input."""
+def injure_files(name, sound, files, inputs, rng):
+    """Return a reader's counts: one file of its folder injured at a time, values of JSON as often as bytes."""
+    from uniforce_vtla.errors import UniForceError
 
-    def __init__(self):
-        path = os.environ.get("UNIFORCE_FUZZ_KEEP")
-        if path:
-            Path(path).write_bytes(bytes(KEPT_BYTES))
-        self._map = mmap.mmap(os.open(path, os.O_RDWR), KEPT_BYTES) if path else None
+    whole = {file: file.read_bytes() for file in files}
+    textual = {file for file, data in whole.items() if is_json(data)}
 
-    def hold(self, name, data):
-        if self._map is not None:
-            note = f"{name}, {len(data)} bytes: ".encode() + data[: KEPT_BYTES - 200]
-            self._map[: len(note) + 1] = note + b"\0"
+    def read(_):
+        file = list(whole)[int(rng.integers(len(whole)))]
+        if file in textual and rng.random() < 0.7:
+            data = mutate_json(rng, whole[file])
+        else:
+            data = mutate(rng, whole[file], at_the_ends=True)
+        hold(file.name, data)
+        file.write_bytes(data)
+        try:
+            sound()
+        finally:
+            for path, content in whole.items():
+                # written by one of the readers
+                if path == file or path.name == "stats.json":
+                    path.write_bytes(content)
+
+    limit_memory()
+    return run(name, inputs, read, sound, UniForceError)
+
+
+def hold(name, data):
+    """Keep the input that is read now: a process that dies can't tell what killed it."""
+    note = f"{name}, {len(data)} bytes: ".encode() + data[:KEPT_BYTES]
+    Path(os.environ.get("UNIFORCE_FUZZ_KEEP", os.devnull)).write_bytes(note)
 
 
 def limit_memory():

@@ -1,11 +1,6 @@
-"""Readers of files that others wrote: each with a folder that is right, to be injured file by file."""
+"""Readers of files that others wrote: each writes a folder that is right, to be injured file by file."""
 
-import json
 import logging
-from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -33,37 +28,27 @@ from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig
 from uniforce_vtla.tokenizer.latent_map import LatentMap
 from uniforce_vtla.tokenizer.weights import load_state, save_state
 
-TYPED = (UniForceError,)
 SMALL = TokenizerConfig(
     side=32, patch=8, width=16, depth=1, decoder_depth=1, heads=2, embed_hidden=0
 )
 HASH = "a" * 64
 
 
-@dataclass(frozen=True)
-class FileTarget:
-    folder: Path
-    read: Callable[[], Any]
-    typed: tuple[type[Exception], ...] = TYPED
-
-    def __post_init__(self):
+def open_target(name, root):
+    """Write a target's folder; return what reads it, and its files."""
+    read = FILE_TARGETS[name](root)
+    if not name.startswith("hashes"):
         # they would refuse every injury before a reader meets it
-        for hashes in self.folder.rglob(HASHES):
+        for hashes in root.rglob(HASHES):
             hashes.unlink()
-
-    @property
-    def files(self):
-        return sorted(
-            path for path in self.folder.rglob("*") if path.is_file() and path.stat().st_size
-        )
+    (root / ".recorder.lock").unlink(missing_ok=True)
+    return read, sorted(path for path in root.rglob("*") if path.is_file() and path.stat().st_size)
 
 
-def dataset(folder):
+def dataset(root):
     """Read a recording as uniforce view and uniforce show do: metadata, columns, every video."""
     logging.getLogger("lerobot").setLevel(logging.ERROR)
-    root = record_synthetic(folder / "data", 1, 3)
-    (root / ".recorder.lock").unlink(missing_ok=True)
-    (root / HASHES).unlink()  # or none of the readers behind them would see an injured file
+    record_synthetic(root, 1, 3)
 
     def read():
         source = check_dataset(root)
@@ -74,103 +59,86 @@ def dataset(folder):
                     pass
         write_pooled_stats(root)
 
-    return FileTarget(root, read)
+    return read
 
 
-def hashes_of_dataset(folder):
-    root = folder / "data"
+def hashes_of_dataset(root):
     (root / "meta").mkdir(parents=True)
     (root / "meta" / "info.json").write_text("{}")
-    target = FileTarget(root, lambda: dataset_hashes.check_hashes(root))
     dataset_hashes.write_hashes(root, {})
-    return target
+    return lambda: dataset_hashes.check_hashes(root)
 
 
-def view(folder):
+def view(root):
     """Read a training view and two of its samples."""
-    recorded = record_synthetic(folder / "recorded", 1, 3)
-    root = build_view(recorded, folder / "data", image_side=8, encoder=BlockMeans())
-    (root / HASHES).unlink()
+    recorded = record_synthetic(root.parent / "recorded", 1, 3)
+    build_view(recorded, root, image_side=8, encoder=BlockMeans())
 
     def read():
         samples = TrainingView(root, (-1, 0, 1))
         assert samples[0].keys() == samples[len(samples) - 1].keys()
 
-    return FileTarget(root, read)
+    return read
 
 
-def tokenizer(folder):
-    root = Tokenizer.random(SMALL).save(folder / "data")
-    image = np.zeros((48, 64), np.uint8)
-    image[10:20, 10:20] = 255
-    return FileTarget(
-        root, lambda: Tokenizer.from_pretrained(root).encode(image[None], image[None], "left")
-    )
+def tokenizer(root):
+    Tokenizer.random(SMALL).save(root)
+    image = np.zeros((1, 48, 64), np.uint8)
+    image[:, 10:20, 10:20] = 255
+    return lambda: Tokenizer.from_pretrained(root).encode(image, image, "left")
 
 
-def force_head(folder):
-    config = HeadConfig(hidden=4, mlp=8)
-    root = ForceHead(ForceRegressor(config), "tactip", HASH).save(folder / "data")
-    return FileTarget(root, lambda: ForceHead.from_pretrained(path=root))
+def force_head(root):
+    ForceHead(ForceRegressor(HeadConfig(hidden=4, mlp=8)), "tactip", HASH).save(root)
+    return lambda: ForceHead.from_pretrained(path=root)
 
 
-def descriptor_head(folder):
+def descriptor_head(root):
     config = HeadConfig(channels=len(DESCRIPTOR_NAMES), grid=1, hidden=4, mlp=8)
-    DescriptorHead(ForceRegressor(config), "tactip").save(folder / "data")
+    DescriptorHead(ForceRegressor(config), "tactip").save(root)
     seen = np.zeros((2, len(DESCRIPTOR_NAMES)))
-    return FileTarget(
-        folder / "data",
-        lambda: DescriptorHead.from_pretrained("tactip", folder / "data").read(seen),
-    )
+    return lambda: DescriptorHead.from_pretrained("tactip", root).read(seen)
 
 
-def adapter(folder):
+def adapter(root):
     judged = {"small": Agreement(9, (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))}
-    root = Calibration(LatentMap(16, 6).eval(), HASH, HASH, "new", "anchor", 1.0, 0.0, judged).save(
-        folder / "data"
-    )
-    return FileTarget(
-        root, lambda: Calibration.load(root, HASH)(Latent.of(torch.zeros(1, 16, 6), HASH))
-    )
+    names = HASH, HASH, "new", "anchor"
+    Calibration(LatentMap(16, 6).eval(), *names, 1.0, 0.0, judged).save(root)
+    latent = Latent.of(torch.zeros(1, 16, 6), HASH)
+    return lambda: Calibration.load(root, HASH)(latent)
 
 
-def policy(folder):
+def policy(root):
     """Read config, weights and processors of a tiny policy, as the scorer does."""
-    stored = Tokenizer.random(SMALL).save(folder / "tokenizer")
+    stored = Tokenizer.random(SMALL).save(root.parent / "tokenizer")
     cameras = ("front", "wrist", "tactile_left", "tactile_right")
     config = small_config(cameras, touch=TouchSettings(input="latent", tokenizer_path=str(stored)))
-    one = {name: np.full(5, value) for name, value in (("q01", -1.0), ("q99", 1.0), ("mean", 0.0))}
-    stats = {
-        key: one | {"std": np.ones(5), "min": -np.ones(5), "max": np.ones(5)}
-        for key in (STATE, ACTION)
-    }
-    root = folder / "data"
-    parts = (PI05UniforcePolicy(config), *make_processors(config, stats))
-    for part in parts:
+    one = np.ones(5)
+    spread = {"q01": -one, "q99": one, "mean": 0 * one, "std": one, "min": -one, "max": one}
+    processors = make_processors(config, {STATE: spread, ACTION: spread})
+    for part in (PI05UniforcePolicy(config), *processors):
         part.save_pretrained(root)
-    return FileTarget(root, lambda: PolicyController(root, {}))
+    return lambda: PolicyController(root, {})
 
 
-def training_state(folder):
+def training_state(root):
     layer = torch.nn.Linear(3, 2)
     optimizer = torch.optim.AdamW(layer.parameters())
     layer(torch.ones(1, 3)).sum().backward()
     optimizer.step()
-    (folder / "data").mkdir()
-    save_state(folder / "data", 7, layer.state_dict(), optimizer.state_dict())
-    return FileTarget(folder / "data", lambda: load_state(folder / "data"))
+    root.mkdir()
+    save_state(root, 7, layer.state_dict(), optimizer.state_dict())
+    return lambda: load_state(root)
 
 
-def hashes_of_checkpoint(folder):
-    (folder / "data").mkdir()
-    (folder / "data" / "config.json").write_text("{}")
-    target = FileTarget(folder / "data", lambda: check_hashes(folder / "data", UniForceError))
-    write_hashes(folder / "data")
-    return target
+def hashes_of_checkpoint(root):
+    root.mkdir()
+    (root / "config.json").write_text("{}")
+    write_hashes(root)
+    return lambda: check_hashes(root, UniForceError)
 
 
-def arrays(folder):
-    root = folder / "data"
+def arrays(root):
     root.mkdir()
     np.save(root / "one.npy", np.arange(60.0).reshape(3, 4, 5))
     np.savez(root / "many.npz", a=np.arange(6), b=np.zeros((2, 3)))
@@ -179,7 +147,7 @@ def arrays(folder):
         read_array(root / "one.npy")
         read_arrays(root / "many.npz", ["a", "b"])
 
-    return FileTarget(root, read)
+    return read
 
 
 FILE_TARGETS = {  # the quick ones first
@@ -195,12 +163,3 @@ FILE_TARGETS = {  # the quick ones first
     "dataset": dataset,
     "policy": policy,
 }
-
-
-def is_json(data):
-    """Whether values inside can be injured, and not only bytes."""
-    try:
-        json.loads(data)
-    except ValueError:
-        return False
-    return True

@@ -81,6 +81,15 @@ def mutate_json(rng, data):
     return json.dumps(content).encode()
 
 
+def is_json(data):
+    """Whether values inside can be injured, and not only bytes."""
+    try:
+        json.loads(data)
+    except ValueError:
+        return False
+    return True
+
+
 def _strange(rng):
     """Return a value of its own: the next injury may change it."""
     return copy.deepcopy(STRANGE[int(rng.integers(len(STRANGE)))])

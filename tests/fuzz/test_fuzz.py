@@ -12,7 +12,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 from byte_targets import BYTE_TARGETS
 from file_targets import FILE_TARGETS
@@ -21,8 +20,8 @@ from uniforce_vtla.results_file import provenance, write_json
 
 HERE = Path(__file__).parent
 SHARE = {
-    "bytes": int(os.environ.get("UNIFORCE_FUZZ_INPUTS", "1500")),
-    "files": int(os.environ.get("UNIFORCE_FUZZ_FILES", "25")),
+    "bytes": os.environ.get("UNIFORCE_FUZZ_INPUTS", "1500"),
+    "files": os.environ.get("UNIFORCE_FUZZ_FILES", "25"),
 }
 SEED = os.environ.get("UNIFORCE_FUZZ_SEED", "0")
 RESULTS = os.environ.get("UNIFORCE_FUZZ_RESULTS", "")
@@ -41,25 +40,13 @@ def campaign(request, tmp_path_factory):
     last, said = folder / "last", folder / "stderr"
     if not TARGETS[group]:
         pytest.skip(f"none of {sorted(ASKED)} reads {group}")
-    command = [
-        sys.executable,
-        str(HERE / "campaign.py"),
-        group,
-        str(SHARE[group]),
-        SEED,
-        *TARGETS[group],
-    ]
-    environment = {
-        **os.environ,
-        "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
-        "UNIFORCE_FUZZ_KEEP": str(last),
-    }
+    command = [sys.executable, HERE / "campaign.py", group, SHARE[group], SEED, *TARGETS[group]]
+    paths = os.pathsep.join(filter(None, sys.path))
+    how = {"text": True, "env": os.environ | {"PYTHONPATH": paths, "UNIFORCE_FUZZ_KEEP": str(last)}}
     found = []
     with (
         said.open("w") as stderr,
-        subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=stderr, text=True, env=environment
-        ) as process,
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, **how) as process,
     ):
         for line in process.stdout:
             found.append(json.loads(line))
@@ -87,29 +74,16 @@ def keep(group, found):
 
 
 def test_every_target_survives(campaign):
+    """Sound inputs are read, too, before the injured ones and after them."""
     group, counts = campaign
     assert counts.keys() == set(TARGETS[group])
     for name, count in counts.items():
-        assert count["inputs"] == SHARE[group] == count["refused"] + count["accepted"]
+        assert count["inputs"] == int(SHARE[group]) == count["refused"] + count["accepted"]
         assert count["grown_MB"] < MOST_MB[group], name
-        assert count["refused"] or not refuses(group, name), name
-        assert count["accepted"] or group == "files", (
-            f"{name}: nothing was tested if nothing makes sense"
-        )
-
-
-def refuses(group, name):
-    return group == "files" or BYTE_TARGETS[name].refuses
-
-
-@pytest.mark.parametrize("name", BYTE_TARGETS)
-def test_sound_bytes_are_accepted(name):
-    BYTE_TARGETS[name].feed(np.random.default_rng(0), BYTE_TARGETS[name].seed)
-
-
-@pytest.mark.parametrize("name", ["tokenizer", "arrays", "training_state"])
-def test_sound_files_are_accepted(name, tmp_path):
-    FILE_TARGETS[name](tmp_path).read()
+        if group == "files" or BYTE_TARGETS[name].refuses:
+            assert count["refused"], name
+        if group == "bytes":
+            assert count["accepted"], f"{name}: nothing was tested if nothing makes sense"
 
 
 @pytest.mark.parametrize(
@@ -129,7 +103,7 @@ def test_the_campaign_sees_what_it_looks_for(crime, says):
         f"def read(i): {crime}\n"
         "campaign.run('x', 1, read, lambda: None, (KeyError,))\n"
     )
-    environment = {**os.environ, "PYTHONPATH": str(HERE)}
+    environment = os.environ | {"PYTHONPATH": str(HERE)}
     how = {"capture_output": True, "text": True, "env": environment, "timeout": 120}
     done = subprocess.run([sys.executable, "-c", program], **how)
     assert done.returncode != 0 and says in f"{done.returncode} {done.stderr}"
