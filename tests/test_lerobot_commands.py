@@ -33,9 +33,8 @@ PATIENT = """\
   stream: {stale_s: 30.0, state_age_s: 30.0}
   gripper: {reading_age_s: 30.0}
 """
-has_client = pytest.mark.skipif(
-    importlib.util.find_spec("franky") is None, reason="the Franka's client isn't installed"
-)
+CLIENT = importlib.util.find_spec("franky")
+has_client = pytest.mark.skipif(CLIENT is None, reason="the Franka's client isn't installed")
 
 
 def fenced(language):
@@ -48,29 +47,23 @@ def line_of(command):
 
 
 def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        return probe.getsockname()[1]
 
 
 @pytest.fixture(scope="module")
-def addresses():
-    """The page's addresses and ports, and free ones to put in their place."""
-    port = free_port()
-    return {
-        "127.0.0.2": f"127.{port % 250 + 1}.{port // 250}.2",
-        "8101": str(port),
-        "8102": str(free_port()),
-    }
+def at_free_places():
+    """Return a function: put free addresses and ports in place of the page's."""
+    port, other = free_port(), free_port()
+    places = {"127.0.0.2": f"127.{port % 250 + 1}.{port // 250}.2", "8101": port, "8102": other}
+    return lambda text: re.sub(r"127\.0\.0\.2|810[12]", lambda named: str(places[named[0]]), text)
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory, addresses):
+def run(tmp_path_factory, at_free_places):
     """Run a command's line of the page in a folder that holds the page's files."""
     folder = tmp_path_factory.mktemp("commands")
-    rig = fenced("yaml")[0]
-    for named, free in addresses.items():
-        rig = rig.replace(named, free)
+    rig = at_free_places(fenced("yaml")[0])
     rig = rig.replace("capture_width", "max_age_ms: 30000, connect_ms: 60000, capture_width")
     (folder / "rig.yaml").write_text(rig + PATIENT)
     (folder / "policies").symlink_to(ROOT / "policies")
@@ -80,49 +73,45 @@ def run(tmp_path_factory, addresses):
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.syspath_prepend(folder)
-        anything = limits.Range(0, 60_000)
-        patch.setitem(config_uniforce.HARD_LIMITS, "max_age_ms", anything)
-        for group, name in (
-            ("StreamSettings", "stale_s"),
-            ("StreamSettings", "state_age_s"),
-            ("HandSettings", "reading_age_s"),
+        stream = limits.HARD_LIMITS["StreamSettings"]
+        for settings, name in (
+            (config_uniforce.HARD_LIMITS, "max_age_ms"),
+            (stream, "stale_s"),
+            (stream, "state_age_s"),
+            (limits.HARD_LIMITS["HandSettings"], "reading_age_s"),
         ):
-            patch.setitem(limits.HARD_LIMITS[group], name, anything)
+            patch.setitem(settings, name, limits.Range(0, 60_000))
 
         def run(command):
             patch.setattr(sys, "argv", shlex.split(line_of(command)))
-            stops = (signal.SIGINT, signal.SIGTERM)
-            before = [signal.getsignal(stop) for stop in stops]
+            before = {stop: signal.getsignal(stop) for stop in (signal.SIGINT, signal.SIGTERM)}
             try:
                 name = command.replace("-", "_")
                 importlib.import_module(f"lerobot.scripts.lerobot_{name}").main()
             finally:
-                for stop, handler in zip(stops, before, strict=True):
+                for stop, handler in before.items():
                     signal.signal(stop, handler)
 
         yield run
 
 
 @pytest.fixture(scope="module")
-def arm(addresses):
+def arm(at_free_places):
     """The stand-ins that the page starts; return the arm's."""
+    started = {}
     with ExitStack() as standins:
         for line in re.findall(r"^python -m uniforce_robots\.standins\.(.*)", PAGE, re.MULTILINE):
-            for named, free in addresses.items():
-                line = line.replace(named, free)
-            name, *options = line.split()
-            if name == "fci":
-                arm = standins.enter_context(ArmStandIn(*options))
-            else:
-                standins.enter_context(StandIn(name, *options))
-        yield arm
+            name, *options = at_free_places(line).split()
+            one = ArmStandIn(*options) if name == "fci" else StandIn(name, *options)
+            started[name] = standins.enter_context(one)
+        yield started["fci"]
 
 
 @pytest.fixture(scope="module")
 def recorded(run, request):
     """Two episodes by ``lerobot-record``; without the Franka's client by our recorder."""
     root = Path("outputs/recorded").absolute()
-    if importlib.util.find_spec("franky") is None:
+    if CLIENT is None:
         return record_synthetic(root, 2, 4)
     request.getfixturevalue("arm")
     run("record")
