@@ -17,6 +17,7 @@ COUNTS_PER_TURN = 4096
 GARBAGE_BYTES = 40
 MISSING = 4  # the motor that the fault "missing" silences
 JUMP_rad = 1.5
+PERIOD_s = 4.0  # of the swing
 IDLE_hz = 10.0  # nothing is sent unasked
 
 
@@ -28,8 +29,6 @@ class GelloConfig:
     """
 
     swing_rad: float = 0.05  # how far each joint swings about home
-    period_s: float = 4.0  # of the swing
-    trigger_rad: float = 0.0  # where the trigger stands
     fault: str = "none"  # what is broken from the start
     seed: int = 0
 
@@ -77,11 +76,9 @@ class GelloStandIn(StandInServer):
                 return
             whole = self._in[:size]
             self._in = self._in[size:]
+            is_sound = checksum(whole[:-2]) == int.from_bytes(whole[-2:], "little")
             data = b""
-            if (
-                checksum(whole[:-2]) == int.from_bytes(whole[-2:], "little")
-                and self.fault != "mute"
-            ):
+            if is_sound and self.fault != "mute":
                 data = self._answer(whole[7], whole[4], whole[8:-2])
             if data:
                 self.plug.send(self.rng.bytes(GARBAGE_BYTES) if self.fault == "garbage" else data)
@@ -94,10 +91,10 @@ class GelloStandIn(StandInServer):
         return b"".join(self._position(motor, counts) for motor in asked)
 
     def _counts(self):
-        phase = 2 * np.pi * time.monotonic() / self.config.period_s
+        phase = 2 * np.pi * time.monotonic() / PERIOD_s
         joints = HOME_q_rad + self.config.swing_rad * np.sin(phase)
-        angles = np.array([*(joints + JUMP_rad * (self.fault == "jump")), self.config.trigger_rad])
-        return np.round(angles * COUNTS_PER_TURN / (2 * np.pi)).astype(int)
+        jumped = joints + JUMP_rad * (self.fault == "jump")
+        return np.round(np.append(jumped, 0.0) * COUNTS_PER_TURN / (2 * np.pi)).astype(int)
 
     def _position(self, motor, counts):
         if not 1 <= motor <= len(counts) or (self.fault == "missing" and motor == MISSING):

@@ -26,7 +26,6 @@ class XelaConfig(Scene):
 
     rate_hz: float = 100.0  # messages per second; real servers gave 95 to 133 for a 4×4 patch
     fault: str = "none"  # what is broken from the start
-    port: int = 0  # 0 = any free one; xela_server's own is 5000
 
 
 def frame(opcode, payload, is_last=True):
@@ -66,24 +65,16 @@ def message(number, scan, fault):
     words = [f"{count:04X}" for count in scan.ravel().tolist()]
     forms = {"short": ",".join(words[:30]), "list": words, "integers": scan.ravel().tolist()}
     now = time.time()
-    data = forms.get(fault, ",".join(words))
-    sensor = {
-        "time": now,
-        "sensor": "1",
-        "model": "XR1944",
-        "taxels": 16,
-        "data": data,
-        "temp": [301.0] * 16,
-    }
-    body = {"message": number, "time": now, "sensors": 1, "type": "routine"}
-    body["2" if fault == "absent" else "1"] = sensor | (
-        {"calibrated": None} if fault == "null" else {}
-    )
-    return json.dumps(
-        body
-        | ({"bustype": "sim"} if fault == "sim" else {})
-        | {"version": "1.7.6", "sendtime": now}
-    )
+    sensor = {"time": now, "sensor": "1", "model": "XR1944", "taxels": 16, "temp": [301.0] * 16}
+    sensor["data"] = forms.get(fault, ",".join(words))
+    if fault == "null":
+        sensor["calibrated"] = None
+    body = {"message": number, "time": now, "sensors": 1, "type": "routine", "version": "1.7.6"}
+    body["sendtime"] = now
+    body["2" if fault == "absent" else "1"] = sensor
+    if fault == "sim":
+        body["bustype"] = "sim"
+    return json.dumps(body)
 
 
 class XelaStandIn(StandInServer):
@@ -96,7 +87,7 @@ class XelaStandIn(StandInServer):
 
     def __init__(self, config):
         self._cycle = taxel_cycle(config, config.rate_hz)
-        self._server = Sockets(("127.0.0.1", config.port), welcome)
+        self._server = Sockets(("127.0.0.1", 0), welcome)
         super().__init__(self._server, "{}:{}".format(*self._server.where), config, config.rate_hz)
         self._number = 0
 

@@ -2,8 +2,8 @@
 
 import itertools
 from types import SimpleNamespace
+from unittest.mock import Mock
 
-import numpy as np
 import pytest
 from recording_fakes import FakeRig
 
@@ -12,7 +12,6 @@ from uniforce_robots.franka import UniforceFrankaConfig
 from uniforce_robots.franka.arm import Gains
 from uniforce_robots.recorder import build
 from uniforce_robots.teleop import UniforceHandGuide, UniforceHandGuideConfig
-from uniforce_robots.teleop.keyboard import TerminalKeys
 from uniforce_vtla.errors import ContractError
 
 RIG = """
@@ -43,10 +42,8 @@ def test_mounts_and_box_come_from_the_rig(config):
     assert robot.cameras["tactile_left"].flip
     assert robot.cameras["tactile_right"].rotation_deg == 180
     assert all(finger.reference_on_connect for finger in robot.fingers.values())
-    assert (config.left_sensor, config.right_sensor) == (
-        "uskin",
-        "tactip",
-    ) and robot.gripper.grip_force_N == 7.0
+    assert [config.left_sensor, config.right_sensor] == ["uskin", "tactip"]
+    assert robot.gripper.grip_force_N == 7.0
 
 
 def test_a_grip_of_the_rig_is_not_dropped(config):
@@ -67,36 +64,30 @@ def test_softer_gains_of_the_rig_are_not_dropped(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "arguments, reason",
+    "words, reason",
     [
-        (["robot=franka"], "tactile fingers of the rig"),
-        (["robot=franka", "left_sensor=gelsight"], "left_sensor"),
-        (["robot.address=127.0.0.7"], "robot.address"),
-        (["mass_kg=0.2"], "mass_kg"),
+        ("robot=franka", "tactile fingers of the rig"),
+        ("robot=franka left_sensor=gelsight", "left_sensor"),
+        ("robot.address=127.0.0.7", "robot.address"),
+        ("mass_kg=0.2", "mass_kg"),
     ],
 )
 def test_a_rig_without_fingers_and_settings_without_use_are_refused(
-    arguments, reason, tmp_path, capsys
+    words, reason, tmp_path, refuses
 ):
-    assert main([*arguments, f"out={tmp_path / 'pairs'}"]) == 2
-    assert reason in capsys.readouterr().err and not (tmp_path / "pairs").exists()
+    refuses(main, [*words.split(), f"out={tmp_path / 'pairs'}"], reason)
+    assert not (tmp_path / "pairs").exists()
 
 
-def test_a_soft_robot_follows_and_gives_frames(config, tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        TerminalKeys,
-        "start",
-        lambda keys: setattr(keys, "_listener", SimpleNamespace(stop=lambda: 0)),
-    )
-    monkeypatch.setattr(TerminalKeys, "rates", lambda keys: np.zeros(5))
+def test_a_soft_robot_follows_and_gives_frames(config, terminal, tmp_path, monkeypatch):
     fake = FakeRig(tmp_path / "calibration", monkeypatch)
-    wanted = []
-    monkeypatch.setattr(
-        build, "make_robot", lambda robot, guide: wanted.append(guide.wants_gains) or fake.robot
-    )
+    make_robot = Mock(return_value=fake.robot)
+    monkeypatch.setattr(build, "make_robot", make_robot)
     with _robot_rig(config, SimpleNamespace(), 30.0) as rig:
         assert rig.sensors == {"left": "gelsight", "right": "tactip"}
         assert {image.shape for image in rig.references().values()} == {(480, 640)}
         frames = list(itertools.islice(rig.frames("ball"), 5))
     assert {frame.grip_N for frame in frames} == {7.0} and frames[-1].images["right"].any()
-    assert wanted == [UniforceHandGuide.wants_gains] and not fake.robot.is_connected
+    make_robot.assert_called_once()
+    assert isinstance(make_robot.call_args.args[1], UniforceHandGuide)
+    assert not fake.robot.is_connected

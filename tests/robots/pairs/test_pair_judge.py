@@ -1,6 +1,6 @@
 """Which pairs are kept: the score on forces made by hand, the gate on motion, the coverage."""
 
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
@@ -48,10 +48,8 @@ def test_a_strong_lean_is_flagged_and_a_light_one_is_not(calm):
     for lean, flagged in ((0.9, True), (0.1, False)):
         right = calm.right_N.copy()
         right[LED, 2] *= 1 - lean * 0.9
-        assert (
-            bool(PairJudge().judge(replace(calm, right_N=right)).flagged[LED][2:-2].all())
-            is flagged
-        )
+        quality = PairJudge().judge(replace(calm, right_N=right))
+        assert bool(quality.flagged[LED][2:-2].all()) is flagged
 
 
 def test_the_grasp_itself_shows_how_normals_compare(calm):
@@ -78,9 +76,9 @@ def test_learning_is_not_led_astray_by_a_fifth_of_bad_grasps(calm):
 
 
 def test_a_grasp_may_be_judged_while_it_grows(calm):
+    *arrays, mass_kg = astuple(calm)
     for count in (1, 2, 3, 20):
-        arrays = (calm.left_N, calm.right_N, calm.velocity_m_s, calm.acceleration_m_s2)
-        part = GraspSignals(*(array[:count] for array in arrays), 0.3)
+        part = GraspSignals(*(array[:count] for array in arrays), mass_kg)
         quality = PairJudge().judge(part)
         assert len(quality.error) == count and np.isfinite(quality.error).all()
 
@@ -101,13 +99,9 @@ LIMITS = MotionLimits()
     "what, reason", [("speed", "fast"), ("acceleration", "jerked"), ("grip", "no contact")]
 )
 def test_each_limit_closes_it_and_says_why(what, reason):
-    speed = STILL.copy()
-    acceleration = STILL.copy()
-    grip = HELD.copy()
-    {"speed": speed, "acceleration": acceleration, "grip": grip}[what][10] = (
-        0.0 if what == "grip" else 2.0
-    )
-    reasons = quasi_static(speed, acceleration, grip, 30.0, LIMITS)
+    signals = {"speed": STILL.copy(), "acceleration": STILL.copy(), "grip": HELD.copy()}
+    signals[what][10] = 0.0 if what == "grip" else 2.0
+    reasons = quasi_static(*signals.values(), 30.0, LIMITS)
     assert reasons[10] == reason and not any(reasons[:10])
 
 

@@ -47,10 +47,9 @@ def room_frames():
 class FakeCapture(ScriptedCapture):
     """Deliver frames at a rate; ``fault``: "", "stop" (failed reads), "stall" or "freeze"."""
 
-    def __init__(self, frames, rate_hz=FPS):
+    def __init__(self, frames):
         super().__init__()
         self.frames = frames
-        self.period_s = 1 / rate_hz
         self.fault = ""
         self._due_s = time.monotonic()
 
@@ -59,7 +58,7 @@ class FakeCapture(ScriptedCapture):
 
     def read(self):
         time.sleep(max(self._due_s - time.monotonic(), 0))
-        self._due_s = max(self._due_s + self.period_s, time.monotonic())
+        self._due_s = max(self._due_s + 1 / FPS, time.monotonic())
         if self.fault == "stall":
             time.sleep(0.05)
         if self.fault in ("stop", "stall"):
@@ -73,37 +72,25 @@ class FakeRig:
         self.arm = FakeArm()
         self.hand = FakeHand(takes_s=0.02)
         monkeypatch.setattr(robot_module, "make_backend", lambda config: (self.arm, self.hand))
-        tactile = {"capture_width": 640, "capture_height": 480, "reference_samples": 3}
         rows, columns = SMALL
-        left = {"source": "1", "finger": "left", "sensor": "gelsight"} | tactile
-        right = {"source": "2", "finger": "right", "sensor": "tactip"} | tactile
-        configs = {
-            "front": sensors.UniforceSceneCameraConfig(source="0", width=columns, height=rows),
-            "tactile_left": sensors.UniforceTactileCameraConfig(**left),
-            "tactile_right": sensors.UniforceTactileCameraConfig(**right),
-        }
-        self.captures = {
-            "front": FakeCapture(room_frames()),
-            "tactile_left": FakeCapture(gel_frames("gelsight")),
-            "tactile_right": FakeCapture(gel_frames("tactip")),
-        }
+        front = sensors.UniforceSceneCameraConfig(source="front", width=columns, height=rows)
+        configs = {"front": front}
+        self.captures = {"front": FakeCapture(room_frames())}
+        for finger, sensor in (("left", "gelsight"), ("right", "tactip")):
+            name = f"tactile_{finger}"
+            size = {"capture_width": 640, "capture_height": 480}
+            configs[name] = sensors.UniforceTactileCameraConfig(
+                source=name, finger=finger, sensor=sensor, reference_samples=3, **size
+            )
+            self.captures[name] = FakeCapture(gel_frames(sensor))
         patient = StreamSettings(state_age_s=1.0)  # a busy machine
         config = UniforceFrankaConfig(
             id="test", calibration_dir=folder, cameras=configs, stream=patient
         )
         self.robot = UniforceFranka(config)
-        self.robot.cameras = {
-            "front": sensors.UniforceSceneCamera(configs["front"], self._factory("front")),
-            **{
-                n: sensors.UniforceTactileCamera(configs[n], self._factory(n))
-                for n in configs
-                if n != "front"
-            },
-        }
+        for camera in self.robot.cameras.values():
+            camera._source._factory = lambda source: self.captures[source]
         self.rig = RobotRig(self.robot)
-
-    def _factory(self, name):
-        return lambda source: self.captures[name]
 
 
 @TeleoperatorConfig.register_subclass("recording_test")
@@ -150,16 +137,8 @@ class Sway(Teleoperator):
             raise self.error
         self.calls += 1
         start = self.starts[-1] if self.starts else dict.fromkeys(AXES, 0.0)
-        return {
-            **start,
-            "x.pos": start["x.pos"] + 0.01 * np.sin(self.calls / 5),
-            "width.pos": self.width_m,
-        }
-
-
-def sway(folder):
-    """Return one that leaves nothing in anybody's home."""
-    return Sway(SwayConfig(id="test", calibration_dir=folder))
+        x_m = start["x.pos"] + 0.01 * np.sin(self.calls / 5)
+        return start | {"x.pos": x_m, "width.pos": self.width_m}
 
 
 class Script(Operator):

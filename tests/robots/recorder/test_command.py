@@ -7,33 +7,23 @@ from uniforce_cli.record import main
 from uniforce_datasets.cards import read_card
 from uniforce_datasets.lossless import open_dataset
 
-QUICK = [
-    "teleop=recording_test",
-    "level=easy",
-    "operator=unattended",
-    "episode_s=0.2",
-    "real_time=false",
-]
+QUICK = ["teleop=recording_test", "level=easy", "operator=unattended"]
+QUICK += ["episode_s=0.2", "real_time=false"]
 
 
 def test_a_scene_by_hand_and_its_resume(tmp_path, capsys, refuses):
     root = tmp_path / "data"
-    own = [
-        f"teleop.calibration_dir={tmp_path}",
-        "teleop.id=a",
-        "teleop.width_m=0.07",
-        "reserve_MB=1",
-        "right_sensor=tactip:drawing",
-    ]
+    own = [*QUICK, f"teleop.calibration_dir={tmp_path}", "teleop.id=a", "teleop.width_m=0.07"]
+    own += ["reserve_MB=1", "right_sensor=tactip:drawing"]
     left = "left_sensor=gelsight:drawing"
-    assert main([*QUICK, *own, left, f"root={root}", "episodes=1"]) == 0
+    assert main([*own, left, f"root={root}", "episodes=1"]) == 0
     assert "1 of 1 episodes" in capsys.readouterr().out
-    assert main([*QUICK, *own, left, f"resume={root}", "episodes=2", "prompts=[tidy up]"]) == 0
+    assert main([*own, left, f"resume={root}", "episodes=2", "prompts=[tidy up]"]) == 0
     assert open_dataset(root).num_episodes == 2 and read_card(root, 1)["prompt"] == "tidy up"
     assert read_card(root, 1)["settings"]["rig"]["teleop.width_m"] == 0.07
     refuses(
         main,
-        [*QUICK, *own, f"root={root}", "episodes=3", "left_sensor=uskin"],
+        [*own, f"root={root}", "episodes=3", "left_sensor=uskin"],
         "scene.left_sensor 'gelsight:drawing' → 'uskin'",
     )
 
@@ -41,38 +31,32 @@ def test_a_scene_by_hand_and_its_resume(tmp_path, capsys, refuses):
 @pytest.mark.parametrize(
     "words, reason",
     [
-        (["robot=moon"], "sim | franka"),
-        (["robot=franka"], "works on a robot"),
-        (["robot=franka", "teleop=recording_test"], "instruction"),
-        (["teleop=telepathy"], "recording_test"),
-        (["teleop=recording_test", "operator=cat"], "keys | unattended"),
-        (["teleop=recording_test", "operator=unattended", "verdict=great"], "great"),
-        (["teleop=recording_test", "teleop.speed=1"], "speed"),
-        (["resume=/nowhere"], "recorded dataset"),
-        (["episodes=0"], "episodes"),
-        (["teleop=recording_test", "episode_s=0"], "episode_s"),
-        (["teleop=recording_test", "late_share=nan"], "late_share"),
-        (["teleop=recording_test", "late_share=2"], "late_share"),
-        (["rig=nosuch"], "rig: expected a file"),
-        (["robot.foo=1"], "got --robot.foo=1"),
-        (["teleop=recording_test", "robot.foo=1"], "got --robot.foo=1"),
-        (["episode_s=9", "prompts=[tidy]"], "prompts, episode_s"),
-        (["teleop=recording_test", "keep_failures=false"], "keep_failures"),
-        (["robot=franka", "teleop=recording_test", "prompts=[tidy]", "level=easy"], "level"),
-        (
-            ["robot=franka", "teleop=recording_test", "prompts=[tidy]", "left_sensor=gelsight"],
-            "left_sensor",
-        ),
-        (["teleop=recording_test", "verdict=success"], "got verdict"),
-        (
-            ["teleop=recording_test", "operator=unattended", "drive_between=false"],
-            "got drive_between",
-        ),
+        ("robot=moon", "sim | franka"),
+        ("robot=franka", "works on a robot"),
+        ("robot=franka teleop=recording_test", "instruction"),
+        ("teleop=telepathy", "recording_test"),
+        ("teleop=recording_test operator=cat", "keys | unattended"),
+        ("teleop=recording_test operator=unattended verdict=great", "great"),
+        ("teleop=recording_test teleop.speed=1", "speed"),
+        ("resume=/nowhere", "recorded dataset"),
+        ("episodes=0", "episodes"),
+        ("teleop=recording_test episode_s=0", "episode_s"),
+        ("teleop=recording_test late_share=nan", "late_share"),
+        ("teleop=recording_test late_share=2", "late_share"),
+        ("rig=nosuch", "rig: expected a file"),
+        ("robot.foo=1", "got --robot.foo=1"),
+        ("teleop=recording_test robot.foo=1", "got --robot.foo=1"),
+        ("episode_s=9 prompts=[tidy]", "prompts, episode_s"),
+        ("teleop=recording_test keep_failures=false", "keep_failures"),
+        ("robot=franka teleop=recording_test prompts=[tidy] level=easy", "level"),
+        ("robot=franka teleop=recording_test prompts=[tidy] left_sensor=gelsight", "left_sensor"),
+        ("teleop=recording_test verdict=success", "got verdict"),
+        ("teleop=recording_test operator=unattended drive_between=false", "got drive_between"),
     ],
 )
 def test_what_cannot_be_is_refused_with_a_reason(words, reason, tmp_path, refuses):
     home = [f"teleop.calibration_dir={tmp_path}", "teleop.id=a"]
-    refuses(main, [*words, *home, f"root={tmp_path / 'data'}"], reason)
+    refuses(main, [*words.split(), *home, f"root={tmp_path / 'data'}"], reason)
     assert not (tmp_path / "data").exists()
 
 

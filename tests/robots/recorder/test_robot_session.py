@@ -6,10 +6,11 @@ import signal
 import threading
 import time
 from contextlib import nullcontext
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from recording_fakes import FakeRig, Script, Sway, SwayConfig, sway
+from recording_fakes import FakeRig, Script
 
 from lerobot_env_uniforce_wiping import WipeEnv
 from uniforce_datasets.cards import read_card
@@ -28,7 +29,13 @@ from uniforce_vtla import keys
 from uniforce_vtla.errors import ContractError, TeleoperatorError
 from uniforce_vtla.terminal import STOPS
 
-SHORT_S = 0.5
+WAITING, RUNNING, PAUSED, _ = Phase
+PLAIN = {"episodes": 1, "episode_s": 0.5, "prompts": ("wipe",), "unwell_s": 1.0, "late_share": 1.0}
+
+
+def record(rig, teleop, operator, root, wanted, **more):
+    store = StoreSettings(root, "local/test", reserve_MB=1.0)
+    return run_session(rig, teleop, operator, store, wanted, open_store=open_recorder, **more)
 
 
 @pytest.fixture
@@ -43,23 +50,13 @@ def root(tmp_path):
 
 
 @pytest.fixture
-def go(fake, root):
+def go(fake, root, teleop):
     """Return a function that runs a session on the fake robot and leaves nothing running."""
 
-    def run(operator, teleop=None, out=None, **settings):
-        plain = {
-            "episodes": 1,
-            "episode_s": SHORT_S,
-            "prompts": ("wipe",),
-            "unwell_s": 1.0,
-            "late_share": 1.0,
-        }
-        teleop = teleop or sway(root.parent)
-        store = StoreSettings(root, "local/test", reserve_MB=1.0)
-        wanted = SessionSettings(**(plain | settings))
-        end = run_session(
-            fake.rig, teleop, operator, store, wanted, out=out, open_store=open_recorder
-        )
+    def run(operator=None, out=None, **settings):
+        wanted = SessionSettings(**(PLAIN | settings))
+        operator = operator or Unattended("success")
+        end = record(fake.rig, teleop, operator, root, wanted, out=out)
         assert not fake.robot.is_connected and not teleop.is_connected
         assert not [t.name for t in threading.enumerate() if t.name in ("arm-stream", "hand")]
         return end
@@ -68,9 +65,9 @@ def go(fake, root):
 
 
 def test_two_episodes_then_one_more(go, root):
-    end = go(Unattended("success"), episodes=2, prompts=("wipe", "clean the board"))
+    end = go(episodes=2, prompts=("wipe", "clean the board"))
     assert end.exit_code == 0 and [e.label for e in end.endings] == ["success"] * 2
-    assert go(Unattended("success"), episodes=3).message == "3 of 3 episodes"
+    assert go(episodes=3).message == "3 of 3 episodes"
     dataset = open_dataset(root, return_uint8=True)
     assert dataset.num_episodes == 3 and len(dataset) == 45
     assert {dataset[i]["task"] for i in (0, 15)} == {"wipe", "clean the board"}
@@ -82,63 +79,62 @@ def test_two_episodes_then_one_more(go, root):
 
 
 def test_what_a_row_holds(go, root):
-    go(Unattended("success"))
-    times = tuple(
-        key(source)
-        for key in (keys.time_key, keys.age_key, keys.index_key)
-        for source in ("front", "left")
-    )
-    wanted = (keys.STATE, keys.ACTION, keys.STAMPS, *times)
-    wanted += keys.measured_key("wrench"), keys.measured_key("hand")
-    columns = read_source(root).columns(wanted)
-    ticks = columns[keys.STAMPS]
+    go()
+    ticks = column(root, keys.STAMPS)
     assert (np.diff(ticks, axis=1) >= 0).all() and ticks[0, 0] < 0.1
     # how steadily, a busy machine can't say: see docs/recording.md
     assert (np.diff(ticks[:, 0]) > 0).all()
     for source in ("front", "left"):
-        age = columns[keys.age_key(source)]
-        taken = columns[keys.time_key(source)]
+        age = column(root, keys.age_key(source))
         assert (age >= 0).all() and age.max() < 0.2
+        taken = column(root, keys.time_key(source))
         np.testing.assert_allclose(taken + age, ticks[:, 1], atol=1e-4)
-        index = columns[keys.index_key(source)]
+        index = column(root, keys.index_key(source))
         assert (np.diff(index) >= 0).all() and index[-1] > 3
-    assert np.ptp(columns[keys.ACTION][:, 0]) > 0.001, "the sway was stored"
-    np.testing.assert_allclose(columns[keys.measured_key("hand")][:, 0], 0.08, atol=1e-6)
+    assert np.ptp(column(root, keys.ACTION)[:, 0]) > 0.001, "the sway was stored"
+    assert len(column(root, keys.measured_key("wrench"))) == len(ticks)
+    widths_m = column(root, keys.measured_key("hand"))[:, 0]
+    np.testing.assert_allclose(widths_m, 0.08, atol=1e-6)
 
 
-def test_an_episode_that_missed_many_ticks_is_aborted_and_does_not_count(
-    tmp_path, monkeypatch, go, root
-):
-    teleop = sway(tmp_path)
+def test_an_episode_that_missed_many_ticks_is_aborted_and_does_not_count(teleop, go, root):
     quick = teleop.get_action
-    monkeypatch.setattr(teleop, "get_action", lambda: time.sleep(2.5 / 30) or quick())
+    teleop.get_action = lambda: time.sleep(2.5 / 30) or quick()
     console = io.StringIO()
-    end = go(Unattended("success"), teleop, out=console, late_share=0.1)
+    end = go(out=console, late_share=0.1)
     assert end.exit_code == 3 and "missed" in end.message and "3 times in a row" in end.message
     assert "stored aborted:late" in console.getvalue() and "0/1 episodes" in console.getvalue()
     assert labels(root) == ["aborted:late"] * 3
-    assert read_card(root, 0)["label"] == "aborted:late"
+
+
+def column(root, key):
+    return read_source(root).columns((key,))[key]
 
 
 def labels(root):
-    source = read_source(root)
-    columns = source.columns((keys.OUTCOME, keys.CAUSE))
-    starts = [episode.start for episode in source.episodes]
-    outcomes = [keys.OUTCOME_NAMES[columns[keys.OUTCOME][i]] for i in starts]
-    causes = [keys.ABORT_CAUSES[columns[keys.CAUSE][i]] for i in starts]
+    starts = [episode.start for episode in read_source(root).episodes]
+    outcomes = [keys.OUTCOME_NAMES[code] for code in column(root, keys.OUTCOME)[starts]]
+    causes = [keys.ABORT_CAUSES[code] for code in column(root, keys.CAUSE)[starts]]
     return [o if c == "none" else f"{o}:{c}" for o, c in zip(outcomes, causes, strict=True)]
 
 
-def at(phase, asked, command):
-    """Begin whenever waiting; say the command once, at that question of that phase."""
-    return lambda now, n: (
-        [Command.GO] if now is Phase.WAITING else [command] * (now is phase and n == asked)
-    )
+def scripted(*lines):
+    """Begin whenever waiting; say or do each line once, when its phase is asked so often."""
+    left = list(lines)
+
+    def say(phase, asked):
+        said = [Command.GO] * (phase is WAITING)
+        if left and left[0][:2] == (phase, asked):
+            line = left.pop(0)[2]
+            said = [line] if isinstance(line, Command | Event) else line() or said
+        return said
+
+    return Script(say)
 
 
 @pytest.mark.parametrize("command", VERDICTS)
 def test_keys_judge_an_episode(command, go, root):
-    end = go(Script(at(Phase.RUNNING, 6, command)), episode_s=30.0)
+    end = go(scripted((RUNNING, 6, command)), episode_s=30.0)
     assert end.exit_code == 0 and labels(root) == [VERDICTS[command]]
     assert read_source(root).num_frames == 6
 
@@ -168,20 +164,10 @@ def break_it(fake, teleop, what, how):
 
 
 @pytest.mark.parametrize("name", BREAKS)
-def test_a_fault_ends_the_episode_held_and_labelled(fake, tmp_path, name, go, root):
+def test_a_fault_ends_the_episode_held_and_labelled(fake, teleop, name, go, root):
     what, how, cause = BREAKS[name]
-    teleop = sway(tmp_path)
-    begun = []
-
-    def say(phase, asked):
-        if phase is Phase.WAITING:
-            begun.append(phase)
-            return [Command.GO if len(begun) == 1 else Command.QUIT]
-        if phase is Phase.RUNNING and asked == 6:
-            break_it(fake, teleop, what, how)
-        return []
-
-    end = go(Script(say), teleop, episode_s=5.0)
+    breaks = (RUNNING, 6, lambda: break_it(fake, teleop, what, how))
+    end = go(scripted(breaks, (WAITING, 0, Command.QUIT)), episode_s=5.0)
     assert end.exit_code == 0 and len(end.endings) == 1, end
     ending = end.endings[0]
     assert ending.label.startswith("aborted:") and cause in ending.label, ending
@@ -190,61 +176,45 @@ def test_a_fault_ends_the_episode_held_and_labelled(fake, tmp_path, name, go, ro
     assert cause in read_card(root, 0)["label"]
 
 
-def scripted(*lines):
-    """Begin whenever waiting; say each line once, when its phase is asked so often."""
-    left = list(lines)
-
-    def say(phase, asked):
-        if phase is Phase.WAITING and asked == 0:
-            return [Command.GO]
-        if left and left[0][:2] == (phase, asked):
-            return [left.pop(0)[2]]
-        return []
-
-    return Script(say)
-
-
-def test_discard_rerecord_pause_and_notes(tmp_path, go, root):
+def test_discard_rerecord_pause_and_notes(teleop, go, root):
     operator = scripted(
-        (Phase.RUNNING, 3, Command.DISCARD),
-        (Phase.RUNNING, 4, Command.RERECORD),
-        (Phase.RUNNING, 8, Event(Command.NOTE, "slow")),  # asked on: no waiting in between
-        (Phase.RUNNING, 9, Command.GO),
-        (Phase.PAUSED, 5, Command.GO),
-        (Phase.RUNNING, 3, Command.SUCCESS),
+        (RUNNING, 3, Command.DISCARD),
+        (RUNNING, 4, Command.RERECORD),
+        (RUNNING, 8, Event(Command.NOTE, "slow")),  # asked on: no waiting in between
+        (RUNNING, 9, Command.GO),
+        (PAUSED, 5, Command.GO),
+        (RUNNING, 3, Command.SUCCESS),
     )
-    teleop = sway(tmp_path)
-    end = go(operator, teleop, episode_s=30.0)
+    end = go(operator, episode_s=30.0)
     assert [e.label for e in end.endings] == ["discard", "rerecord", "success"]
     assert end.endings[2].pauses == 1 and len(teleop.starts) == 4, "three episodes and one going on"
     card = read_card(root, 0)
     assert card["notes"] == ["slow"] and card["prompt"] == "wipe" and card["guards"]["sensor"] == 0
-    stamps = read_source(root).columns((keys.STAMPS,))[keys.STAMPS][:, 0]
-    assert np.diff(stamps).max() > 5 / 30, "the pause shows"
+    assert np.diff(column(root, keys.STAMPS)[:, 0]).max() > 5 / 30, "the pause shows"
 
 
-def test_a_pause_ends_once_the_device_is_at_rest(tmp_path, go):
-    class Deflected(Sway):
-        def start_from(self, axes):
-            super().start_from(axes)
-            if len(self.starts) == 2:
-                raise TeleoperatorError("let go", "far")
+def test_a_pause_ends_once_the_device_is_at_rest(teleop, go):
+    own_start = teleop.start_from
 
+    def start_from(axes):
+        own_start(axes)
+        if len(teleop.starts) == 2:
+            raise TeleoperatorError("let go", "far")
+
+    teleop.start_from = start_from
     operator = scripted(
-        (Phase.RUNNING, 2, Command.HOLD),
-        (Phase.PAUSED, 1, Command.HOLD),
-        (Phase.PAUSED, 2, Command.GO),
-        (Phase.PAUSED, 4, Command.GO),
-        (Phase.RUNNING, 2, Command.SUCCESS),
+        (RUNNING, 2, Command.HOLD),
+        (PAUSED, 1, Command.HOLD),
+        (PAUSED, 2, Command.GO),
+        (PAUSED, 4, Command.GO),
+        (RUNNING, 2, Command.SUCCESS),
     )
-    teleop = Deflected(SwayConfig(id="test", calibration_dir=tmp_path))
-    end = go(operator, teleop, episode_s=30.0, drive_between=False)
+    end = go(operator, episode_s=30.0, drive_between=False)
     assert [e.label for e in end.endings] == ["success"] and len(teleop.starts) == 3
 
 
 @pytest.mark.parametrize("interruption", ["fault", "hold", "robot"])
-def test_between_episodes_steering_goes_on_at_a_persons_word(fake, tmp_path, interruption, go):
-    teleop = sway(tmp_path)
+def test_between_episodes_steering_goes_on_at_a_persons_word(fake, teleop, interruption, go):
     calls = {}
     out = io.StringIO()
     orders = {10: Command.NOTE, 29: Command.RECOVER, 40: Command.QUIT}
@@ -261,15 +231,13 @@ def test_between_episodes_steering_goes_on_at_a_persons_word(fake, tmp_path, int
             fake.arm.mode = "idle"
         return [Event(orders[asked], "early")] if asked in orders else []
 
-    end = go(Script(say), teleop, out)
+    end = go(Script(say), out)
     assert end.exit_code == 0 and not end.endings
     assert calls[5] == (1, 5), "driven"
     assert calls[8] == calls[28], "plugged in again, but nobody said so"
     assert calls[40] == (2, 11)
-    assert (
-        out.getvalue().count("(v clears it and steers again)") == 1
-        and "not stored: early" in out.getvalue()
-    )
+    assert out.getvalue().count("(v clears it and steers again)") == 1
+    assert "not stored: early" in out.getvalue()
 
 
 @pytest.mark.parametrize("name", ["Open the gripper", "bad_touch"])
@@ -281,45 +249,27 @@ def test_nothing_begins_out_of_free_air_nor_from_a_moving_gel(fake, name, go):
         )
     else:
         fake.hand.width_m = 0.03
-    end = go(Unattended("success"), unwell_s=0.3)
+    end = go(unwell_s=0.3)
     assert end.exit_code == 3 and name in end.message and not end.endings
 
 
 def test_an_open_hand_is_asked_for_again(fake, go):
     fake.hand.width_m = 0.03
-    asked = []
-
-    def say(phase, n):
-        asked.append(phase)
-        fake.hand.width_m = 0.03 if len(asked) < 3 else 0.08  # refused, opened, begun
-        return [Command.GO] if phase is Phase.WAITING else [Command.SUCCESS] * (n == 3)
-
-    end = go(Script(say), drive_between=False)
-    assert end.exit_code == 0 and asked.count(Phase.WAITING) >= 2
+    opens = (WAITING, 2, lambda: setattr(fake.hand, "width_m", 0.08))
+    operator = scripted(opens, (RUNNING, 3, Command.SUCCESS))
+    end = go(operator, drive_between=False, episode_s=30.0)
+    assert end.exit_code == 0 and [e.label for e in end.endings] == ["success"]
 
 
 def test_a_full_disk_stops_at_the_next_tick_and_what_was_saved_stays(monkeypatch, go, root):
-    go(Unattended("success"))
+    go()
     room = iter([10**12] * 8)
     monkeypatch.setattr(disk_guard, "free_bytes", lambda path: next(room, 10))
-    end = go(Unattended("success"), episodes=2, episode_s=5.0)
+    end = go(episodes=2, episode_s=5.0)
     assert end.exit_code == 4 and labels(root) == ["success", "aborted:disk_full"]
     assert end.endings[0].held_s < 0.1
-    end = go(Unattended("success"), episodes=2)
+    end = go(episodes=2)
     assert end.exit_code == 4 and not end.endings, "no room for another one"
-
-
-def acting(act, success_at=None):
-    """Begin whenever waiting; do something at the fifth tick, and call it a success later."""
-
-    def say(phase, asked):
-        if phase is Phase.WAITING:
-            return [Command.GO]
-        if phase is Phase.RUNNING and asked == 5:
-            act()
-        return [Command.SUCCESS] * (asked == success_at)
-
-    return Script(say)
 
 
 @pytest.mark.parametrize(
@@ -339,24 +289,23 @@ def test_a_stop_from_outside_ends_the_episode_in_order_unless_somebody_insists(
     before = [signal.getsignal(number) for number in STOPS]
     insists = len(come.replace("HUP", "").split()) > 1
     with open(writer, "w") as out, pytest.raises(KeyboardInterrupt) if insists else nullcontext():
-        end = go(acting(interrupt), out=out, episode_s=5.0)
+        end = go(scripted((RUNNING, 5, interrupt)), out=out, episode_s=5.0)
         assert end.exit_code == 130 and labels(root) == ["aborted:interrupt"]
     assert not fake.robot.is_connected and insists is not (root / "data").exists()
     assert [signal.getsignal(number) for number in STOPS] == before
 
 
 def test_nohup_goes_on_without_its_terminal(go):
-    hang_up = acting(lambda: signal.raise_signal(signal.SIGHUP), success_at=8)
+    hang_up = (RUNNING, 5, lambda: signal.raise_signal(signal.SIGHUP))
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        assert go(hang_up).exit_code == 0
+        assert go(scripted(hang_up, (RUNNING, 8, Command.SUCCESS))).exit_code == 0
     finally:
         signal.signal(signal.SIGHUP, before)
 
 
-def test_a_terminal_that_takes_its_keyboard_along_is_an_interrupt_too(fake, tmp_path, go, root):
-    teleop = sway(tmp_path)
-    breaks = acting(lambda: setattr(teleop, "error", RuntimeError("hung up")))
+def test_a_terminal_that_takes_its_keyboard_along_is_an_interrupt_too(fake, teleop, go, root):
+    breaks = (RUNNING, 5, lambda: setattr(teleop, "error", RuntimeError("hung up")))
     own_hold = fake.rig.hold
 
     def hold():
@@ -365,27 +314,21 @@ def test_a_terminal_that_takes_its_keyboard_along_is_an_interrupt_too(fake, tmp_
         own_hold()
 
     fake.rig.hold = hold
-    assert go(breaks, teleop, episode_s=5.0).exit_code == 130
+    assert go(scripted(breaks), episode_s=5.0).exit_code == 130
     assert labels(root) == ["aborted:interrupt"]
 
 
 def test_a_row_that_the_store_refuses_late_ends_the_session_in_order(monkeypatch, go):
-    def refuse(*_):
-        raise ContractError("state: expected finite numbers")
-
-    monkeypatch.setattr(EpisodeRecorder, "save", refuse)
-    end = go(Unattended("success"))
+    error = ContractError("state: expected finite numbers")
+    monkeypatch.setattr(EpisodeRecorder, "save", Mock(side_effect=error))
+    end = go()
     assert end.exit_code == 3 and "finite" in end.message and len(end.endings) == 1
 
 
 def test_another_sensor_than_configured_is_refused_before_anything_moves(fake, go):
-    captures = fake.captures
-    captures["tactile_left"], captures["tactile_right"] = (
-        captures["tactile_right"],
-        captures["tactile_left"],
-    )
+    fake.captures["tactile_left"] = fake.captures["tactile_right"]
     with pytest.raises(WrongSensorError, match="Another sensor answers"):
-        go(Unattended("success"))
+        go()
     assert not fake.arm.targets and not fake.robot.is_connected
 
 
@@ -393,39 +336,31 @@ def test_another_setting_of_the_rig_is_refused_before_the_first_episode(fake, go
     """Also what the robot itself says once it is connected."""
     load_kg = [0.7]
     fake.robot.stored_facts = lambda: {"load_kg": load_kg[0]}
-    assert go(Unattended("success"), rig={"robot.gain": 1}).exit_code == 0
+    assert go(rig={"robot.gain": 1}).exit_code == 0
     load_kg[0] = 0.9
     with pytest.raises(ContractError, match=r"robot.gain 1 → 2, robot.stored.load_kg 0.7 → 0.9"):
-        go(Unattended("success"), episodes=2, rig={"robot.gain": 2})
-    end = go(Unattended("success"), episodes=2, rig={"robot.gain": 2}, accept_changes=True)
+        go(episodes=2, rig={"robot.gain": 2})
+    end = go(episodes=2, rig={"robot.gain": 2}, accept_changes=True)
     assert end.exit_code == 0
-    known = [read_card(root, episode)["settings"] for episode in (0, 1)]
-    assert (
-        known[0]["rig"] == {"robot.gain": 1, "robot.stored.load_kg": 0.7}
-        and not known[0]["changed"]
-    )
-    assert known[1]["changed"] == {"robot.gain": [1, 2], "robot.stored.load_kg": [0.7, 0.9]}
+    first, second = (read_card(root, episode)["settings"] for episode in (0, 1))
+    assert first["rig"] == {"robot.gain": 1, "robot.stored.load_kg": 0.7} and not first["changed"]
+    assert second["changed"] == {"robot.gain": [1, 2], "robot.stored.load_kg": [0.7, 0.9]}
 
 
 STEPS = 6
 
 
-def test_a_scene_is_recorded_like_a_robot(tmp_path, root):
+def test_a_scene_is_recorded_like_a_robot(teleop, root):
     rig = SimRig(WipeEnv("easy", max_steps=STEPS), paced=False)
-    store = StoreSettings(root, "local/test", reserve_MB=1.0)
     settings = SessionSettings(episodes=2, episode_s=10.0)
-    parts = rig, sway(tmp_path), Unattended("success"), store, settings
-    end = run_session(*parts, 5, open_store=open_recorder)
-    assert end.exit_code == 0 and [e.label for e in end.endings] == ["failed_grasp"] * 2, (
-        "the scene judges"
-    )
-    wanted = (keys.STATE, keys.ACTION, keys.SUCCESS, keys.SEED, keys.truth_wrench_key("left"))
-    columns = read_source(root).columns(wanted)
-    assert (
-        columns[keys.SEED].tolist() == [5] * STEPS + [6] * STEPS and not columns[keys.SUCCESS].any()
-    )
-    assert labels(root) == ["failed_grasp"] * 2
-    assert np.abs(columns[keys.ACTION][:, 0] - columns[keys.STATE][:, 0]).max() > 1e-4
+    end = record(rig, teleop, Unattended("success"), root, settings, seed=5)
+    assert end.exit_code == 0
+    assert [e.label for e in end.endings] == labels(root) == ["failed_grasp"] * 2, "its own verdict"
+    assert column(root, keys.SEED).tolist() == [5] * STEPS + [6] * STEPS
+    assert not column(root, keys.SUCCESS).any()
+    assert len(column(root, keys.truth_wrench_key("left"))) == 2 * STEPS
+    moved_m = column(root, keys.ACTION) - column(root, keys.STATE)
+    assert np.abs(moved_m[:, 0]).max() > 1e-4
     dataset = open_dataset(root, return_uint8=True)
     env = WipeEnv("easy", max_steps=STEPS)
     observation, _ = env.reset(seed=6)

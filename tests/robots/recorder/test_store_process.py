@@ -25,15 +25,15 @@ FACTS = RigFacts("test", 30, WORN, CAMERAS, windows={"left": 3}, paced=False)
 REFERENCE = dots(0)
 
 
-def row(step, facts=FACTS):
-    features = rig_features(facts)
-    plain = {k: f for k, f in features.items() if k not in RECORDERS_OWN and f["dtype"] != "video"}
-    numbers = {k: np.full(f["shape"], step + 1, f["dtype"]) for k, f in plain.items()}
-    pictures = {camera_key("front"): np.full((48, 64, 3), 10 * step, np.uint8)}
-    pictures |= {tactile_key(finger): dots(step) for finger in FINGERS}
-    return (
-        numbers | pictures | {tactile_key(finger, reference=True): REFERENCE for finger in FINGERS}
-    )
+def row(step):
+    made = {camera_key("front"): np.full((48, 64, 3), 10 * step, np.uint8)}
+    for finger in FINGERS:
+        made[tactile_key(finger)] = dots(step)
+        made[tactile_key(finger, reference=True)] = REFERENCE
+    for key, feature in rig_features(FACTS).items():
+        if key not in made and key not in RECORDERS_OWN:
+            made[key] = np.full(feature["shape"], step + 1, feature["dtype"])
+    return made
 
 
 @pytest.fixture

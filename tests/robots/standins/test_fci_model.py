@@ -26,9 +26,7 @@ def test_jacobian_is_the_derivative_of_the_pose(seed):
     q = np.random.default_rng(seed).uniform(Q_MIN_rad, Q_MAX_rad)
     here = posture(q).flange_to_base
     J = posture(q).jacobian(here[:3, 3])
-    for i in range(7):
-        step = np.zeros(7)
-        step[i] = 1e-6
+    for i, step in enumerate(1e-6 * np.eye(7)):
         there = posture(q + step).flange_to_base
         turn = (there[:3, :3] @ here[:3, :3].T - np.eye(3)) / 1e-6
         np.testing.assert_allclose(J[:3, i], (there[:3, 3] - here[:3, 3]) / 1e-6, atol=1e-5)
@@ -40,6 +38,6 @@ def test_a_torque_at_the_limit_is_followed_and_one_beyond_it_is_named(share):
     beyond = abs(share) > 1
     step = np.full(7, share * TORQUE_STEP_Nm)
     strong = share * TAU_MAX_Nm
-    assert broken_rules(step) == ({ErrorBit.CONTROLLER_TORQUE_DISCONTINUITY} if beyond else set())
-    assert broken_rules(5 + step, np.full(7, 5.0)) == broken_rules(step)
-    assert broken_rules(strong, strong) == ({ErrorBit.TAU_J_RANGE_VIOLATION} if beyond else set())
+    jump = [ErrorBit.CONTROLLER_TORQUE_DISCONTINUITY] * beyond
+    assert sorted(broken_rules(step)) == sorted(broken_rules(5 + step, np.full(7, 5.0))) == jump
+    assert sorted(broken_rules(strong, strong)) == [ErrorBit.TAU_J_RANGE_VIOLATION] * beyond

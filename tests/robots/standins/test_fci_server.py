@@ -20,14 +20,19 @@ def rest(state):
     return p.RobotCommand(state.message_id)
 
 
+def next_answers(arm):
+    answers = [arm.receive() for _ in range(2)]
+    return [(answer.command_id, answer.payload) for answer in answers]
+
+
 def test_what_makes_no_sense_is_refused(fci):
     invalid = bytes([p.SetterStatus.INVALID_ARGUMENT])
     with RawArm(fci.address) as arm:
         for command in [*p.SETTERS, 99]:
             assert arm.ask(command, b"short") == invalid, command
         another = arm.move(generator=2)
-        refused = p.Message(p.ArmCommand.MOVE, another, bytes([p.MoveStatus.INVALID_ARGUMENT]))
-        assert arm.receive() == refused
+        answer = bytes([p.MoveStatus.INVALID_ARGUMENT])
+        assert arm.receive() == p.Message(p.ArmCommand.MOVE, another, answer)
         arm.start()
         assert arm.ask(p.ArmCommand.SET_LOAD, bytes(104)) == bytes([p.SetterStatus.NOT_POSSIBLE])
     with RawHand(fci.address) as hand:
@@ -40,24 +45,18 @@ def test_a_second_move_preempts_the_first_and_stop_the_second(fci):
         first = arm.start()
         arm.loop(rest, 3)
         second = arm.move()
-        answers = [arm.receive() for _ in range(2)]
-        assert [(a.command_id, a.payload) for a in answers] == [
-            (first, PREEMPTED),
-            (second, STARTED),
-        ]
+        assert next_answers(arm) == [(first, PREEMPTED), (second, STARTED)]
         arm.loop(rest, 3)
         stop = arm.send(p.ArmCommand.STOP_MOVE)
-        answers = [arm.receive() for _ in range(2)]
-        assert [(a.command_id, a.payload) for a in answers] == [(stop, b"\0"), (second, PREEMPTED)]
+        assert next_answers(arm) == [(stop, b"\0"), (second, PREEMPTED)]
 
 
 def test_guiding_refuses_motion_and_lets_itself_be_pushed(fci):
     with RawArm(fci.address) as arm:
-        before = fci.do("guide")["arm"]
-        refused = arm.move()
-        assert arm.receive().payload == bytes([p.MoveStatus.NOT_POSSIBLE]) and refused
+        z = fci.do("guide")["arm"]["position_m"][2]
+        arm.move()
+        assert arm.receive().payload == bytes([p.MoveStatus.NOT_POSSIBLE])
         fci.do("wrench", newtons=[0, 0, -5, 0, 0, 0])
-        z = before["position_m"][2]
         wait_until(lambda: fci.do("look")["arm"]["position_m"][2] < z - 0.003, 60)
 
 

@@ -10,33 +10,14 @@ import pytest
 # LeRobot's base class makes a calibration folder below its cache as soon as a teleoperator is made
 os.environ.setdefault("HF_LEROBOT_CALIBRATION", tempfile.mkdtemp(prefix="uniforce-calibration-"))
 
+import teleop_fakes
+
 from uniforce_vtla.errors import TeleoperatorError
-
-
-@pytest.fixture
-def terminal(monkeypatch):
-    master, slave = os.openpty()
-    stdin = os.fdopen(slave, "r", closefd=False)
-    monkeypatch.setattr("sys.stdin", stdin)
-    open_ends = {master, slave}
-
-    def type_keys(keys):
-        if keys:
-            os.write(master, keys)
-        else:  # hang up
-            open_ends.discard(master)
-            os.close(master)
-
-    yield type_keys
-    for end in open_ends:
-        os.close(end)
 
 
 @pytest.fixture
 def connected(tmp_path, request, terminal):
     """Return a function: registered name → that teleoperator, connected until the end."""
-    import teleop_fakes
-
     with ExitStack() as closing:
 
         def make(name):
@@ -51,8 +32,6 @@ def connected(tmp_path, request, terminal):
 @pytest.fixture
 def measured():
     """(5,) where the robot is: the GELLO stand-in's home posture, fingers open."""
-    import teleop_fakes
-
     return teleop_fakes.home_axes()
 
 
@@ -70,6 +49,8 @@ def started(connected, measured):
 
 @pytest.fixture
 def until():
+    """Return a function that asks until it likes the answer, and returns that."""
+
     def wait(ask, says, timeout_s=20.0):
         deadline = time.monotonic() + timeout_s
         while not says(answer := ask()):

@@ -8,6 +8,10 @@ from uniforce_robots.fr3 import HAND_TO_FLANGE, HOME_q_rad
 from uniforce_robots.teleop.gello import tool_axes
 
 
+def next_axes(device):
+    return np.array(list(device.get_action().values()))
+
+
 def home_axes():
     return np.array([*tool_axes(HOME_q_rad, float(HAND_TO_FLANGE[2, 3])), 0.08])
 

@@ -9,6 +9,7 @@ import pytest
 from lerobot.scripts.lerobot_teleoperate import TeleoperateConfig
 from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
 from robot_fakes import refused
+from teleop_fakes import CONFIGS
 
 import lerobot_policy_pi05_uniforce  # noqa: F401  LeRobot imports it alone: registers them all
 from uniforce_robots.franka.poses import by_axis
@@ -22,8 +23,6 @@ LARGEST_STEP = np.array([0.03, 0.03, 0.03, 0.2, 0.03])  # of one call: limits ×
 
 
 def test_every_registered_one_is_tested_here():
-    from teleop_fakes import CONFIGS
-
     assert sorted(CONFIGS) == NAMES
 
 
@@ -52,7 +51,7 @@ def test_life_of_a_teleoperator(name, connected, measured):
     for _ in range(5):
         action = device.get_action()
         assert tuple(action) == AXES and all(type(value) is float for value in action.values())
-        now = np.array([action[axis] for axis in AXES])
+        now = np.array(list(action.values()))
         assert np.all(np.abs(now - before) <= LARGEST_STEP), name
         before = now
 
@@ -61,12 +60,8 @@ def test_life_of_a_teleoperator(name, connected, measured):
     assert not device.is_connected
     with refused("not_connected", TeleoperatorError):
         device.get_action()
-    left = [
-        t
-        for t in threading.enumerate()
-        if t not in threads and ("reader" in t.name or t.name == name)
-    ]
-    assert not left
+    left = {thread.name for thread in set(threading.enumerate()) - threads}
+    assert not [one for one in left if "reader" in one or one == name]
     device.connect()
     device.start_from(measured)
     device.send_feedback(by_axis(measured))

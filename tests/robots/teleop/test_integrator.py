@@ -14,15 +14,21 @@ LIMITS = TargetLimits()
 SPEED = np.array(LIMITS.speed)
 GAP = LONGEST_GAP_S
 poses = arrays(np.float64, 5, elements=st.floats(-3, 3))
+START = np.array([0.5, 0.0, 0.2, 0.0, 0.05])
 moves = arrays(np.float64, 5, elements=st.floats(-1e3, 1e3))
 times = st.floats(-1, 1e4)
+
+
+def started(at=START):
+    integrator = TargetIntegrator()
+    integrator.start_from(at)
+    return integrator
 
 
 @examples(200)
 @given(poses, st.lists(st.tuples(moves, times, st.booleans()), max_size=20))
 def test_no_jump_whatever_is_asked(start, orders):
-    integrator = TargetIntegrator()
-    integrator.start_from(start)
+    integrator = started(start)
     assert np.array_equal(integrator.target, start)
     low = np.minimum(LIMITS.low, start)
     high = np.maximum(LIMITS.high, start)
@@ -36,12 +42,10 @@ def test_no_jump_whatever_is_asked(start, orders):
 @examples(100)
 @given(st.lists(arrays(np.float64, 5, elements=st.floats(-1, 1)), min_size=1, max_size=300))
 def test_a_target_pushed_against_a_robot_that_stays_does_not_run_on(rates):
-    measured = np.array([0.5, 0.0, 0.2, 0.0, 0.05])
-    integrator = TargetIntegrator()
-    integrator.start_from(measured)
+    integrator = started()
     for rate in rates:
-        integrator.advance(rate, 1 / 30, measured)
-    assert np.all(np.abs(integrator.target - measured) <= np.array(LIMITS.leash) + 1e-9)
+        integrator.advance(rate, 1 / 30, START)
+    assert np.all(np.abs(integrator.target - START) <= np.array(LIMITS.leash) + 1e-9)
 
 
 @examples(100)
@@ -53,8 +57,7 @@ def test_a_goal_in_the_box_is_reached_in_time(from_share, to_share):
     high = np.array(LIMITS.high)
     start = low + from_share * (high - low)
     goal = low + to_share * (high - low)
-    integrator = TargetIntegrator()
-    integrator.start_from(start)
+    integrator = started(start)
     needed = int(np.ceil(np.max(np.abs(goal - start) / SPEED) / GAP)) + 1
     for _ in range(needed):
         integrator.towards(goal, GAP)
@@ -62,29 +65,24 @@ def test_a_goal_in_the_box_is_reached_in_time(from_share, to_share):
 
 
 def test_speed_is_metres_per_second():
-    integrator = TargetIntegrator()
-    integrator.start_from(np.array([0.5, 0, 0.2, 0, 0.05]))
+    integrator = started()
     for _ in range(30):
-        target = integrator.advance(np.array([1, 0, 0, 0, 0]), 1 / 30)
+        target = integrator.advance(np.eye(5)[0], 1 / 30)
     assert target[0] == pytest.approx(0.5 + LIMITS.speed[0])
 
 
 def test_three_positions_keep_their_direction():
-    integrator = TargetIntegrator()
-    start = np.array([0.5, 0, 0.2, 0, 0.05])
-    integrator.start_from(start)
-    step = integrator.towards(start + np.array([0.1, 0.05, 0, 0, 0]), 0.1) - start
+    step = started().towards(START + np.array([0.1, 0.05, 0, 0, 0]), 0.1) - START
     assert step[1] / step[0] == pytest.approx(0.5)
 
 
 def test_a_leash_lets_go_towards_the_robot():
-    integrator = TargetIntegrator()
-    start = np.array([0.5, 0, 0.2, 0, 0.05])
-    integrator.start_from(start)
+    integrator = started()
+    along_x = np.eye(5)[0]
     # pushed; the target is behind it by more than the leash
-    away = start + np.array([0.1, 0, 0, 0, 0])
-    assert integrator.advance(np.array([1, 0, 0, 0, 0]), 0.1, away)[0] > start[0]
-    assert integrator.advance(np.array([-1, 0, 0, 0, 0]), 0.1, away)[0] >= start[0]
+    away = START + 0.1 * along_x
+    assert integrator.advance(along_x, 0.1, away)[0] > 0.5
+    assert integrator.advance(-along_x, 0.1, away)[0] >= 0.5
 
 
 @pytest.mark.parametrize(
