@@ -3,6 +3,8 @@
 import itertools
 import os
 import sys
+from contextlib import ExitStack
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -19,42 +21,37 @@ RATE_HZ = 100.0  # enough for faults; the rate test starts its own at 500
 STANDINS = {
     "slcan": ("uskin", "slcan", f"rate_hz={RATE_HZ}"),
     "xela": ("uskin", "standins.xela", f"rate_hz={RATE_HZ}"),
-    "mjpeg": (
-        "tactip on the right finger",
-        "mjpeg",
-        "sensor=tactip",
-        "rate_hz=30",
-        "rest_s=2",
-        "press_s=1",
-    ),
+    "mjpeg": ("tactip on the right finger", "mjpeg", "sensor=tactip", "rest_s=2", "press_s=1"),
     "gello": ("gello", "standins.gello", "swing_rad=0.02"),
     "spacemouse": ("spacemouse", "standins.spacemouse"),
 }
 
 
-def _process(name):
-    @pytest.fixture(scope="session", name=f"{name}_process")
-    def running():
-        sensor, *program = STANDINS[name]
-        with StandIn(*program) as stand_in:
-            stand_in.sensor = sensor
-            yield stand_in
+@pytest.fixture(scope="session")
+def stand_ins():
+    """Return a function: name → that stand-in, started once."""
+    with ExitStack() as closing:
 
-    return running
+        @cache
+        def start(name):
+            sensor, *program = STANDINS[name]
+            stand_in = closing.enter_context(StandIn(*program))
+            stand_in.sensor = sensor
+            return stand_in
+
+        yield start
 
 
 def _whole(name):
     @pytest.fixture(name=name)
-    def whole(request):
-        stand_in = request.getfixturevalue(f"{name}_process")
+    def whole(stand_ins):
+        stand_in = stand_ins(name)
         stand_in.inject("none")
-        yield stand_in
-        stand_in.inject("none")
+        return stand_in
 
     return whole
 
 
-globals().update({f"{name}_process": _process(name) for name in STANDINS})
 globals().update({name: _whole(name) for name in STANDINS})
 
 _numbers = itertools.count(2)
@@ -70,3 +67,22 @@ def address():
 def fci(address, tmp_path):
     with ArmStandIn(address, log=tmp_path / "wire.jsonl") as standin:
         yield standin
+
+
+@pytest.fixture
+def terminal(monkeypatch):
+    master, slave = os.openpty()
+    stdin = os.fdopen(slave, "r", closefd=False)
+    monkeypatch.setattr("sys.stdin", stdin)
+    open_ends = {master, slave}
+
+    def type_keys(keys):
+        if keys:
+            os.write(master, keys)
+        else:  # hang up
+            open_ends.discard(master)
+            os.close(master)
+
+    yield type_keys
+    for end in open_ends:
+        os.close(end)

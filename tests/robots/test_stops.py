@@ -10,6 +10,7 @@ import pytest
 from benchmarks.trust.stop_mutations import MUTATIONS, notice
 from benchmarks.trust.stop_sessions import explore
 from benchmarks.trust.stop_world import BRAKE_s, SimWorld, StandInWorld, Watch
+from uniforce_robots.fr3 import rotation_z
 
 
 def test_after_a_stop_nothing_moves_until_a_new_wish(caplog):
@@ -31,15 +32,17 @@ def test_a_broken_stop_is_noticed():
         assert "after" in pool.submit(notice, name).result()
 
 
-@pytest.mark.parametrize("what", ["way", "turn", "fingers"])
-def test_the_watch_sees_what_moves_after_a_stop_and_only_then(what):
+SHIFTED = np.eye(4)
+SHIFTED[0, 3] = 0.0011
+
+
+@pytest.mark.parametrize(
+    "after",
+    [(SHIFTED, 0.05), (rotation_z(0.02), 0.05), (np.eye(4), 0.0511)],
+    ids=["way", "turn", "fingers"],
+)
+def test_the_watch_sees_what_moves_after_a_stop_and_only_then(after):
     watch = Watch()
-    moved = np.eye(4)
-    if what == "way":
-        moved[0, 3] = 0.0011
-    if what == "turn":
-        moved[:2, :2] = [[np.cos(0.02), -np.sin(0.02)], [np.sin(0.02), np.cos(0.02)]]
-    after = moved, 0.05 + 0.0011 * (what == "fingers")
     before = np.eye(4), 0.05
     watch.look(*after, 0.0, by_hand=False)
     watch.stopped("a pause", 1.0)

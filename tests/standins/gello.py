@@ -72,7 +72,7 @@ class GelloStandIn(StandInServer):
         while (start := self._in.find(HEADER)) >= 0:
             self._in = self._in[start:]
             size = 7 + int.from_bytes(self._in[5:7], "little")
-            if len(self._in) < max(size, 7):
+            if len(self._in) < size:
                 return
             whole = self._in[:size]
             self._in = self._in[size:]
