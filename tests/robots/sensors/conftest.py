@@ -31,7 +31,7 @@ def outcome(cpu_share):
     known.
     """
 
-    def wait(ask, kind=SensorError):
+    def wait(ask, kind):
         deadline_s = time.monotonic() + OUTCOME_S / cpu_share
         while time.monotonic() < deadline_s:
             try:
@@ -71,7 +71,7 @@ def fails_and_recovers(outcome, recovers):
     many ms.
     """
 
-    def check(stand_in, fault, kind, newest, wait_newer, age_ms):
+    def check(stand_in, fault, kind, newest, wait_newer, age_ms=100.0):
         for _ in range(TIMES):
             stand_in.inject(fault)
             error = outcome(lambda: newest(age_ms), kind)

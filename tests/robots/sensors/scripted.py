@@ -1,7 +1,9 @@
 """Devices that obey a test: in place of ``cv2.VideoCapture``, and a source of any samples."""
 
+import socket
 import threading
 import time
+from contextlib import contextmanager
 from itertools import cycle
 
 import numpy as np
@@ -13,13 +15,13 @@ from uniforce_robots.sensors.reader import SampleSource, Stamped, now_ns
 class ScriptedCapture:
     """Remember each ``set``; count up in pixels while it ``changes``, fail unless it ``works``."""
 
-    def __init__(self, rows=48, columns=64):
+    def __init__(self):
         self.asked = []
         self.values = {}
         self.refuses = set()
         self.opens = self.works = self.changes = True
         self.count = self.released = 0
-        self.frame = np.zeros((rows, columns, 3), np.uint8)
+        self.frame = np.zeros((48, 64, 3), np.uint8)
         self.frame[:, :4] = 255  # a mark at the left edge
 
     def isOpened(self):  # noqa: N802
@@ -42,6 +44,24 @@ class ScriptedCapture:
 
     def release(self):
         self.released += 1
+
+
+@contextmanager
+def one_request(answer=b""):
+    """Serve one client on loopback: its address, and the request once it has been answered."""
+    requests = []
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def serve():
+            connection, _ = listener.accept()
+            with connection:
+                requests.append(connection.recv(4096))
+                connection.sendall(answer)
+
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        yield "{}:{}".format(*listener.getsockname()), requests
+        thread.join(30.0)
 
 
 RETURNS = {

@@ -28,7 +28,7 @@ def capture():
 @pytest.fixture
 def make(capture):
     def build(**options):
-        config = UniforceTactileCameraConfig(source="/dev/video9", **(SIZE | options))
+        config = UniforceTactileCameraConfig(**(SIZE | {"source": "/dev/video9"} | options))
         return CameraSource(config, lambda source: capture)
 
     return build
@@ -41,13 +41,11 @@ def test_settings_are_asked_in_the_order_drivers_accept(capture, make):
     assert order[0] == cv2.CAP_PROP_FOURCC  # decides which sizes exist
     assert order.index(cv2.CAP_PROP_AUTO_EXPOSURE) < order.index(cv2.CAP_PROP_EXPOSURE)
     assert order.index(cv2.CAP_PROP_AUTO_WB) < order.index(cv2.CAP_PROP_WB_TEMPERATURE)
-    assert dict(capture.asked)[cv2.CAP_PROP_BUFFERSIZE] == 1
-    assert dict(capture.asked)[cv2.CAP_PROP_AUTO_EXPOSURE] == 1  # manual
-    assert (
-        source.settings_read_back["width"] == 64
-        and source.settings_read_back["exposure_100us"] == 100
-    )
-    assert len(source.settings_read_back) == len(capture.asked) == 10
+    assert capture.values[cv2.CAP_PROP_BUFFERSIZE] == 1
+    assert capture.values[cv2.CAP_PROP_AUTO_EXPOSURE] == 1  # manual
+    is_now = source.settings_read_back
+    assert (is_now["width"], is_now["exposure_100us"]) == (64, 100)
+    assert len(is_now) == len(order) == 10
 
 
 REFUSED = {
@@ -55,10 +53,8 @@ REFUSED = {
     cv2.CAP_PROP_FRAME_WIDTH: "width",
     cv2.CAP_PROP_FPS: "fps",
 }
-REFUSED |= {
-    cv2.CAP_PROP_AUTO_EXPOSURE: "auto_exposure",
-    cv2.CAP_PROP_WB_TEMPERATURE: "white_balance_K",
-}
+REFUSED[cv2.CAP_PROP_AUTO_EXPOSURE] = "auto_exposure"
+REFUSED[cv2.CAP_PROP_WB_TEMPERATURE] = "white_balance_K"
 
 
 @pytest.mark.parametrize("prop, name", REFUSED.items())
@@ -71,9 +67,8 @@ def test_a_refused_setting_is_an_error_that_names_it(capture, make, prop, name):
 
 def test_null_leaves_a_control_alone(capture, make):
     make(fourcc=None, exposure_100us=None, white_balance_K=None, gain=None).open()
-    asked = {prop for prop, _ in capture.asked}
     exposure = {cv2.CAP_PROP_EXPOSURE, cv2.CAP_PROP_AUTO_EXPOSURE}
-    assert not asked & (exposure | {cv2.CAP_PROP_AUTO_WB, cv2.CAP_PROP_GAIN})
+    assert not capture.values.keys() & (exposure | {cv2.CAP_PROP_AUTO_WB, cv2.CAP_PROP_GAIN})
 
 
 def test_frames_are_rgb_and_stamped_on_arrival(make):
@@ -110,7 +105,7 @@ def test_a_frame_of_another_size(capture, make):
 
 
 @pytest.mark.parametrize("source", ["1", "/dev/video1", "linked"])
-def test_a_metadata_node_is_named_as_such(capture, tmp_path, monkeypatch, source):
+def test_a_metadata_node_is_named_as_such(capture, make, tmp_path, monkeypatch, source):
     for number, (index, usb) in enumerate(((0, "c270"), (1, "c270"), (0, "c920"))):
         node = tmp_path / f"video{number}"
         node.mkdir()
@@ -119,12 +114,9 @@ def test_a_metadata_node_is_named_as_such(capture, tmp_path, monkeypatch, source
     monkeypatch.setattr(camera_source, "SYS_VIDEO", tmp_path)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "linked").symlink_to("/dev/video1")
-    device = CameraSource(
-        UniforceTactileCameraConfig(source=source, **SIZE), lambda source: capture
-    )
     capture.opens = False
     with pytest.raises(LostSensorError, match=r"metadata node.*source=/dev/video0"):
-        device.open()
+        make(source=source).open()
     assert camera_source.first_node("0") == camera_source.first_node("7") == ""
 
 
@@ -139,17 +131,9 @@ def test_addresses_that_cannot_be(address):
         StreamSource(UniforceTactileCameraConfig(source=address)).open()
 
 
-def camera(capture, **options):
-    plain = {"source": "0", "width": 64, "height": 48, "max_age_ms": 1000.0}
-    return UniforceSceneCamera(
-        UniforceSceneCameraConfig(**(plain | options)), lambda source: capture
-    )
-
-
-def test_the_middle_is_cut_out_and_made_smaller():
-    with camera(
-        ScriptedCapture(), width=24, height=24, capture_width=64, capture_height=48
-    ) as device:
+def test_the_middle_is_cut_out_and_made_smaller(capture):
+    config = UniforceSceneCameraConfig(source="0", width=24, height=24, max_age_ms=1000.0, **SIZE)
+    with UniforceSceneCamera(config, lambda source: capture) as device:
         image = device.read_latest()
         assert image.shape == (24, 24, 3) == device.latest().raw.shape
         assert image.max() < 255, "the left edge isn't in the middle"

@@ -1,14 +1,13 @@
 """MJPEG over HTTP: any cutting of the stream, servers of all habits, and nothing without bounds."""
 
 import itertools
-import socket
-import threading
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
+from scripted import one_request
 
 from uniforce_robots.sensors import UniforceTactileCameraConfig
 from uniforce_robots.sensors.faults import ProtocolError
@@ -65,29 +64,15 @@ def test_only_a_jpeg_of_sensible_size_is_decoded():
     assert image.shape == (48, 64, 3)
     at = jpeg.index(b"\xff\xc0") + 5
     assert decode_bgr(jpeg[:at] + b"\xff\xff\xff\xff" + jpeg[at + 4 :]) is None  # 65,535 px a side
-    assert (
-        decode_bgr(b"") is None
-        and decode_bgr(b"\xff\xd8") is None
-        and decode_bgr(b"GIF89a") is None
-    )
+    assert all(decode_bgr(data) is None for data in (b"", b"\xff\xd8", b"GIF89a"))
 
 
 def test_a_login_in_the_address_is_sent_and_never_part_of_the_path():
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        requests = []
-
-        def serve():
-            connection, _ = server.accept()
-            with connection:
-                requests.append(connection.recv(4096))
-
-        thread = threading.Thread(target=serve)
-        thread.start()
-        address = f"http://anna:s3%20cret@127.0.0.1:{server.getsockname()[1]}/video"
-        source = StreamSource(UniforceTactileCameraConfig(source=address))
+    with one_request() as (address, requests):
+        login = f"http://anna:s3%20cret@{address}/video"
+        source = StreamSource(UniforceTactileCameraConfig(source=login))
         source.open()
         source.close()
         assert "s3" not in source.name
-        thread.join()
     assert requests[0].startswith(b"GET /video HTTP/1.0\r\n")
     assert b"Authorization: Basic YW5uYTpzMyBjcmV0\r\n" in requests[0]  # anna:s3 cret

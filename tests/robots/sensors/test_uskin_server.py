@@ -3,13 +3,12 @@
 import itertools
 import json
 import socket
-import threading
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
+from scripted import one_request
 from standins.xela import fragmented, frame, greeting
 from websockets.frames import Opcode
 
@@ -22,10 +21,7 @@ from uniforce_robots.sensors.uskin_server import (
 )
 from uniforce_vtla.errors import ContractError, SensorError
 
-RATE_HZ = 100.0  # of the shared stand-in
-MAX_AGE_MS = 100.0
 TIMES = 10
-SCAN = np.random.default_rng(0).integers(0, 65_536, (16, 3)).astype(np.uint16)
 
 
 @pytest.fixture
@@ -43,7 +39,7 @@ WRONG |= dict.fromkeys(("short", "absent"), faults.WrongSensorError)
 def test_a_dead_or_wrong_server_is_a_typed_error_and_comes_back(
     xela, reader, fails_and_recovers, fault, kind
 ):
-    fails_and_recovers(xela, fault, kind, reader.newest, reader.wait_newer, MAX_AGE_MS)
+    fails_and_recovers(xela, fault, kind, reader.newest, reader.wait_newer)
 
 
 def test_a_closed_connection_is_opened_again(xela, reader, recovers):
@@ -73,21 +69,17 @@ def routine(data):
 @pytest.mark.parametrize(
     "text, kind",
     [
-        ("", faults.ProtocolError),
-        ("[" * 500_000, faults.ProtocolError),
-        ('{"a":' * 200_000, faults.ProtocolError),
-        ("9" * 100_000, faults.ProtocolError),
-        ("[1]", faults.ProtocolError),
-        (json.dumps({"type": "routine"}), faults.WrongSensorError),
+        *(
+            (text, faults.ProtocolError)
+            for text in ("", "[" * 500_000, '{"a":' * 200_000, "9" * 100_000, "[1]")
+        ),
         *(
             (routine(data), faults.ProtocolError)
             for data in (None, [[]] * 48, ["+1"] * 48, [True] * 48, [65_536] * 48)
         ),
+        ('{"type": "routine"}', faults.WrongSensorError),
         (routine("1,2,3"), faults.WrongSensorError),
-        (
-            json.dumps({"message": "Welcome", "server": {"bustype": "SIM"}}),
-            faults.SimulatedSensorError,
-        ),
+        ('{"message": "Welcome", "server": {"bustype": "SIM"}}', faults.SimulatedSensorError),
     ],
 )
 def test_messages_that_are_no_scan(text, kind):
@@ -158,17 +150,11 @@ def test_fragments_without_end_stay_bounded():
     "answer", [b"HTTP/1.1 200 OK\r\n\r\n", b"x" * 9000, b"", b"HTTP/1.1 101 S\r\n\r\n"]
 )
 def test_what_is_no_websocket_server_is_a_typed_error(answer):
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-
-        def serve():
-            connection, _ = listener.accept()
-            with connection:
-                connection.recv(4096)
-                connection.sendall(answer)
-
-        threading.Thread(target=serve, daemon=True).start()
-        with pytest.raises((faults.ProtocolError, faults.LostSensorError)):
-            ServerUSkin("{}:{}".format(*listener.getsockname())).open()
+    with (
+        one_request(answer) as (address, _),
+        pytest.raises((faults.ProtocolError, faults.LostSensorError)),
+    ):
+        ServerUSkin(address).open()
 
 
 def test_an_address_without_a_server():
