@@ -2,10 +2,11 @@
 
 from dataclasses import fields
 from functools import partial
+from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.trust.guards import NEEDS, bad_settings, try_all
@@ -55,20 +56,18 @@ def test_a_setting_that_was_changed_later_is_refused_by_the_robot(tmp_path):
         UniforceFranka(config)
 
 
-@settings(deadline=None)
 @given(
     st.tuples(*[st.floats(0, 3000)] * 3),
     st.tuples(*[st.floats(0, 0.05)] * 3),
     st.floats(-np.pi, np.pi),
-    st.data(),
 )
 def test_no_gains_pull_harder_than_the_force_limit_however_the_hand_is_turned(
-    stiffness, clip, yaw_rad, data
+    stiffness, clip, yaw_rad
 ):
     try:
         gains = Gains(stiffness, clip_m=clip)
     except ContractError:
         return
-    error = np.array(clip) * data.draw(st.tuples(*[st.sampled_from([-1.0, 0.0, 1.0])] * 3))
+    errors_m = clip * np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))
     K = gains.matrix_in_base(ToolPose(np.zeros(3), yaw_rad).ee_to_base()[:3, :3])[:3, :3]
-    assert np.linalg.norm(K @ error) <= FORCE_N + 1e-9
+    assert np.linalg.norm(errors_m @ K.T, axis=1).max() <= FORCE_N + 1e-9
