@@ -14,7 +14,7 @@ STEP_s = 1 / 30
 
 
 @pytest.fixture
-def rollout() -> Rollout:
+def rollout():
     """Two seconds of which the camera is dark in the first and bright in the second."""
     arrays = {name: np.zeros(STEPS) for name in STEP_FIELDS}
     arrays["time_s"] = STEP_s * np.arange(1, STEPS + 1)
@@ -27,7 +27,7 @@ def rollout() -> Rollout:
     return Rollout(0, result, trace, np.zeros(1), shots)
 
 
-def test_it_plays_in_real_time_and_shows_the_moment(rollout: Rollout) -> None:
+def test_it_plays_in_real_time_and_shows_the_moment(rollout):
     frames = list(film(rollout, (4.0, 8.0)))
     assert len(frames) == 2 * FILM_HZ
     assert {frame.shape for frame in frames} == {(PICTURE_PX + PLOT_PX, WIDTH_PX, 3)}
@@ -36,7 +36,7 @@ def test_it_plays_in_real_time_and_shows_the_moment(rollout: Rollout) -> None:
     assert all(frame[0, -1, 0] == 128 for frame in frames), "markers stand beside the camera"
 
 
-def test_its_cursor_moves_to_the_right(rollout: Rollout) -> None:
+def test_its_cursor_moves_to_the_right(rollout):
     columns = []
     for frame in film(rollout, (4.0, 8.0)):
         above_the_axis = frame[PICTURE_PX + 30, :, 0]
@@ -45,13 +45,13 @@ def test_its_cursor_moves_to_the_right(rollout: Rollout) -> None:
     assert columns[-1] > columns[0] + WIDTH_PX // 2
 
 
-def test_a_policy_without_touch_has_the_camera_alone(rollout: Rollout) -> None:
+def test_a_policy_without_touch_has_the_camera_alone(rollout):
     shots = [Shot(shot.step, shot.front, None) for shot in rollout.shots]
     first = next(film(replace(rollout, shots=shots), (4.0, 8.0)))
     assert not first[:PICTURE_PX, PICTURE_PX:].any()
 
 
-def test_an_episode_that_ended_before_its_first_step_has_one_frame(rollout: Rollout) -> None:
+def test_an_episode_that_ended_before_its_first_step_has_one_frame(rollout):
     """The first chunk may be refused: a camera was seen, and nothing moved."""
     ended = replace(rollout, trace=empty_trace(), shots=rollout.shots[:1])
     assert len(list(film(ended, (4.0, 8.0)))) == 1

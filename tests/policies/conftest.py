@@ -1,10 +1,7 @@
 import os
 import signal
 import subprocess
-from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import psutil
@@ -23,13 +20,13 @@ LOW, HIGH = np.array([0.3, -0.2, 0.0, -1.0, 0.0]), np.array([0.7, 0.2, 0.3, 1.0,
 
 
 @pytest.fixture(autouse=True)
-def one_thread_seeded() -> None:
+def one_thread_seeded():
     torch.set_num_threads(1)
     torch.manual_seed(0)
 
 
 @pytest.fixture(scope="session")
-def tokenizer_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def tokenizer_path(tmp_path_factory):
     config = TokenizerConfig(
         side=64, patch=8, width=16, depth=1, decoder_depth=1, heads=2, embed_hidden=0
     )
@@ -37,16 +34,16 @@ def tokenizer_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def stats() -> dict[str, dict[str, np.ndarray]]:
+def stats():
     one = {"q01": LOW, "q99": HIGH, "min": LOW, "max": HIGH}
     one |= {"mean": (LOW + HIGH) / 2, "std": (HIGH - LOW) / 4}
     return {"observation.state": one, "action": one}
 
 
 @pytest.fixture
-def make_config(tokenizer_path: Path) -> Callable[..., PI05UniforceConfig]:
-    def make(**settings: Any) -> PI05UniforceConfig:
-        touch: dict[str, Any] = {"touch__slots": BOTH, "touch__input": "latent"}
+def make_config(tokenizer_path):
+    def make(**settings):
+        touch = {"touch__slots": BOTH, "touch__input": "latent"}
         # only the shipped tokenizers have a head
         if settings.get("touch__input") not in READ_BY_HEAD:
             touch["touch__tokenizer_path"] = str(tokenizer_path)
@@ -56,9 +53,9 @@ def make_config(tokenizer_path: Path) -> Callable[..., PI05UniforceConfig]:
     return make
 
 
-def in_groups(settings: dict[str, Any]) -> dict[str, Any]:
+def in_groups(settings):
     """``touch__input="wrench"`` → ``touch=TouchSettings(input="wrench")``."""
-    groups: dict[str, dict[str, Any]] = {}
+    groups = {}
     plain = {name: value for name, value in settings.items() if "__" not in name}
     for name, value in settings.items():
         group, _, setting = name.partition("__")
@@ -71,21 +68,17 @@ def in_groups(settings: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.fixture
-def make_policy(
-    make_config: Callable[..., PI05UniforceConfig],
-) -> Callable[..., PI05UniforcePolicy]:
+def make_policy(make_config):
     return lambda **settings: PI05UniforcePolicy(make_config(**settings)).eval()
 
 
 @pytest.fixture
-def make_batch(stats: dict[str, Any]) -> Callable[..., dict[str, torch.Tensor]]:
+def make_batch(stats):
     """A preprocessed batch for a policy: cameras, state, marker images, wrenches, text; actions on request."""
 
-    def make(
-        policy: PI05UniforcePolicy, size: int = 2, actions: bool = False
-    ) -> dict[str, torch.Tensor]:
+    def make(policy, size=2, actions=False):
         before, _ = make_processors(policy.config, stats)
-        batch: dict[str, Any] = {"task": ["wipe the ink off the board"] * size}
+        batch = {"task": ["wipe the ink off the board"] * size}
         for name in ("front", "wrist"):
             batch[f"observation.images.{name}"] = torch.rand(size, 3, 28, 28)
         for finger in ("left", "right"):
@@ -104,17 +97,17 @@ def make_batch(stats: dict[str, Any]) -> Callable[..., dict[str, torch.Tensor]]:
     return make
 
 
-def _between(share: torch.Tensor) -> torch.Tensor:
+def _between(share):
     low, high = (torch.tensor(x, dtype=torch.float32) for x in (LOW, HIGH))
     return low + (high - low) * share
 
 
 @pytest.fixture(scope="session")
-def run_to_the_end() -> Callable[[list[str], dict[str, str], Path, float], str]:
+def run_to_the_end():
     return _run_to_the_end
 
 
-def _run_to_the_end(call: list[str], env: dict[str, str], log: Path, seconds: float) -> str:
+def _run_to_the_end(call, env, log, seconds):
     """Return what a program and its children said; one that hangs or fails shows it."""
     with log.open("w") as out:
         program = subprocess.Popen(call, env=env, stdout=out, stderr=out, start_new_session=True)
@@ -130,7 +123,7 @@ def _run_to_the_end(call: list[str], env: dict[str, str], log: Path, seconds: fl
     return said
 
 
-def _kill_all(pid: int) -> None:
+def _kill_all(pid):
     """Kill a program, its group and its children: torchrun's are in sessions of their own, out of a group's reach."""
     children = psutil.Process(pid).children(recursive=True) if psutil.pid_exists(pid) else []
     for child in children:

@@ -14,7 +14,7 @@ from torch.distributed.fsdp import FullyShardedDataParallel
 from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
 
 
-def main() -> None:
+def main():
     checkpoint, batch, out = sys.argv[1:4]
     torch.set_num_threads(1)
     distributed.init_process_group("gloo")

@@ -293,7 +293,7 @@ STEP = CheckActionStep(low=[0.0, -1.0], high=[1.0, 1.0], margin=0.5)
 
 
 @given(st.lists(st.tuples(st.floats(-0.49, 1.49), st.floats(-1.99, 1.99)), min_size=1, max_size=4))
-def test_what_is_near_the_demos_passes(rows) -> None:
+def test_what_is_near_the_demos_passes(rows):
     action = torch.tensor(rows)
     assert torch.equal(STEP.action(action), action)
     assert torch.equal(STEP.action(action[None]), action[None])  # a chunk
@@ -303,12 +303,12 @@ BEYOND = [([float("nan"), 0.0], "finite"), ([0.0, float("inf")], "finite"), ([1.
 
 
 @pytest.mark.parametrize(("row", "says"), [*BEYOND, ([0.5, -2.1], "axis 1")])
-def test_what_is_not_stops(row, says) -> None:
+def test_what_is_not_stops(row, says):
     with pytest.raises(RolloutError, match=says):
         STEP.action(torch.tensor([[0.5, 0.0], row]))
 
 
-def test_the_check_travels_with_the_policy(make_config, stats, tmp_path) -> None:
+def test_the_check_travels_with_the_policy(make_config, stats, tmp_path):
     _, after = make_processors(make_config(action__stop_outside_demos=True), stats)
     after.save_pretrained(tmp_path)
     saved = json.loads((tmp_path / "policy_postprocessor.json").read_text())["steps"][-1]
@@ -318,7 +318,7 @@ def test_the_check_travels_with_the_policy(make_config, stats, tmp_path) -> None
         after(torch.tensor([[0.5, 0.0, 5.0, 0.0, 0.04]]))
 
 
-def test_an_axis_the_demos_never_moved_has_some_room() -> None:
+def test_an_axis_the_demos_never_moved_has_some_room():
     still = CheckActionStep(low=[0.2], high=[0.2])
     assert torch.equal(still.action(torch.tensor([[0.24]])), torch.tensor([[0.24]]))
     with pytest.raises(RolloutError):
@@ -339,7 +339,7 @@ FORMERLY = [(False, True, True), (False, False, False), (True, False, True)]
 @pytest.mark.parametrize("form", ["absolute", "target_delta"])
 def test_outside_the_demos_a_robot_stops_and_a_poor_policy_in_a_scene_is_scored(
     stop, on_robot, stops, form, make_policy, make_batch, stats, monkeypatch
-) -> None:
+):
     if on_robot:
         monkeypatch.setitem(sys.modules, "lerobot.rollout", SimpleNamespace())
     else:
@@ -351,7 +351,7 @@ def test_outside_the_demos_a_robot_stops_and_a_poor_policy_in_a_scene_is_scored(
     far = torch.tensor([[0.5, 0.0, 5.0, 0.0, 0.04]])
     batch = make_batch(policy, size=1) | {MEASURED_STATE: far}
 
-    def act() -> None:
+    def act():
         after(far if form == "absolute" else policy.select_action(batch))
 
     with pytest.raises(RolloutError, match="axis 2") if stops else nullcontext():
@@ -362,7 +362,7 @@ def test_outside_the_demos_a_robot_stops_and_a_poor_policy_in_a_scene_is_scored(
 
 def test_the_first_target_is_led_and_a_later_leap_issues_nothing(
     make_policy, make_batch, monkeypatch
-) -> None:
+):
     policy = make_policy(touch__input="none", n_action_steps=3)
     deltas = torch.zeros(1, policy.config.chunk_size, 5)
     growth = policy.network_units.unit[:3, 0] / policy.delta_scale[0]
@@ -387,9 +387,7 @@ LEASH = torch.tensor([0.02, 0.02, 0.02, 0.2, 0.03])
     at_rad=st.floats(-math.pi, math.pi),
     steps=st.integers(0, 20),
 )
-def test_a_target_leads_no_farther_than_its_leash_and_within_it_is_what_it_was(
-    lead, at_rad, steps
-) -> None:
+def test_a_target_leads_no_farther_than_its_leash_and_within_it_is_what_it_was(lead, at_rad, steps):
     measured = torch.tensor([[0.5, 0.0, 0.1, at_rad, 0.04]])
     target = measured + torch.tensor([lead])
     # beyond half a turn: the other way round
@@ -407,7 +405,7 @@ def test_a_target_leads_no_farther_than_its_leash_and_within_it_is_what_it_was(
 @pytest.mark.parametrize("steps", [1, 2, 6, 16])
 def test_the_target_of_a_blocked_arm_does_not_run_away_and_goes_on_at_once_when_it_is_free(
     steps, make_policy, make_batch, monkeypatch
-) -> None:
+):
     policy = make_policy(touch__input="none", n_action_steps=steps)
     ahead = torch.zeros(1, 1, 5)
     ahead[..., 1] = 1.0  # y, on and on
@@ -420,7 +418,7 @@ def test_the_target_of_a_blocked_arm_does_not_run_away_and_goes_on_at_once_when_
     assert 0 < float((policy.select_action(batch) - blocked)[0, 1]) < 0.0101
 
 
-def test_the_controllers_chunks_stay_on_the_leash_of_a_blocked_arm(monkeypatch) -> None:
+def test_the_controllers_chunks_stay_on_the_leash_of_a_blocked_arm(monkeypatch):
     controller = PolicyController(shipped_checkpoint(), {"left": "gelsight", "right": "tactip"})
     controller.policy.touch.sensors["touch0"].monitor = None
     ahead = torch.zeros(1, 1, 5)
@@ -436,12 +434,12 @@ def test_the_controllers_chunks_stay_on_the_leash_of_a_blocked_arm(monkeypatch) 
 
 
 @pytest.mark.parametrize("leash", [[0.02] * 4, [0.0, 0.02, 0.02, 0.2, 0.03], [math.inf] * 5])
-def test_a_leash_that_is_none_is_refused(leash, make_policy) -> None:
+def test_a_leash_that_is_none_is_refused(leash, make_policy):
     with pytest.raises(ContractError, match="leash"):
         make_policy(touch__input="none", action__leash=leash)
 
 
-def test_real_time_chunking_is_refused_where_actions_are_deltas(make_policy, make_batch) -> None:
+def test_real_time_chunking_is_refused_where_actions_are_deltas(make_policy, make_batch):
     rtc = RTCConfig(enabled=True)
     policy = make_policy(touch__input="none")
     batch = make_batch(policy)
@@ -485,7 +483,7 @@ def test_a_loaded_policy_has_answered_before_a_robot_is_connected(
 
 @pytest.mark.parametrize("kind", ["latent", "newtons", "wrench", "none"])
 @pytest.mark.parametrize("slots", [{"touch0": "right"}, {"touch0": "right", "touch1": "left"}])
-def test_every_kind_of_policy_is_warmed_up(kind, slots, make_policy) -> None:
+def test_every_kind_of_policy_is_warmed_up(kind, slots, make_policy):
     policy = make_policy(touch__input=kind, touch__slots=slots)
     policy.warm_up()
     assert policy.issued.last is None
@@ -493,7 +491,7 @@ def test_every_kind_of_policy_is_warmed_up(kind, slots, make_policy) -> None:
 
 # an environment's clock so fast that no call is in time, or so slow that every call is
 @pytest.mark.parametrize(("hz", "missed"), [(1e6, 1), (1e-3, 0)])
-def test_the_controller_holds_itself_to_the_environments_rate(hz, missed, monkeypatch) -> None:
+def test_the_controller_holds_itself_to_the_environments_rate(hz, missed, monkeypatch):
     controller = PolicyController(shipped_checkpoint(), {"left": "gelsight", "right": "tactip"})
     monkeypatch.setattr(controller, "_batch", lambda observation, task: {})
     monkeypatch.setattr(controller, "_issue", lambda batch: "a chunk")

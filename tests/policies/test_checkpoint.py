@@ -213,7 +213,7 @@ def test_a_checkpoint_of_0_1_0_is_named_so(tmp_path):
         PI05UniforcePolicy.from_pretrained(tmp_path)
 
 
-def test_tensors_lie_where_new_ones_would(tmp_path: Path) -> None:
+def test_tensors_lie_where_new_ones_would(tmp_path):
     """A checkpoint's own layout would show in the last bits of what a policy answers."""
     layer = nn.Sequential(nn.Linear(3, 5), nn.Linear(5, 1))
     save_file(
@@ -227,7 +227,7 @@ def test_tensors_lie_where_new_ones_would(tmp_path: Path) -> None:
 @pytest.mark.skipif(
     not Path("/proc/self/status").exists(), reason="peak memory is read from Linux's /proc"
 )
-def test_a_checkpoint_is_never_held_twice(tmp_path: Path) -> None:
+def test_a_checkpoint_is_never_held_twice(tmp_path):
     """200 MB of weights in a process of their own: memory grows by the weights and little else."""
     wide = {"tiny": TinySettings(width=1024, depth=3, mlp_dim=2048)}
     size = write_sparse(tmp_path, size="tiny", image_resolution=(28, 28), **wide)
@@ -236,7 +236,7 @@ def test_a_checkpoint_is_never_held_twice(tmp_path: Path) -> None:
     assert 0.9 * size < peak_bytes(tmp_path) < 1.15 * size + 20e6
 
 
-def test_base_passes_the_gemma_terms_on_and_tiny_is_free() -> None:
+def test_base_passes_the_gemma_terms_on_and_tiny_is_free():
     base = model_card(PI05UniforceConfig(size="base", device="cpu"))
     assert base.data.license == "gemma" and "ai.google.dev/gemma/terms" in base.text
     assert base.data.base_model == "lerobot/pi05_base"
@@ -245,19 +245,19 @@ def test_base_passes_the_gemma_terms_on_and_tiny_is_free() -> None:
     assert "Not scored" in tiny.text and "right finger" in tiny.text
 
 
-def test_every_saved_policy_has_a_card(make_policy, tmp_path) -> None:
+def test_every_saved_policy_has_a_card(make_policy, tmp_path):
     policy = make_policy()
     policy.save_pretrained(tmp_path)
     assert policy.config.tokenizer_hash in (tmp_path / "README.md").read_text()
     assert "tactile" in policy.generate_model_card("x/y", "pi05_uniforce", None, None).data.tags
 
 
-def test_scores_must_be_scores() -> None:
+def test_scores_must_be_scores():
     with pytest.raises(ContractError, match="arms"):
         model_card(PI05UniforceConfig(size="tiny", device="cpu"), scores={"level": "easy"})
 
 
-def test_a_tokenizer_of_ones_own_moves_with_the_preprocessor(tmp_path) -> None:
+def test_a_tokenizer_of_ones_own_moves_with_the_preprocessor(tmp_path):
     shutil.copytree(FOLDER, tmp_path, dirs_exist_ok=True)
     packaged = AutoTokenizer.from_pretrained(FOLDER)
     assert len(packaged) < VOCABULARY
@@ -314,7 +314,7 @@ def test_files_of_a_hub_repository_are_fetched_and_verified(checkpoint, monkeypa
         weights.check_files("somebody/policy", "full", None, False)
 
 
-def test_a_policy_of_other_marker_images_is_refused(checkpoint) -> None:
+def test_a_policy_of_other_marker_images_is_refused(checkpoint):
     assert stored_touch(checkpoint)["marker_images"] == MARKER_IMAGES
     change_settings(checkpoint, marker_images=1)
     with pytest.raises(CheckpointError, match="marker images"):
@@ -324,9 +324,7 @@ def test_a_policy_of_other_marker_images_is_refused(checkpoint) -> None:
 @pytest.mark.parametrize(
     ("stored", "said"), [("", "head_hash"), ("0" * 64, "force head of tactip")]
 )
-def test_a_policy_of_another_force_head_is_refused(
-    make_policy, tmp_path: Path, stored: str, said: str
-) -> None:
+def test_a_policy_of_another_force_head_is_refused(make_policy, tmp_path, stored, said):
     """Its newtons would be in another scale, and nothing else would show it."""
     make_policy(touch__input="newtons").save_pretrained(tmp_path)
     assert stored_touch(tmp_path)["head_hash"] == ForceHead.from_pretrained("tactip").hash
@@ -336,8 +334,8 @@ def test_a_policy_of_another_force_head_is_refused(
 
 
 def test_a_head_of_ones_own_travels_with_its_tokenizer(
-    make_policy, make_batch, tokenizer_path, tmp_path: Path
-) -> None:
+    make_policy, make_batch, tokenizer_path, tmp_path
+):
     """Only the package's tokenizers have heads in the package."""
     tokenizer = Tokenizer.from_pretrained(tokenizer_path)
     path = tokenizer.save(tmp_path / "made" / "tokenizer")
@@ -365,9 +363,7 @@ def test_a_head_of_ones_own_travels_with_its_tokenizer(
         PI05UniforcePolicy.from_pretrained(tmp_path / "policy")
 
 
-def test_a_tokenizer_without_a_head_of_its_own_is_refused(
-    make_policy, tokenizer_path, tmp_path: Path
-) -> None:
+def test_a_tokenizer_without_a_head_of_its_own_is_refused(make_policy, tokenizer_path, tmp_path):
     path = str(Tokenizer.from_pretrained(tokenizer_path).save(tmp_path / "tokenizer"))
     with pytest.raises(CheckpointError, match="uniforce pretrain"):
         make_policy(touch__input="newtons", touch__tokenizer_path=path)

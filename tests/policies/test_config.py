@@ -15,11 +15,11 @@ from uniforce_vtla.errors import ContractError
 GROUPS = ("touch", "action", "augment", "tiny", "sampler")
 
 
-def parsed(*given: str) -> PI05UniforceConfig:
+def parsed(*given):
     return draccus.parse(PI05UniforceConfig, args=["--size=tiny", "--device=cpu", *given])
 
 
-def test_groups_are_set_one_by_one_and_the_rest_keeps_its_default() -> None:
+def test_groups_are_set_one_by_one_and_the_rest_keeps_its_default():
     given = ("--touch.slots={touch1: left}", "--action.form=absolute", "--tiny.width=64")
     config = parsed(*given, "--swap=touch1:right")
     assert config.slots == ("touch1",) and config.finger_by_slot() == {"touch1": "right"}
@@ -27,9 +27,7 @@ def test_groups_are_set_one_by_one_and_the_rest_keeps_its_default() -> None:
     assert (config.tiny.width, config.tiny.depth, config.augment.touch_dropout) == (64, 4, 0.0)
 
 
-def test_lerobots_help_names_our_settings(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_lerobots_help_names_our_settings(monkeypatch, capsys):
     """Argparse chokes on a lone % in a comment."""
     monkeypatch.setattr(sys, "argv", ["lerobot-train", "--policy.type=pi05_uniforce", "--help"])
     with pytest.raises(SystemExit) as stop:
@@ -37,7 +35,7 @@ def test_lerobots_help_names_our_settings(
     assert stop.value.code in (0, None) and "--policy.touch.slots" in capsys.readouterr().out
 
 
-def test_a_config_survives_a_round_trip(make_config, tmp_path) -> None:
+def test_a_config_survives_a_round_trip(make_config, tmp_path):
     config = make_config(swap="touch0:left", left_sensor="uskin")
     config._save_pretrained(tmp_path)
     again = PreTrainedConfig.from_pretrained(tmp_path)
@@ -49,12 +47,12 @@ def test_a_config_survives_a_round_trip(make_config, tmp_path) -> None:
 
 
 @pytest.mark.parametrize("path", REMOVED)
-def test_what_was_removed_can_not_be_asked_for(path: str) -> None:
+def test_what_was_removed_can_not_be_asked_for(path):
     with pytest.raises(SystemExit):
         parsed(f"--{path}={REMOVED[path]}")
 
 
-def test_there_are_at_most_25_settings_of_our_own_at_the_top_and_35_in_groups() -> None:
+def test_there_are_at_most_25_settings_of_our_own_at_the_top_and_35_in_groups():
     own = {f.name for f in dataclasses.fields(PI05UniforceConfig)}
     own -= {f.name for f in dataclasses.fields(PI05UniforceConfig.__base__)} | set(GROUPS)
     assert (
@@ -64,9 +62,7 @@ def test_there_are_at_most_25_settings_of_our_own_at_the_top_and_35_in_groups() 
 
 
 @pytest.mark.parametrize("name", NOT_SERVED)
-def test_what_lerobots_main_adds_and_no_sampler_serves_is_refused(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_lerobots_main_adds_and_no_sampler_serves_is_refused(name, monkeypatch):
     monkeypatch.setattr(PI05UniforceConfig, name, NOT_SERVED[name] + 1, raising=False)
     settings = {}
     if name in PI05UniforceConfig.__dataclass_fields__:
@@ -75,7 +71,7 @@ def test_what_lerobots_main_adds_and_no_sampler_serves_is_refused(
         PI05UniforceConfig(size="tiny", device="cpu", **settings)
 
 
-def test_auto_size_is_tiny_on_a_cpu() -> None:
+def test_auto_size_is_tiny_on_a_cpu():
     assert PI05UniforceConfig(device="cpu").size == "tiny"
 
 
@@ -93,6 +89,6 @@ def test_auto_size_is_tiny_on_a_cpu() -> None:
         ({"image_resolution": (28, 56)}, "square"),
     ],
 )
-def test_bad_settings_say_what_is_wrong(make_config, settings, said) -> None:
+def test_bad_settings_say_what_is_wrong(make_config, settings, said):
     with pytest.raises(ContractError, match=said):
         make_config(**settings)

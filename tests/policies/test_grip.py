@@ -25,17 +25,17 @@ READ_N, HELD_N = 12.0, 8.9
 class ReadsItsInput:
     """A head whose newtons are its latents."""
 
-    def step(self, latent: torch.Tensor, state: None) -> tuple[torch.Tensor, None]:
+    def step(self, latent, state):
         return latent[:, 0], None
 
 
-def given(newtons: Newtons, height_m: float, grip_N: float) -> list[float]:
+def given(newtons, height_m, grip_N):
     latent = torch.tensor([[[0.3, -2.5, grip_N]]])
     return newtons(latent, torch.tensor([height_m]))[0].tolist()
 
 
-def test_a_grip_is_as_read_until_the_hand_has_lifted_and_the_stored_one_from_then_on() -> None:
-    newtons = Newtons(ReadsItsInput(), held_N=HELD_N)  # type: ignore[arg-type]
+def test_a_grip_is_as_read_until_the_hand_has_lifted_and_the_stored_one_from_then_on():
+    newtons = Newtons(ReadsItsInput(), held_N=HELD_N)
     # moving about, closing on the table, lifting, and pressing on the board, lower than it carried
     way = [(0.09, 0.0), (TABLE_m, 0.0), (TABLE_m, READ_N), (CARRIED_m, READ_N), (0.04, READ_N)]
     read_N = [given(newtons, *moment) for moment in way]
@@ -44,8 +44,8 @@ def test_a_grip_is_as_read_until_the_hand_has_lifted_and_the_stored_one_from_the
         assert (fx, fy) == pytest.approx((0.3, -2.5)), "shear is felt"
 
 
-def test_fingers_that_hold_nothing_are_never_said_to_hold() -> None:
-    newtons = Newtons(ReadsItsInput(), held_N=HELD_N)  # type: ignore[arg-type]
+def test_fingers_that_hold_nothing_are_never_said_to_hold():
+    newtons = Newtons(ReadsItsInput(), held_N=HELD_N)
     given(newtons, TABLE_m, READ_N)
     given(newtons, CARRIED_m, READ_N)
     assert given(newtons, CARRIED_m, 0.1)[2] == pytest.approx(0.1)
@@ -54,14 +54,14 @@ def test_fingers_that_hold_nothing_are_never_said_to_hold() -> None:
     assert given(newtons, CARRIED_m, READ_N)[2] == pytest.approx(READ_N), "another episode"
 
 
-def test_each_environment_of_a_batch_lifts_for_itself() -> None:
+def test_each_environment_of_a_batch_lifts_for_itself():
     lift = Lift()
     grips_N = torch.full((2,), READ_N)
     assert not lift.see(torch.tensor([TABLE_m, TABLE_m]), grips_N).any()
     assert lift.see(torch.tensor([CARRIED_m, TABLE_m]), grips_N).tolist() == [True, False]
 
 
-def calibration(r2: float) -> SimpleNamespace:
+def calibration(r2):
     return SimpleNamespace(reads_grip=r2 >= 0.9, grip_in_words=f"R² {r2}")
 
 
@@ -75,19 +75,17 @@ def calibration(r2: float) -> SimpleNamespace:
         ("held", 0.95, True),
     ],
 )
-def test_calibrations_decide_and_a_user_overrides(grip: str, r2: float | None, holds: bool) -> None:
+def test_calibrations_decide_and_a_user_overrides(grip, r2, holds):
     config = PI05UniforceConfig(size="tiny", device="cpu", grip=grip)
     config.touch.carried_N = {"touch0": HELD_N}
-    held_N, notes = held_grips(config, {} if r2 is None else {"right": calibration(r2)})  # type: ignore[dict-item]
+    held_N, notes = held_grips(config, {} if r2 is None else {"right": calibration(r2)})
     assert held_N == ({"touch0": HELD_N} if holds else {})
     assert bool(notes) == holds and all("grip held at 8.9 N" in note for note in notes)
 
 
-def test_a_checkpoint_that_knows_no_grip_reads_it_and_refuses_to_hold(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_a_checkpoint_that_knows_no_grip_reads_it_and_refuses_to_hold(caplog):
     config = PI05UniforceConfig(size="tiny", device="cpu")
-    assert held_grips(config, {"right": calibration(0.85)}) == ({}, [])  # type: ignore[dict-item]
+    assert held_grips(config, {"right": calibration(0.85)}) == ({}, [])
     assert "taken as read" in caplog.text
     config.grip = "held"
     with pytest.raises(ContractError, match="carried_N"):
@@ -95,21 +93,21 @@ def test_a_checkpoint_that_knows_no_grip_reads_it_and_refuses_to_hold(
 
 
 @pytest.mark.parametrize("held_N", [0.0, -1.0, float("nan"), float("inf"), 1e3, "8.9", None])
-def test_a_stored_grip_that_cannot_be_is_refused(held_N: object) -> None:
+def test_a_stored_grip_that_cannot_be_is_refused(held_N):
     with pytest.raises(ContractError, match="carried_N"):
         PI05UniforceConfig(
             size="tiny",
             device="cpu",
             touch=TouchSettings(input="newtons", carried_N={"touch0": held_N}),
-        )  # type: ignore[dict-item]
+        )
 
 
-def test_the_choice_is_never_stored(tmp_path) -> None:
+def test_the_choice_is_never_stored(tmp_path):
     PI05UniforceConfig(size="tiny", device="cpu", grip="read").save_pretrained(tmp_path)
     assert PI05UniforceConfig.from_pretrained(tmp_path).grip == ""
 
 
-def test_demonstrations_tell_what_is_carried() -> None:
+def test_demonstrations_tell_what_is_carried():
     heights = torch.tensor([0.09, TABLE_m, TABLE_m, CARRIED_m, CARRIED_m, CARRIED_m])
     grips = torch.tensor([0.0, 0.0, 7.0, 8.0, 9.0, 10.0])
     states = torch.zeros(6, 5)
@@ -120,14 +118,14 @@ def test_demonstrations_tell_what_is_carried() -> None:
     assert carried_grip([(states[:3], forces[:3])]) is None
 
 
-def test_grip_is_held_from_the_first_touch_on() -> None:
+def test_grip_is_held_from_the_first_touch_on():
     newtons = Newtons(ReadsItsInput(), held_N=10.5, from_touch=True)
     felt = newtons(torch.tensor([[[0.1, -2.0, 0.3]], [[0.1, -2.0, 4.0]], [[0.1, -2.0, 17.0]]]))
     assert felt[:, 2].tolist() == pytest.approx([0.3, 10.5, 10.5])
     assert felt[:, 1].tolist() == [-2.0] * 3
 
 
-def test_shear_is_the_newtons_without_grip(make_policy, make_batch) -> None:
+def test_shear_is_the_newtons_without_grip(make_policy, make_batch):
     newtons = make_policy(touch__input="newtons")
     shear = make_policy(touch__input="shear")
     batch = make_batch(newtons)
@@ -136,9 +134,7 @@ def test_shear_is_the_newtons_without_grip(make_policy, make_batch) -> None:
     assert torch.equal(felt, newtons.felt(batch).touches[..., :2])
 
 
-def test_gripped_shear_tells_that_something_is_held_and_not_how_hard(
-    make_policy, make_batch
-) -> None:
+def test_gripped_shear_tells_that_something_is_held_and_not_how_hard(make_policy, make_batch):
     newtons = make_policy(touch__input="newtons")
     policy = make_policy(touch__input="gripped_shear")
     batch = make_batch(newtons)
@@ -149,7 +145,7 @@ def test_gripped_shear_tells_that_something_is_held_and_not_how_hard(
     assert felt[:, 0, 2].tolist() == [0, 1, 1]
 
 
-def test_flags_say_which_newtons_are_known(make_policy, make_batch) -> None:
+def test_flags_say_which_newtons_are_known(make_policy, make_batch):
     newtons = make_policy(touch__input="newtons")
     policy = make_policy(touch__input="flagged_newtons")
     batch = make_batch(newtons)
@@ -161,7 +157,7 @@ def test_flags_say_which_newtons_are_known(make_policy, make_batch) -> None:
     assert no_grip[0, 0, 0, 2:].tolist() == [0, 1, 1, 0]
 
 
-def test_training_hides_each_axis_for_itself() -> None:
+def test_training_hides_each_axis_for_itself():
     force_N = torch.full((4_000, 1, 3), 2.0)
     hidden = with_hidden_axes(flagged(force_N, reads_grip=True), 0.25)
     known = hidden[..., 3:]

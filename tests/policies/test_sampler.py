@@ -118,7 +118,7 @@ def test_torch_compile_traces_step_and_prefix_whole(make_policy, make_batch):
 
 def watched(monkeypatch):
     """Return what is said about compiling: one line each time."""
-    said: list[str] = []
+    said = []
     monkeypatch.setattr(cuda_graphs.logger, "warning", lambda form, *args: said.append(form % args))
     return said
 
@@ -157,7 +157,7 @@ CLOSE = {"rtol": 1e-5, "atol": 1e-5}
 
 @torch.no_grad()
 @pytest.mark.parametrize("masked", [False, True])
-def test_attention_by_folded_heads_is_torchs(masked: bool) -> None:
+def test_attention_by_folded_heads_is_torchs(masked):
     q, cache = torch.randn(2, 8, 50, 16), torch.randn(2, 2, 300, 16)
     mask = None
     if masked:
@@ -167,7 +167,7 @@ def test_attention_by_folded_heads_is_torchs(masked: bool) -> None:
 
 
 @torch.no_grad()
-def test_cameras_are_encoded_in_the_policys_dtype(make_policy) -> None:
+def test_cameras_are_encoded_in_the_policys_dtype(make_policy):
     """LeRobot keeps SigLIP in float32; a copy in bfloat16 follows its weights."""
     policy = make_policy(touch__input="none")
     prepared, backbone = policy.model.fast.prepared, policy.model.paligemma_with_expert
@@ -259,7 +259,7 @@ def test_nothing_recorded_waits_for_the_device(policy, make_batch):
     assert not waits & recorded.names
 
 
-def test_prompts_go_to_the_next_bucket() -> None:
+def test_prompts_go_to_the_next_bucket():
     tokens, mask = torch.ones(2, 50, dtype=torch.long), torch.ones(2, 50, dtype=torch.bool)
     longer, padded = bucketed(tokens, mask)
     assert longer.shape == padded.shape == (2, 96) and int(padded.sum()) == 100
@@ -290,7 +290,7 @@ def test_a_gpu_captures_them(make_policy, make_batch):
 def test_warm_up_records_each_length_of_text_and_compiles_the_usual_one(
     make_policy, monkeypatch, capsys
 ):
-    compiled: list[str] = []
+    compiled = []
     monkeypatch.setattr(torch, "compile", lambda f, **_: compiled.append(f.__name__) or f)
     monkeypatch.setattr(FastSampler, "is_graphed_on", lambda self, device: True)
     monkeypatch.setattr(fast, "GraphedSampler", functools.partial(GraphedSampler, capture=False))

@@ -50,7 +50,7 @@ PROJECTIONS = ("action_in_proj", "action_out_proj", "time_mlp_in", "time_mlp_out
 class PlainNetwork(stock.PI05Pytorch):
     """LeRobot's own network around another network's modules."""
 
-    def __init__(self, other: stock.PI05Pytorch) -> None:
+    def __init__(self, other):
         torch.nn.Module.__init__(self)
         self.config, self.rtc_processor = other.config, None
         self.gradient_checkpointing_enabled = False

@@ -27,7 +27,7 @@ AXES = ["x.pos", "y.pos", "z.pos", "yaw.pos", "width.pos"]
 
 
 @pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def dataset(tmp_path_factory):
     """Two episodes of ten frames with cameras, state, cached latents and absolute targets.
 
     The hand never turns.
@@ -60,7 +60,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def latents_in(dataset: Path) -> np.ndarray:
+def latents_in(dataset):
     """Return (20, 96) latents of the dataset, with a mean far from zero."""
     rows = pq.read_table(dataset / "data", columns=["observation.latent.touch0"]).to_pydict()
     return np.array(rows["observation.latent.touch0"], dtype=np.float32)
@@ -74,7 +74,7 @@ NORMALIZERS = (
 SMALL = "tiny.width=64 tiny.depth=2 tiny.mlp_dim=32 image_resolution=[28,28]"
 
 
-def policy_settings(tokenizer_path: Path) -> list[str]:
+def policy_settings(tokenizer_path):
     model = [f"policy.{entry}" for entry in SMALL.split()]
     touch = [
         f"policy.touch.tokenizer_path={tokenizer_path}",
@@ -84,7 +84,7 @@ def policy_settings(tokenizer_path: Path) -> list[str]:
     return ["policy=pi05_uniforce", "policy.size=tiny", "policy.device=cpu", *model, *touch]
 
 
-def run_settings(dataset: Path, out: Path, steps: int = 2) -> list[str]:
+def run_settings(dataset, out, steps=2):
     data = [
         "dataset.repo_id=local/wipe",
         f"dataset.root={dataset}",
@@ -136,7 +136,7 @@ def test_lerobot_trains_saves_and_resumes(dataset, tokenizer_path, tmp_path, mon
     assert "observation.state.q99" in saved
 
 
-def stock_train(settings: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def stock_train(settings, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(sys, "argv", ["lerobot-train", *lerobot_training.to_lerobot(settings)])
         lerobot_train.main()
@@ -165,7 +165,7 @@ def test_our_trainer_makes_lerobots_weights_and_leaves_lerobot_as_it_was(
         assert span[3] == pytest.approx(SPAN_FLOOR[3]), "a still axis can't explode at rollout"
 
 
-def lerobots_state() -> list[object]:
+def lerobots_state():
     """Return what a training could leave changed."""
     return [
         factory.make_dataset,

@@ -101,26 +101,26 @@ def test_lora_names_exist(make_policy):
 STILL = VariationRange(gain=0, tint=0, contrast=0, shade=0, shift=0, turn_rad=0, zoom=0)
 
 
-def pictures(count: int = 8, side: int = 56) -> torch.Tensor:
+def pictures(count=8, side=56):
     """Return smooth (count, 3, side, side) pictures in [-1, 1], away from black and white."""
     coarse = torch.rand(count, 3, 7, 7, generator=torch.Generator().manual_seed(0))
     return torch.nn.functional.interpolate(coarse, (side, side), mode="bicubic").clamp(0, 1) - 0.5
 
 
-def test_no_strength_and_no_range_leave_a_picture_as_it_is() -> None:
+def test_no_strength_and_no_range_leave_a_picture_as_it_is():
     images = pictures()
     assert vary(images, 0.0) is images
     assert torch.allclose(vary(images, 1.0, STILL), images, atol=1e-5)
 
 
 @given(strength=st.floats(0.1, 4.0), side=st.sampled_from([14, 56]))
-def test_a_varied_picture_is_a_picture(strength: float, side: int) -> None:
+def test_a_varied_picture_is_a_picture(strength, side):
     varied = vary(pictures(4, side), strength)
     assert varied.shape == (4, 3, side, side) and varied.isfinite().all()
     assert varied.min() >= -1 and varied.max() <= 1
 
 
-def test_every_picture_gets_a_light_of_its_own() -> None:
+def test_every_picture_gets_a_light_of_its_own():
     one = pictures(1).expand(16, -1, -1, -1)
     means = ((vary(one, 1.0) + 1) / 2).mean(dim=(2, 3))  # (16, 3)
     assert means.std(dim=0).min() > 0.03
@@ -131,9 +131,7 @@ def test_every_picture_gets_a_light_of_its_own() -> None:
 @pytest.mark.parametrize(
     ("what", "most_px"), [({"shift": 0.03}, 0.03 * 56), ({"turn_rad": 0.03}, 0.03 * 28)]
 )
-def test_a_nudged_camera_moves_the_picture_as_far_as_said(
-    what: dict[str, float], most_px: float
-) -> None:
+def test_a_nudged_camera_moves_the_picture_as_far_as_said(what, most_px):
     """A ramp across the picture reads the move in pixels at each place."""
     px_per_unit = 28.0
     ramp = torch.linspace(-1, 1, 57)[:-1] + 1 / 56
@@ -143,9 +141,7 @@ def test_a_nudged_camera_moves_the_picture_as_far_as_said(
     assert 0.7 * most_px < moved_px.max() <= most_px * 1.05
 
 
-def test_training_varies_what_the_cameras_show_and_a_rollout_does_not(
-    make_policy, make_batch
-) -> None:
+def test_training_varies_what_the_cameras_show_and_a_rollout_does_not(make_policy, make_batch):
     policy = make_policy(touch__input="none", augment__camera_variation=1.0)
     batch = make_batch(policy)
     cameras = len(policy.config.image_features)
