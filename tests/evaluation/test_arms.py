@@ -1,6 +1,6 @@
 """Scores of arms, and the statistics they are compared with."""
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -16,9 +16,25 @@ from uniforce_vtla.evaluation.statistics import holm, mcnemar, non_inferior, wil
 from uniforce_vtla.keys import OUTCOME_NAMES
 from uniforce_vtla.results_file import append_line
 
+PAIRS = (("V+T", "V"), ("V+G", "V"), ("V+U", "V"))
+
 
 def row(seed, outcome="success", clean=True):
     return EpisodeRow(seed, outcome, clean, not clean, False, 0.05, 6.0, 7.0, 10.0, 20.0, 30.0)
+
+
+def arm(name, codes, first_seed=0):
+    """An arm whose letters say C (clean) or r (residual), seed by seed."""
+    outcomes = {"C": "success", "r": "residual"}
+    return ArmReport(
+        name, [row(first_seed + i, outcomes[c], c == "C") for i, c in enumerate(codes)]
+    )
+
+
+def paired(only_first, only_second, both):
+    """Clean success of two arms on the same seeds."""
+    codes = [(True, False)] * only_first + [(False, True)] * only_second + [(True, True)] * both
+    return zip(*codes, strict=True)
 
 
 @given(st.lists(st.sampled_from(OUTCOME_NAMES), min_size=1, max_size=30))
@@ -47,64 +63,36 @@ def test_rows_of_another_version_are_refused(tmp_path):
 
 
 def test_table_and_picture_show_every_arm(tmp_path):
-    reports = [ArmReport("V", [row(0, "residual", False)]), ArmReport("V+T", [row(0)])]
+    reports = [arm("V", "r"), arm("V+T", "C")]
     text = table(reports)
     assert "| V | 0/1 = 0 %" in text and "| V+T | 1/1 = 100 %" in text
     assert draw_arms(reports, tmp_path / "arms.png", "t").stat().st_size > 1000
 
 
 def test_one_letter_a_seed_says_what_happened():
-    rows = [
-        row(0),
-        replace(row(1), clean=False, slippage=True),
-        row(2, "failed_grasp", clean=False),
-    ]
+    rows = [row(0), row(1, clean=False), row(2, "failed_grasp", clean=False)]
     assert ArmReport("V", rows).as_dict()["by_seed"] == "Csf"
-
-
-ROW = EpisodeRow(0, "success", True, False, False, 0.05, 6.0, 7.0, 10.0, 20.0, 30.0)
-PAIRS = (("V+T", "V"), ("V+G", "V"), ("V+U", "V"))
-
-
-def arm(name, codes, first_seed=0):
-    """An arm whose letters say C (clean) or r (residual), seed by seed."""
-    rows = [
-        replace(
-            ROW, seed=first_seed + i, outcome="success" if c == "C" else "residual", clean=c == "C"
-        )
-        for i, c in enumerate(codes)
-    ]
-    return ArmReport(name, rows)
 
 
 def test_a_clear_difference_survives_holm_and_an_arm_not_scored_is_not_asked_about():
     arms = arm("V", "r" * 20), arm("V+T", "C" * 15 + "r" * 5), arm("V+G", "C" + "r" * 19)
-    tests = {
-        tuple(t["arms"]): t
-        for t in better({report.arm: report.clean_by_seed for report in arms}, PAIRS)
-    }
-    assert set(tests) == {("V+T", "V"), ("V+G", "V")}
-    clear, none = tests["V+T", "V"], tests["V+G", "V"]
+    clear, none = better({report.arm: report.clean_by_seed for report in arms}, PAIRS)
+    assert (clear["arms"], none["arms"]) == (["V+T", "V"], ["V+G", "V"])
     assert clear["points"] == pytest.approx(75) and clear["p_holm"] < 0.001 < 0.5 < none["p_holm"]
     assert clear["p_holm"] == pytest.approx(2 * clear["p_value"])
 
 
 def test_only_shared_seeds_are_compared():
-    arms = {
-        "V": arm("V", "rrrr").clean_by_seed,
-        "V+T": arm("V+T", "CCCC", first_seed=2).clean_by_seed,
-    }
-    assert better(arms, PAIRS)[0]["n"] == 2
+    arms = arm("V", "rrrr"), arm("V+T", "CCCC", first_seed=2)
+    assert better({report.arm: report.clean_by_seed for report in arms}, PAIRS)[0]["n"] == 2
     assert better({"V": {0: False}, "V+T": {9: True}}, PAIRS) == []
 
 
 def test_a_swap_is_as_good_only_when_shown():
     claims = [AtMostWorse("swapped", "V+G", "V+T", 0.10)]
-    same = {
-        "V+T": dict(enumerate([True] * 180 + [False] * 20)),
-        "V+G": dict(enumerate([True] * 178 + [False] * 22)),
-    }
-    worse = same | {"V+G": dict(enumerate([True] * 150 + [False] * 50))}
+    clean = {"V+T": 180, "V+G": 178}
+    same = {name: {seed: seed < n for seed in range(200)} for name, n in clean.items()}
+    worse = same | {"V+G": {seed: seed < 150 for seed in range(200)}}
     assert as_good(same, claims)[0]["shown"] and not as_good(worse, claims)[0]["shown"]
 
 
@@ -116,9 +104,7 @@ def test_wilson_matches_the_published_example():
 
 
 def test_mcnemar_is_the_sign_test_on_discordant_pairs():
-    first = [True] * 9 + [False] * 1 + [True] * 5
-    second = [False] * 9 + [True] * 1 + [True] * 5
-    test = mcnemar(first, second)
+    test = mcnemar(*paired(9, 1, 5))
     assert (test.only_first, test.only_second) == (9, 1)
     assert test.p_value == pytest.approx(22 / 1024)  # 2·(1 + 10)/2^10
 
@@ -140,17 +126,11 @@ def test_holm_steps_down_and_stays_monotone():
     assert holm([0.9, 0.8]) == [1.0, 1.0] and holm([]) == []
 
 
-def arms(only_first, only_second, both):
-    first = [True] * only_first + [False] * only_second + [True] * both
-    second = [False] * only_first + [True] * only_second + [True] * both
-    return first, second
-
-
 def test_score_bound_at_zero_is_mcnemars_z():
-    first, second = arms(25, 9, 66)
     z = (25 - 9) / np.sqrt(25 + 9)
     # a bound at the confidence that z reaches lies exactly at no difference
-    bound = non_inferior(first, second, 0.1, confidence=float(stats.norm.cdf(z)))
+    confidence = float(stats.norm.cdf(z))
+    bound = non_inferior(*paired(25, 9, 66), 0.1, confidence)
     assert bound.lower == pytest.approx(0.0, abs=1e-6)
 
 
@@ -167,13 +147,12 @@ def test_the_bound_covers_as_often_as_it_says():
 def test_equal_arms_are_non_inferior_only_with_enough_seeds():
     assert non_inferior([True] * 200, [True] * 200, 0.1).shown
     assert not non_inferior([True] * 10, [True] * 10, 0.1).shown
-    worse = non_inferior(*arms(5, 45, 150), 0.1)
+    worse = non_inferior(*paired(5, 45, 150), 0.1)
     assert not worse.shown and worse.difference == pytest.approx(-0.2) and worse.p_value > 0.9
 
 
 @given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=60))
 def test_bound_lies_below_the_difference_and_agrees_with_its_p(pairs):
-    new, reference = [a for a, _ in pairs], [b for _, b in pairs]
-    found = non_inferior(new, reference, 0.1)
+    found = non_inferior(*zip(*pairs, strict=True), 0.1)
     assert -1 <= found.lower <= found.difference + 1e-9
     assert found.shown == (found.p_value < 0.05)

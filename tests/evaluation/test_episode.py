@@ -12,6 +12,7 @@ from uniforce_vtla.evaluation.episode import (
     STEP_FIELDS,
     EpisodeTrace,
     ScoreLimits,
+    empty_trace,
     running_mean,
     score_episode,
 )
@@ -33,11 +34,8 @@ def test_a_failed_grasp_comes_before_residual_ink():
     dirty = good_trace(residual=np.ones(N))
     assert score_episode(dirty).outcome == "residual"
     dropped = {"grip_left_N": np.zeros(N), "grip_right_N": np.zeros(N)}
-    for fault in (
-        dropped,
-        {"phase": np.zeros(N)},
-        {"slip_mm": at(np.zeros(N), slice(90, N), 21.0)},
-    ):
+    slipped = {"slip_mm": at(np.zeros(N), slice(90, N), 21.0)}
+    for fault in (dropped, {"phase": np.zeros(N)}, slipped):
         assert score_episode(replace(dirty, **fault)).outcome == "failed_grasp"
 
 
@@ -56,18 +54,19 @@ def test_slow_and_quick_slip():
 
 
 @pytest.mark.parametrize(
-    "field, where, value, excess",
+    "field, steps, value, excess",
     [
-        ("press_N", slice(60, 80), 10.5, True),  # 0.67 s above 10 N
-        ("press_N", slice(60, 66), 12.0, False),  # 0.2 s only: the mean stays below
-        ("press_N", slice(60, 61), 15.5, True),
-        ("depth_left_mm", slice(60, 61), 1.6, True),
-        ("depth_right_mm", slice(60, 61), 1.6, False),  # rated 5 mm
+        ("press_N", 20, 10.5, True),  # 0.67 s above 10 N
+        ("press_N", 6, 12.0, False),  # 0.2 s only: the mean stays below
+        ("press_N", 1, 15.5, True),
+        ("depth_left_mm", 1, 1.6, True),
+        ("depth_right_mm", 1, 1.6, False),  # rated 5 mm
     ],
 )
-def test_excess_force(field, where, value, excess):
+def test_excess_force(field, steps, value, excess):
     base = good_trace()
-    result = score_episode(replace(base, **{field: at(getattr(base, field), where, value)}))
+    values = at(getattr(base, field), slice(60, 60 + steps), value)
+    result = score_episode(replace(base, **{field: values}))
     assert result.excess_force is excess
     assert result.success and result.clean is not excess
 
@@ -75,25 +74,21 @@ def test_excess_force(field, where, value, excess):
 @pytest.mark.parametrize("inside, clean", [(0.85, True), (0.75, False)])
 def test_a_clean_wipe_presses_within_the_band_over_most_of_the_way(inside, clean):
     """By distance: a slow stretch beside the band counts as little as it slides."""
-    wiping = np.flatnonzero(good_trace().phase == 2)
     slide_mm, press_N = np.zeros(N), good_trace().press_N
-    slide_mm[wiping] = np.where(
-        np.arange(len(wiping)) < 20, inside / 20, (1 - inside) / (len(wiping) - 20)
-    )
-    press_N[wiping[20:]] = 9.0
-    result = score_episode(
-        good_trace(slide_mm=slide_mm, press_N=press_N), ScoreLimits(in_band_share=0.8)
-    )
+    wiping = np.flatnonzero(press_N)
+    within, beside = wiping[:20], wiping[20:]
+    slide_mm[within] = inside / len(within)
+    slide_mm[beside] = (1 - inside) / len(beside)
+    press_N[beside] = 9.0
+    trace = good_trace(slide_mm=slide_mm, press_N=press_N)
+    result = score_episode(trace, ScoreLimits(in_band_share=0.8))
     assert result.metrics["in_band_share"] == pytest.approx(inside)
     assert result.success and result.clean is clean
-    assert score_episode(good_trace(slide_mm=slide_mm, press_N=press_N)).clean, (
-        "without a band in the limits"
-    )
+    assert score_episode(trace).clean, "without a band in the limits"
 
 
 def test_an_empty_trace_is_aborted_and_bad_ones_are_refused():
-    empty = EpisodeTrace(*[np.zeros(0)] * len(STEP_FIELDS), rated_depth_mm=(1.5, 1.5))
-    assert score_episode(empty).outcome == "aborted"
+    assert score_episode(empty_trace()).outcome == "aborted"
     with pytest.raises(ContractError, match="finite"):
         good_trace(press_N=np.full(N, np.nan))
     with pytest.raises(ContractError, match="One value per step"):

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.cameras import front_camera
+from lerobot_env_uniforce_wiping.episodes import walk
 from lerobot_env_uniforce_wiping.expert import TouchSettings
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, DatasetError
@@ -27,9 +28,9 @@ def wipe(press_N, grip_N=9.0, bias_N=0.0):
     press = np.where(time_s > 3, press_N, 0.0)
     up = (WEIGHT_N - press) / 2 * (time_s > 1)
     grip = np.where(time_s > 0.5, grip_N, 0.0)
-    finger = np.stack([np.zeros_like(up), up + bias_N, grip], axis=1)
+    finger = np.column_stack([0 * up, up + bias_N, grip])
     along = np.interp(time_s, [3, 6], [0.0, 0.3])  # 100 mm/s
-    return time_s, np.stack([finger, finger], axis=1), np.stack([0 * along, along, height], axis=1)
+    return time_s, np.stack([finger] * 2, axis=1), np.column_stack([0 * along, along, height])
 
 
 @given(st.floats(0.5, 14.0), st.floats(-1.0, 1.0))
@@ -80,20 +81,17 @@ def test_what_cannot_be_judged_is_refused():
 def test_true_forces_tell_the_simulators_events(press_N, grip_N, seed):
     """A hand too loose, too slippery a handle, too firm a press, and a clean wipe."""
     env, expert = WipeEnv("touch", drawn=()), WipeExpert(settings=TouchSettings(press_N, grip_N))
-    env.start(seed)
-    expert.reset(env)
-    force, place, done = [], [], False
-    while not done:
-        done = env.advance(expert.act(env))
-        force.append([env.true_wrench()[f][:3] for f in FINGERS])
+    force, place = [], []
+    for _ in walk(env, expert, seed):
+        wrench = env.true_wrench()
+        force.append([wrench[finger][:3] for finger in FINGERS])
         place.append(env.state[:3])
     trace, truth = env.trace, score_episode(env.trace)
-    force_N, friction = np.array(force, np.float64), env.scene.pad_friction
-    found = estimate_events(trace.time_s, force_N, np.array(place, np.float64), friction)
+    felt = np.array(force, float), np.array(place, float)
+    found = estimate_events(trace.time_s, *felt, env.scene.pad_friction)
     assert bool(found.slippage) == truth.slippage
-    assert bool(found.excess_force) == bool(
-        press_events(trace.press_N, trace.time_s, ScoreLimits())
-    )
+    pressed_hard = press_events(trace.press_N, trace.time_s, ScoreLimits())
+    assert bool(found.excess_force) == bool(pressed_hard)
     wiping = (trace.phase == WIPING_PHASE) & (trace.slip_mm < 5)
     assert abs(found.in_band_share - truth.metrics["in_band_share"]) < 0.1
     # the hand is pulled meanwhile
@@ -148,17 +146,16 @@ def corners_of(env):
 @pytest.mark.parametrize("seed, stop_at", [(1, 0.85), (2, 0.4), (5, 0.0)])
 def test_the_estimate_is_near_the_simulators_truth(seed, stop_at):
     """Wipe until so much is left, let the arm go home, and look."""
-    env, expert = WipeEnv("touch", drawn=()), WipeExpert()
+    env = WipeEnv("touch", drawn=())
     first = env.reset(seed=seed)[0]["pixels"]["front"]
-    expert.reset(env)
-    home, done = env.sim.measured.copy(), False
-    while not done and env.sim.ink.residual > stop_at:
-        done = env.advance(expert.act(env))
+    home = env.sim.measured.copy()
+    for _ in walk(env, WipeExpert(), seed):
+        if env.sim.ink.residual <= stop_at:
+            break
     up = env.sim.measured + np.array([0, 0, 0.08, 0, 0])
     for target in (up, np.r_[home[:2], up[2:]]):  # up, then back over the tray
         for _ in range(60):
             env.advance(target)
-    truth = env.sim.ink.residual
     found = estimate_residual(first, env.observe()["pixels"]["front"], corners_of(env))
     assert found.judged > 0.7
-    assert found.residual == pytest.approx(truth, abs=0.08)
+    assert found.residual == pytest.approx(env.sim.ink.residual, abs=0.08)
