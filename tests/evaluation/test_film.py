@@ -4,35 +4,31 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from episode_samples import N, good_trace
 
-from uniforce_vtla.evaluation.episode import STEP_FIELDS, EpisodeResult, EpisodeTrace, empty_trace
+from uniforce_vtla.evaluation.episode import EpisodeResult, empty_trace
 from uniforce_vtla.evaluation.film import FILM_HZ, PICTURE_PX, PLOT_PX, WIDTH_PX, film
 from uniforce_vtla.evaluation.rollout import Rollout, Shot
-
-STEPS = 60
-STEP_s = 1 / 30
 
 
 @pytest.fixture
 def rollout():
-    """Two seconds of which the camera is dark in the first and bright in the second."""
-    arrays = {name: np.zeros(STEPS) for name in STEP_FIELDS}
-    arrays["time_s"] = STEP_s * np.arange(1, STEPS + 1)
-    trace = EpisodeTrace(**arrays, rated_depth_mm=(1.0, 1.0))
+    """Four seconds; the camera is dark in the first two and bright in the others."""
+    grey = np.full((6, 8, 3), 128, np.uint8)
     shots = []
-    for step in range(0, STEPS, 2):
-        front = np.full((8, 8, 3), 255 * (step >= STEPS // 2), np.uint8)
-        shots.append(Shot(step, front, np.full((6, 8, 3), 128, np.uint8)))
+    for step in range(0, N, 2):
+        front = np.full((8, 8, 3), 255 * (step >= N // 2), np.uint8)
+        shots.append(Shot(step, front, grey))
     result = EpisodeResult("success", False, False, ())
-    return Rollout(0, result, trace, np.zeros(1), shots)
+    return Rollout(0, result, good_trace(), np.zeros(1), shots)
 
 
 def test_it_plays_in_real_time_and_shows_the_moment(rollout):
     frames = list(film(rollout, (4.0, 8.0)))
-    assert len(frames) == 2 * FILM_HZ
+    assert len(frames) == 4 * FILM_HZ
     assert {frame.shape for frame in frames} == {(PICTURE_PX + PLOT_PX, WIDTH_PX, 3)}
     cameras = [frame[0, 0, 0] for frame in frames]
-    assert cameras == FILM_HZ * [0] + FILM_HZ * [255]
+    assert cameras == 2 * FILM_HZ * [0] + 2 * FILM_HZ * [255]
     assert all(frame[0, -1, 0] == 128 for frame in frames), "markers stand beside the camera"
 
 
@@ -46,7 +42,7 @@ def test_its_cursor_moves_to_the_right(rollout):
 
 
 def test_a_policy_without_touch_has_the_camera_alone(rollout):
-    shots = [Shot(shot.step, shot.front, None) for shot in rollout.shots]
+    shots = [replace(shot, markers=None) for shot in rollout.shots]
     first = next(film(replace(rollout, shots=shots), (4.0, 8.0)))
     assert not first[:PICTURE_PX, PICTURE_PX:].any()
 

@@ -19,11 +19,8 @@ def tokenizer(tiny):
 def test_pair_and_arrays_agree(tokenizer, dots):
     pair = MarkerPair(dots[0], dots[1], "right", "tactip")
     z = tokenizer.encode(pair)
-    assert (
-        z.shape == (1, tokenizer.num_patches, 6)
-        and z.dtype == torch.float32
-        and not z.requires_grad
-    )
+    assert z.shape == (1, tokenizer.num_patches, 6)
+    assert z.dtype == torch.float32 and not z.requires_grad
     torch.testing.assert_close(z, tokenizer.encode(dots[:1], dots[1:2], finger="right"))
 
 
@@ -46,37 +43,20 @@ def test_decode_has_the_models_size(tokenizer, dots):
     assert image.shape == (3, 32, 32) and image.min() >= 0 and image.max() <= 1
 
 
-def test_the_reference_is_encoded_once(tokenizer, dots, monkeypatch):
-    calls = []
-    encoder = tokenizer.model.encoder
-    original = encoder.encode_reference
-    monkeypatch.setattr(
-        encoder, "encode_reference", lambda image: calls.append(1) or original(image)
-    )
-    for _ in range(5):
-        tokenizer.encode(dots[:1], dots[1:2])
-    assert len(calls) == 1
-
-
 def test_memory_stays_flat_over_two_thousand_frames(dots):
     tokenizer = Tokenizer.random(
         TokenizerConfig(side=32, patch=8, width=8, depth=1, heads=1, embed_hidden=0)
     )
     head = ForceHead(ForceRegressor(HeadConfig(hidden=2, mlp=2)), "tactip", tokenizer.hash)
     small = dots[:, ::2, ::2]
-    state = read(tokenizer, head, small, 50, None)
-    tensors, blocks = live_tensors(), sys.getallocatedblocks()
-    read(tokenizer, head, small, 2_000, state)
+    state = None
+    for frame in range(2_050):
+        if frame == 50:
+            tensors, blocks = live_tensors(), sys.getallocatedblocks()
+        current = np.roll(small[1:2], frame % 7, axis=2)
+        _, state = head.step(tokenizer.encode(small[:1], current, "right"), state)
     assert live_tensors() <= tensors
     assert sys.getallocatedblocks() - blocks < 1_000  # one object kept per frame would be 2,000
-
-
-def read(tokenizer, head, dots, frames, state):
-    for i in range(frames):
-        _, state = head.step(
-            tokenizer.encode(dots[:1], np.roll(dots[1:2], i % 7, axis=2), "right"), state
-        )
-    return state
 
 
 def live_tensors():
@@ -85,12 +65,6 @@ def live_tensors():
 
 
 @pytest.mark.parametrize("fill", [0.0, np.nan])
-def test_bad_frames_and_references_are_refused(tokenizer, dots, fill):
-    nan = np.full(dots[:1].shape, np.nan, np.float32)
-    for bad in (nan, dots[1:2, :48], dots[1:2].astype(np.int32)):
-        with pytest.raises(ContractError, match="expected"):
-            tokenizer.encode(dots[:1], bad)
+def test_a_reference_without_markers_is_refused(tokenizer, dots, fill):
     with pytest.raises(ContractError, match="reference"):
         tokenizer.encode(np.full(dots[:1].shape, fill, np.float32), dots[1:2])
-    with pytest.raises(ContractError, match="finger"):
-        tokenizer.encode(dots[:1], dots[1:2], "thumb")

@@ -6,12 +6,7 @@ import pytest
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.tokenizer.mount_relation import FEWEST, SETTINGS, mount_relation
 
-SIGNS = {
-    "upright": (1, 1),
-    "turned": (-1, -1),
-    "mirrored_x": (-1, 1),
-    "mirrored_y": (1, -1),
-}
+SIGNS = {"upright": (1, 1), "turned": (-1, -1), "mirrored_x": (-1, 1), "mirrored_y": (1, -1)}
 
 
 def carried(n=60, seed=0):
@@ -24,7 +19,7 @@ def test_each_mount_is_told_apart_whatever_the_gain_and_offset(mount, gain):
     known = carried()
     read = gain * (known * SIGNS[mount] + np.random.default_rng(1).normal(0, 0.8, known.shape)) + 3
     found = mount_relation(read, known)
-    assert found.mount == mount and np.sign(found.r).tolist() == list(SIGNS[mount])
+    assert found.mount == mount and tuple(np.sign(found.r)) == SIGNS[mount]
 
 
 def test_one_axis_without_load_leaves_it_undecided():

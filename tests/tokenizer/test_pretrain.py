@@ -1,38 +1,30 @@
 import itertools
-import json
 import shutil
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 import torch
 from accelerate.state import AcceleratorState
 
+from benchmarks.trust.injuries import edit_json
 from uniforce_cli.pretrain import PRESETS, PretrainCommand, main, recorded_pairs
 from uniforce_datasets.readers.recording import PairRecording
 from uniforce_datasets.readers.uniforce_pairs import write_uniforce_pairs
 from uniforce_vtla.arguments import parse, read
 from uniforce_vtla.contact.virtual import VirtualSensor
+from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError
 from uniforce_vtla.results_file import only_writer
 from uniforce_vtla.tokenizer import worn_heads
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead, HeadTrainingConfig
-from uniforce_vtla.tokenizer.losses import (
-    Side,
-    equilibrium,
-    gradient_pyramid,
-    kl,
-    reconstruction,
-)
+from uniforce_vtla.tokenizer.losses import Side, equilibrium, gradient_pyramid, kl, reconstruction
 from uniforce_vtla.tokenizer.model import Posterior, build_model
 from uniforce_vtla.tokenizer.pair_cache import PairCache, build_cache, draw_finger, rigs
 from uniforce_vtla.tokenizer.pretrain import Pretraining, learning_rate, pair_loss
-from uniforce_vtla.tokenizer.settings import (
-    LossConfig,
-    PairCacheConfig,
-    PretrainSettings,
-)
+from uniforce_vtla.tokenizer.settings import LossConfig, PairCacheConfig, PretrainSettings
 from uniforce_vtla.tokenizer.worn_heads import WornSequences
 
 SMALL_DATA = PairCacheConfig(side=32, units=2, pairs_per_unit=4, units_per_shard=1)
@@ -49,48 +41,53 @@ def settings(tiny):
     return PretrainSettings(tiny, data=SMALL_DATA, steps=6, warmup_steps=2, save_every=2, **drawn)
 
 
+@pytest.fixture
+def pretraining(settings, data, tmp_path):
+    """Return a function: a run in a folder, some settings changed."""
+    return lambda name="run", **changes: Pretraining(
+        replace(settings, **changes), tmp_path / name, data
+    )
+
+
 def test_pairs_come_mirrored_and_in_range(data):
     pairs = data.draw(np.random.default_rng(0), units=3, pairs=2)
     assert pairs.left_reference.shape == (3, 1, 32, 32)
     assert pairs.right_current.shape == (6, 1, 32, 32)
-    stored = torch.from_numpy(data.arrays["right_reference"][:, None]).float() / 255
-    same = [torch.equal(pairs.right_reference[0], s.flip(-1)) for s in stored]
-    assert any(same) and pairs.left_current.max() <= 1
+    stored = torch.from_numpy(data.arrays["right_reference"] / np.float32(255)).flip(-1)
+    assert any(torch.equal(pairs.right_reference[0, 0], image) for image in stored)
+    assert pairs.left_current.max() <= 1
 
 
 def test_cache_resumes_and_refuses_another_recipe(tmp_path):
     build_cache(tmp_path, SMALL_DATA)
-    kept = (tmp_path / "shard_001.npz").read_bytes()
-    (tmp_path / "shard_001.npz").unlink()
+    shard = tmp_path / "shard_001.npz"
+    kept = shard.read_bytes()
+    shard.unlink()
+    # as a cache from before that option
+    edit_json(tmp_path / "config.json", lambda stored: stored.pop("imbalance"))
     build_cache(tmp_path, SMALL_DATA)
-    assert (tmp_path / "shard_001.npz").read_bytes() == kept
-    stored = json.loads((tmp_path / "config.json").read_text())
-    del stored["imbalance"]  # as a cache from before that option
-    (tmp_path / "config.json").write_text(json.dumps(stored))
-    build_cache(tmp_path, SMALL_DATA)
+    assert shard.read_bytes() == kept
     for other in ({"seed": 9}, {"imbalance": 0.1}):
         with pytest.raises(DatasetError, match="another folder"):
             build_cache(tmp_path, replace(SMALL_DATA, **other))
 
 
-def test_a_run_from_before_an_option_goes_on(data, settings, tmp_path):
-    Pretraining(settings, tmp_path, data).run(until=2)
-    recipe = json.loads((tmp_path / "recipe.json").read_text())
-    del (
-        recipe["pairs"],
-        recipe["model"]["warp"],
-        recipe["loss"]["equilibrium_scale"],
-        recipe["data"]["left_out"],
-    )
-    (tmp_path / "recipe.json").write_text(json.dumps(recipe))
-    assert Pretraining(settings, tmp_path, data).step == 2
+def test_a_run_from_before_an_option_goes_on(pretraining, settings, tmp_path):
+    pretraining().run(until=2)
+
+    def forget_options(recipe):
+        del recipe["pairs"], recipe["model"]["warp"], recipe["data"]["left_out"]
+        del recipe["loss"]["equilibrium_scale"]
+
+    edit_json(tmp_path / "run" / "recipe.json", forget_options)
+    assert pretraining().step == 2
     others = {"pairs": "elsewhere", "loss": replace(settings.loss, equilibrium_scale="per_unit")}
     for name, other in others.items():
         with pytest.raises(DatasetError, match=f"another.*{name}"):
-            Pretraining(replace(settings, **{name: other}), tmp_path, data)
-    (tmp_path / "recipe.json").write_text(json.dumps(recipe | {"model": 3}))
+            pretraining(**{name: other})
+    edit_json(tmp_path / "run" / "recipe.json", lambda recipe: recipe.update(model=3))
     with pytest.raises(DatasetError, match=r"another.*model"):
-        Pretraining(settings, tmp_path, data)
+        pretraining()
 
 
 def test_a_tiny_batch_is_overfitted(data, tiny):
@@ -110,31 +107,28 @@ def test_a_tiny_batch_is_overfitted(data, tiny):
     assert losses[-1] < 0.8 * losses[0] and reconstructed < 0.8 * parts["copied"].item()
 
 
-def test_resumed_run_equals_an_uninterrupted_one(data, settings, tmp_path):
-    whole = Pretraining(settings, tmp_path / "whole", data).run()
-    Pretraining(settings, tmp_path / "parts", data).run(until=4)
-    resumed = Pretraining(settings, tmp_path / "parts", data)
+def test_resumed_run_equals_an_uninterrupted_one(pretraining, settings, tmp_path):
+    whole = pretraining("whole").run()
+    pretraining().run(until=4)
+    resumed = pretraining()
     assert resumed.step == 4
     with pytest.raises(DatasetError, match=r"another .*learning_rate"):
-        Pretraining(replace(settings, learning_rate=0.5), tmp_path / "parts", data)
-    tokenizer = resumed.run()
-    for a, b in zip(whole.model.parameters(), tokenizer.model.parameters(), strict=True):
-        torch.testing.assert_close(a, b, rtol=0, atol=0)
-    assert len((tmp_path / "parts" / "log.csv").read_text().splitlines()) == settings.steps + 1
-    assert (tmp_path / "parts" / "tokenizer" / "model.safetensors").exists()
+        pretraining(learning_rate=0.5)
+    assert resumed.run().hash == whole.hash
+    assert len((tmp_path / "run" / "log.csv").read_text().splitlines()) == settings.steps + 1
+    assert Tokenizer.from_pretrained(tmp_path / "run" / "tokenizer").hash == whole.hash
 
 
-def test_a_run_may_start_from_another_ones_weights(data, settings, tmp_path):
-    first = Pretraining(settings, tmp_path / "first", data).run(until=2)
-    first.save(tmp_path / "weights")
-    warm = replace(settings, init=str(tmp_path / "weights"))
-    assert Pretraining(warm, tmp_path / "second", data).tokenizer().hash == first.hash
-    wider = replace(warm, model=replace(settings.model, width=2 * settings.model.width))
+def test_a_run_may_start_from_another_ones_weights(pretraining, settings, tmp_path):
+    first = pretraining("first").run(until=2)
+    init = str(first.save(tmp_path / "weights"))
+    assert pretraining("second", init=init).tokenizer().hash == first.hash
+    wider = replace(settings.model, width=2 * settings.model.width)
     with pytest.raises(ContractError, match="Give it the same sizes"):
-        Pretraining(wider, tmp_path / "third", data)
-    Pretraining(warm, tmp_path / "second", data).run(until=1)
-    shutil.rmtree(tmp_path / "weights")  # what it started from is no longer needed
-    assert Pretraining(warm, tmp_path / "second", data).step == 1
+        pretraining("third", init=init, model=wider)
+    pretraining("second", init=init).run(until=1)
+    shutil.rmtree(init)  # what it started from is no longer needed
+    assert pretraining("second", init=init).step == 1
 
 
 def test_learning_rate_rises_then_falls(settings):
@@ -143,13 +137,15 @@ def test_learning_rate_rises_then_falls(settings):
 
 
 def test_equilibrium_variants_on_a_known_gap():
+    by_patch, by_level = (
+        partial(equilibrium, config=LossConfig(equilibrium=name)) for name in ("patch", "levels")
+    )
     left, right = torch.zeros(1, 16, 6), torch.zeros(1, 16, 6)
     right[0, 0], right[0, 1] = 1, -1  # two neighbours cancel in the total
-    assert equilibrium(left, right, LossConfig()) == pytest.approx(12 / 16)
-    assert equilibrium(left, right, LossConfig(equilibrium="levels")) == pytest.approx(2 * 12 / 16)
+    assert by_patch(left, right) == pytest.approx(12 / 16)
+    assert by_level(left, right) == pytest.approx(2 * 12 / 16)
     same = torch.full((1, 16, 6), 0.5)  # every level sees it
-    levels = equilibrium(left, same, LossConfig(equilibrium="levels"))
-    assert levels == pytest.approx(3 * float(equilibrium(left, same, LossConfig())))
+    assert by_level(left, same) == pytest.approx(3 * by_patch(left, same))
 
 
 def test_equilibrium_in_a_units_own_size_knows_no_gain():
@@ -169,9 +165,8 @@ def test_equilibrium_in_a_units_own_size_knows_no_gain():
 
 def test_kl_is_zero_for_the_prior_only():
     prior = Posterior(torch.zeros(1, 4, 6), torch.zeros(1, 4, 6))
-    assert kl(prior) == 0 and kl(Posterior(prior.mean + 1, prior.log_variance)) == pytest.approx(
-        0.5
-    )
+    assert kl(prior) == 0
+    assert kl(prior._replace(mean=prior.mean + 1)) == pytest.approx(0.5)
 
 
 def test_changed_pixels_count_more_when_asked():
@@ -179,9 +174,9 @@ def test_changed_pixels_count_more_when_asked():
     current = reference.clone()
     current[..., :2] = 1
     side = Side(reference, current, Posterior(reference, reference))
-    plain = reconstruction(reference, side, LossConfig(changed_pixel_weight=0, perceptual_weight=0))
-    weighted = reconstruction(
-        reference, side, LossConfig(changed_pixel_weight=9, perceptual_weight=0)
+    plain, weighted = (
+        reconstruction(reference, side, LossConfig(changed_pixel_weight=w, perceptual_weight=0))
+        for w in (0, 9)
     )
     assert weighted == pytest.approx(10 * plain.item())
 
@@ -192,10 +187,10 @@ def test_gradient_pyramid_sees_edges_only():
     assert gradient_pyramid(image.flip(-1), image, 3) > 0.05
 
 
-def test_the_log_says_what_data_cost_and_strips_are_drawn(data, settings, tmp_path):
-    Pretraining(replace(settings, strips_every=2, steps=2), tmp_path, data).run()
-    assert "data_share" in (tmp_path / "log.csv").read_text().splitlines()[0]
-    assert [p.name for p in (tmp_path / "strips").iterdir()] == ["step_000002.png"]
+def test_the_log_says_what_data_cost_and_strips_are_drawn(pretraining, tmp_path):
+    pretraining(strips_every=2, steps=2).run()
+    assert "data_share" in (tmp_path / "run" / "log.csv").read_text().splitlines()[0]
+    assert [p.name for p in (tmp_path / "run" / "strips").iterdir()] == ["step_000002.png"]
 
 
 @pytest.fixture
@@ -206,45 +201,42 @@ def fresh_accelerator():
     AcceleratorState._reset_state(reset_partial_state=True)
 
 
-def test_bf16_trains(settings, data, tmp_path, fresh_accelerator):
-    report = Pretraining(replace(settings, mixed_precision="bf16"), tmp_path, data).train_step()
-    assert np.isfinite(report["loss"])
+def test_bf16_trains(pretraining, fresh_accelerator):
+    assert np.isfinite(pretraining(mixed_precision="bf16").train_step()["loss"])
 
 
-SMALL_COMMAND = [
-    *(f"run.model.{size}" for size in ("side=32", "patch=8", "width=16", "heads=2")),
-    *(
-        f"run.data.{size}"
-        for size in ("side=32", "units=2", "units_per_shard=1", "pairs_per_unit=2")
-    ),
-    "run.pairs_per_unit=2",
-]
+MODEL = "side=32 patch=8 width=16 heads=2"
+DATA = "side=32 units=2 units_per_shard=1 pairs_per_unit=2"
 
 
 def run_command(folder, *more, heads="none"):
-    folders = (f"cache={folder / 'pairs'}", f"out={folder / 'out'}")
-    return main([*SMALL_COMMAND, f"heads={heads}", *folders, *more])
+    sizes = [f"run.model.{size}" for size in MODEL.split()]
+    sizes += [f"run.data.{size}" for size in DATA.split()]
+    folders = [f"cache={folder / 'pairs'}", f"out={folder / 'out'}", f"heads={heads}"]
+    return main([*sizes, "run.pairs_per_unit=2", *folders, *more])
 
 
 def test_command_trains_continues_and_leaves_a_loadable_tokenizer(tmp_path):
-    assert run_command(tmp_path, "run.steps=2") == 0
-    first = Tokenizer.from_pretrained(tmp_path / "out" / "tokenizer").hash
-    assert run_command(tmp_path, "run.steps=3") == 0
-    assert Tokenizer.from_pretrained(tmp_path / "out" / "tokenizer").hash != first
-    assert len((tmp_path / "out" / "log.csv").read_text().splitlines()) == 4
-    with only_writer(tmp_path / "out" / "log.csv"):
+    log = tmp_path / "out" / "log.csv"
+    hashes = []
+    for steps in (2, 3):
+        assert run_command(tmp_path, f"run.steps={steps}") == 0
+        hashes.append(Tokenizer.from_pretrained(tmp_path / "out" / "tokenizer").hash)
+    assert hashes[0] != hashes[1]
+    with only_writer(log):
         assert run_command(tmp_path, "run.steps=4") == 2
-    assert len((tmp_path / "out" / "log.csv").read_text().splitlines()) == 4
+    assert len(log.read_text().splitlines()) == 4
 
 
 def test_command_trains_on_recorded_pairs_and_says_where_there_are_none(tmp_path, capsys):
     """A left finger whose marker moves right is seen mirrored by the right one: in the canonical frame both agree."""
-    free, moved = (np.zeros((480, 640), np.uint8) for _ in range(2))
-    free[200:280, 200:280], moved[200:280, 260:340] = 255, 255
-    seen = [image[:, ::-1] for image in (free, moved)]
+    free, moved = np.zeros((2, 1, 480, 640), np.uint8)
+    free[:, 200:280, 200:280] = 255
+    moved[:, 200:280, 260:340] = 255
     for indenter, contacts in (("ball", 3), ("bar", 1)):
-        left, right = (np.repeat(image[None], contacts, axis=0) for image in (moved, seen[1]))
-        recording = PairRecording(("left", "right"), indenter, "", free, seen[0], left, right)
+        left = np.repeat(moved, contacts, axis=0)
+        references = free[0], free[0, :, ::-1]
+        recording = PairRecording(FINGERS, indenter, "", *references, left, left[..., ::-1])
         write_uniforce_pairs(tmp_path, recording, "own")
     pairs = recorded_pairs(str(tmp_path), 32).draw(np.random.default_rng(0), units=3, pairs=2)
     assert pairs.left_reference.shape == (3, 1, 32, 32)
@@ -261,9 +253,8 @@ def test_command_trains_on_recorded_pairs_and_says_where_there_are_none(tmp_path
 
 def test_command_leaves_a_head_beside_its_tokenizer(tmp_path, monkeypatch):
     """It reads that tokenizer's latents, wherever a tokenizer's folder is named."""
-    monkeypatch.setattr(
-        worn_heads, "WornSequences", lambda: WornSequences(units=1, moving=1, held=15)
-    )
+    few = WornSequences(units=1, moving=1, held=15)
+    monkeypatch.setattr(worn_heads, "WornSequences", lambda: few)
     monkeypatch.setattr(worn_heads, "WORN_HEADS", HeadTrainingConfig(steps=3, batch=4))
     out = tmp_path / "out"
     assert run_command(tmp_path, "run.steps=1", heads="tactip") == 0
@@ -276,12 +267,14 @@ def test_command_leaves_a_head_beside_its_tokenizer(tmp_path, monkeypatch):
 
 def test_the_family_replaces_cameras_only_and_only_its_share():
     rng = np.random.default_rng(0)
-    drawn = [draw_finger(rng, "gelsight", PairCacheConfig(family_share=0.5)) for _ in range(200)]
-    assert 60 < sum(isinstance(s, VirtualSensor) for s in drawn) < 140
-    assert all(
-        draw_finger(rng, "uskin", PairCacheConfig(family_share=1.0)) == "uskin" for _ in range(5)
-    )
-    assert draw_finger(rng, "tactip", PairCacheConfig()) == "tactip"
+
+    def drawn(kind, **share):
+        config = PairCacheConfig(**share)
+        return [draw_finger(rng, kind, config) for _ in range(200)]
+
+    of_family = [s for s in drawn("gelsight", family_share=0.5) if isinstance(s, VirtualSensor)]
+    assert 60 < len(of_family) < 140
+    assert {*drawn("uskin", family_share=1.0)} == {"uskin"} and {*drawn("tactip")} == {"tactip"}
 
 
 @pytest.mark.parametrize(
@@ -297,9 +290,9 @@ def test_what_each_tokenizer_saw(left_out, seen):
     config = PairCacheConfig(family_share=0.5, left_out=left_out)
     rng, drawn = np.random.default_rng(3), set()
     for _ in range(40):
-        for finger in (finger for rig in rigs(config) for finger in rig):
+        for finger in itertools.chain(*rigs(config)):
             sensor = draw_finger(rng, finger, config)
-            drawn.add(sensor if isinstance(sensor, str) else sensor.name.partition("_")[0])
+            drawn.add(getattr(sensor, "name", sensor).partition("_")[0])
     assert drawn == seen
 
 
@@ -308,11 +301,12 @@ def test_leaving_a_kind_out_draws_as_many_pairs(tmp_path):
     assert len(PairCache(tmp_path, config).arrays["left_reference"]) == 2 * SMALL_DATA.units
 
 
+def preset(name, *more):
+    return read(PretrainCommand, [f"preset={name}", *more], PRESETS)[0]
+
+
 def test_each_stage_of_small_starts_from_what_the_one_before_left():
-    stages = [
-        read(PretrainCommand, [f"preset={n}"], PRESETS)[0]
-        for n in ("small_draw", "small_agree", "small")
-    ]
+    stages = [preset(name) for name in ("small_draw", "small_agree", "small")]
     for earlier, later in itertools.pairwise(stages):
         assert later.run.init == f"{earlier.out}/tokenizer" and later.run.model == earlier.run.model
         assert later.run.data == earlier.run.data or later.cache != earlier.cache
@@ -320,10 +314,8 @@ def test_each_stage_of_small_starts_from_what_the_one_before_left():
 
 
 def test_nano_is_smaller_and_what_is_given_wins():
-    given = ([f"preset={name}", "run.steps=7"] for name in ("small", "nano"))
-    small, nano = (read(PretrainCommand, words, PRESETS)[0] for words in given)
-    assert nano.run.model.width < small.run.model.width
-    assert nano.run.steps == small.run.steps == 7
+    nano = preset("nano", "run.steps=7")
+    assert nano.run.model.width < preset("small").run.model.width and nano.run.steps == 7
 
 
 def test_without_a_preset_the_equilibrium_is_the_papers():
