@@ -1,21 +1,16 @@
-import os
-import signal
-import subprocess
-from contextlib import suppress
-
 import numpy as np
-import psutil
 import pytest
 import torch
-from policy_samples import small_config
+from policy_samples import small_config, watched
 
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy
 from lerobot_policy_pi05_uniforce import make_pi05_uniforce_pre_post_processors as make_processors
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import READ_BY_HEAD
+from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
+from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
+from lerobot_policy_pi05_uniforce.touch.touch_input import marker_images
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
 
-SMALL = {"tiny__width": 64, "tiny__depth": 2, "tiny__mlp_dim": 32}
-BOTH = {"touch0": "right", "touch1": "left"}
 LOW, HIGH = np.array([0.3, -0.2, 0.0, -1.0, 0.0]), np.array([0.7, 0.2, 0.3, 1.0, 0.08])
 
 
@@ -43,28 +38,29 @@ def stats():
 @pytest.fixture
 def make_config(tokenizer_path):
     def make(**settings):
-        touch = {"touch__slots": BOTH, "touch__input": "latent"}
+        touch = {"touch__slots": {"touch0": "right", "touch1": "left"}, "touch__input": "latent"}
         # only the shipped tokenizers have a head
         if settings.get("touch__input") not in READ_BY_HEAD:
             touch["touch__tokenizer_path"] = str(tokenizer_path)
         cameras = ("front", "wrist", "tactile_left", "tactile_right")
-        return small_config(cameras, **in_groups(touch | SMALL | settings))
+        return small_config(cameras, **in_groups(touch | settings))
 
     return make
 
 
 def in_groups(settings):
     """``touch__input="wrench"`` → ``touch=TouchSettings(input="wrench")``."""
+    made = {}
     groups = {}
-    plain = {name: value for name, value in settings.items() if "__" not in name}
     for name, value in settings.items():
         group, _, setting = name.partition("__")
         if setting:
             groups.setdefault(group, {})[setting] = value
-    fields = PI05UniforceConfig.__dataclass_fields__
-    return plain | {
-        group: fields[group].default_factory(**values) for group, values in groups.items()
-    }
+        else:
+            made[name] = value
+    for group, values in groups.items():
+        made[group] = PI05UniforceConfig.__dataclass_fields__[group].default_factory(**values)
+    return made
 
 
 @pytest.fixture
@@ -73,10 +69,15 @@ def make_policy(make_config):
 
 
 @pytest.fixture
-def make_batch(stats):
-    """A preprocessed batch for a policy: cameras, state, marker images, wrenches, text; actions on request."""
+def policy(make_policy):
+    return make_policy()
 
-    def make(policy, size=2, actions=False):
+
+@pytest.fixture
+def make_batch(stats):
+    """A preprocessed batch for a policy: cameras, state, marker images, wrenches, text and actions."""
+
+    def make(policy, size=2):
         before, _ = make_processors(policy.config, stats)
         batch = {"task": ["wipe the ink off the board"] * size}
         for name in ("front", "wrist"):
@@ -88,46 +89,40 @@ def make_batch(stats):
         for slot in ("touch0", "touch1"):
             batch[f"observation.wrench.{slot}"] = torch.randn(size, 4) * 5
         batch["observation.state"] = _between(torch.rand(size, 5))
-        if actions:
-            steps = len(policy.config.action_delta_indices)
-            batch["action"] = _between(torch.rand(size, steps, 5))
-            batch["action_is_pad"] = torch.zeros(size, steps, dtype=torch.bool)
+        steps = len(policy.config.action_delta_indices)
+        batch["action"] = _between(torch.rand(size, steps, 5))
+        batch["action_is_pad"] = torch.zeros(size, steps, dtype=torch.bool)
         return before(batch)
 
     return make
 
 
 def _between(share):
-    low, high = (torch.tensor(x, dtype=torch.float32) for x in (LOW, HIGH))
-    return low + (high - low) * share
+    return (torch.from_numpy(LOW) + torch.from_numpy(HIGH - LOW) * share).float()
 
 
-@pytest.fixture(scope="session")
-def run_to_the_end():
-    return _run_to_the_end
+@pytest.fixture
+def batch(make_batch, policy):
+    return make_batch(policy)
 
 
-def _run_to_the_end(call, env, log, seconds):
-    """Return what a program and its children said; one that hangs or fails shows it."""
-    with log.open("w") as out:
-        program = subprocess.Popen(call, env=env, stdout=out, stderr=out, start_new_session=True)
-        try:
-            code = program.wait(seconds)
-        except subprocess.TimeoutExpired:
-            code = None
-        finally:
-            _kill_all(program.pid)
-            program.wait()
-    said = log.read_text()
-    assert code == 0, f"exit {code} (None: still running after {seconds} s)\n{said[-4000:]}"
-    return said
+@pytest.fixture
+def in_free_air():
+    """Return a function: the hand is as open as in demos, and its right sensor asks for a new reference."""
+
+    def make(policy, batch):
+        sensor = watched(policy).touch.sensors["touch0"]
+        current = marker_images(batch, "right")[1]
+        sensor.monitor._usual.mean = sensor.raw_latent(current, current)[0].flatten()
+        open_m = batch[MEASURED_STATE][0, 4].item()
+        policy.config.action.target_range = [[0.0] * 5, [0.0] * 4 + [open_m]]
+        return policy
+
+    return make
 
 
-def _kill_all(pid):
-    """Kill a program, its group and its children: torchrun's are in sessions of their own, out of a group's reach."""
-    children = psutil.Process(pid).children(recursive=True) if psutil.pid_exists(pid) else []
-    for child in children:
-        with suppress(psutil.NoSuchProcess):
-            child.kill()
-    with suppress(ProcessLookupError):
-        os.killpg(pid, signal.SIGKILL)
+@pytest.fixture
+def make_controller():
+    """Return a function: the shipped policy on the sensors that it was trained with."""
+    mounted = {"left": "gelsight", "right": "tactip"}
+    return lambda **more: PolicyController(shipped_checkpoint(), mounted, **more)

@@ -22,11 +22,12 @@ TABLE_m, CARRIED_m = 0.03, 0.075
 READ_N, HELD_N = 12.0, 8.9
 
 
-class ReadsItsInput:
-    """A head whose newtons are its latents."""
+# a head whose newtons are its latents
+HEAD = SimpleNamespace(step=lambda latent, state: (latent[:, 0], None))
 
-    def step(self, latent, state):
-        return latent[:, 0], None
+
+def tiny(grip="", **touch):
+    return PI05UniforceConfig(size="tiny", device="cpu", grip=grip, touch=TouchSettings(**touch))
 
 
 def given(newtons, height_m, grip_N):
@@ -35,7 +36,7 @@ def given(newtons, height_m, grip_N):
 
 
 def test_a_grip_is_as_read_until_the_hand_has_lifted_and_the_stored_one_from_then_on():
-    newtons = Newtons(ReadsItsInput(), held_N=HELD_N)
+    newtons = Newtons(HEAD, held_N=HELD_N)
     # moving about, closing on the table, lifting, and pressing on the board, lower than it carried
     way = [(0.09, 0.0), (TABLE_m, 0.0), (TABLE_m, READ_N), (CARRIED_m, READ_N), (0.04, READ_N)]
     read_N = [given(newtons, *moment) for moment in way]
@@ -45,7 +46,7 @@ def test_a_grip_is_as_read_until_the_hand_has_lifted_and_the_stored_one_from_the
 
 
 def test_fingers_that_hold_nothing_are_never_said_to_hold():
-    newtons = Newtons(ReadsItsInput(), held_N=HELD_N)
+    newtons = Newtons(HEAD, held_N=HELD_N)
     given(newtons, TABLE_m, READ_N)
     given(newtons, CARRIED_m, READ_N)
     assert given(newtons, CARRIED_m, 0.1)[2] == pytest.approx(0.1)
@@ -76,85 +77,69 @@ def calibration(r2):
     ],
 )
 def test_calibrations_decide_and_a_user_overrides(grip, r2, holds):
-    config = PI05UniforceConfig(size="tiny", device="cpu", grip=grip)
-    config.touch.carried_N = {"touch0": HELD_N}
-    held_N, notes = held_grips(config, {} if r2 is None else {"right": calibration(r2)})
-    assert held_N == ({"touch0": HELD_N} if holds else {})
+    carried_N = {"touch0": HELD_N}
+    calibrations = {} if r2 is None else {"right": calibration(r2)}
+    held_N, notes = held_grips(tiny(grip, carried_N=carried_N), calibrations)
+    assert held_N == (carried_N if holds else {})
     assert bool(notes) == holds and all("grip held at 8.9 N" in note for note in notes)
 
 
 def test_a_checkpoint_that_knows_no_grip_reads_it_and_refuses_to_hold(caplog):
-    config = PI05UniforceConfig(size="tiny", device="cpu")
-    assert held_grips(config, {"right": calibration(0.85)}) == ({}, [])
+    assert held_grips(tiny(), {"right": calibration(0.85)}) == ({}, [])
     assert "taken as read" in caplog.text
-    config.grip = "held"
     with pytest.raises(ContractError, match="carried_N"):
-        held_grips(config, {})
+        held_grips(tiny("held"), {})
 
 
 @pytest.mark.parametrize("held_N", [0.0, -1.0, float("nan"), float("inf"), 1e3, "8.9", None])
 def test_a_stored_grip_that_cannot_be_is_refused(held_N):
     with pytest.raises(ContractError, match="carried_N"):
-        PI05UniforceConfig(
-            size="tiny",
-            device="cpu",
-            touch=TouchSettings(input="newtons", carried_N={"touch0": held_N}),
-        )
+        tiny(carried_N={"touch0": held_N})
 
 
 def test_the_choice_is_never_stored(tmp_path):
-    PI05UniforceConfig(size="tiny", device="cpu", grip="read").save_pretrained(tmp_path)
+    tiny("read").save_pretrained(tmp_path)
     assert PI05UniforceConfig.from_pretrained(tmp_path).grip == ""
 
 
 def test_demonstrations_tell_what_is_carried():
-    heights = torch.tensor([0.09, TABLE_m, TABLE_m, CARRIED_m, CARRIED_m, CARRIED_m])
-    grips = torch.tensor([0.0, 0.0, 7.0, 8.0, 9.0, 10.0])
-    states = torch.zeros(6, 5)
-    states[:, 2] = heights
-    forces = torch.zeros(6, 3)
-    forces[:, 2] = grips
+    states, forces = torch.zeros(6, 5), torch.zeros(6, 3)
+    states[:, 2] = torch.tensor([0.09, TABLE_m, TABLE_m, CARRIED_m, CARRIED_m, CARRIED_m])
+    forces[:, 2] = torch.tensor([0.0, 0.0, 7.0, 8.0, 9.0, 10.0])
     assert carried_grip([(states, forces)]) == pytest.approx(9.0)
     assert carried_grip([(states[:3], forces[:3])]) is None
 
 
 def test_grip_is_held_from_the_first_touch_on():
-    newtons = Newtons(ReadsItsInput(), held_N=10.5, from_touch=True)
+    newtons = Newtons(HEAD, held_N=10.5, from_touch=True)
     felt = newtons(torch.tensor([[[0.1, -2.0, 0.3]], [[0.1, -2.0, 4.0]], [[0.1, -2.0, 17.0]]]))
     assert felt[:, 2].tolist() == pytest.approx([0.3, 10.5, 10.5])
     assert felt[:, 1].tolist() == [-2.0] * 3
 
 
-def test_shear_is_the_newtons_without_grip(make_policy, make_batch):
+@pytest.mark.parametrize(
+    "touch, of_newtons",
+    [
+        ("shear", lambda force_N: force_N[..., :2]),
+        ("gripped_shear", gripped_shear),
+        ("flagged_newtons", lambda force_N: torch.cat([force_N, torch.ones_like(force_N)], -1)),
+    ],
+)
+def test_other_inputs_are_made_of_the_newtons(touch, of_newtons, make_policy, make_batch):
     newtons = make_policy(touch__input="newtons")
-    shear = make_policy(touch__input="shear")
+    policy = make_policy(touch__input=touch)
     batch = make_batch(newtons)
-    felt = shear.felt(batch).touches
-    assert felt.shape[-2:] == (1, 2)
-    assert torch.equal(felt, newtons.felt(batch).touches[..., :2])
+    assert torch.equal(policy.felt(batch).touches, of_newtons(newtons.felt(batch).touches))
 
 
-def test_gripped_shear_tells_that_something_is_held_and_not_how_hard(make_policy, make_batch):
-    newtons = make_policy(touch__input="newtons")
-    policy = make_policy(touch__input="gripped_shear")
-    batch = make_batch(newtons)
-    assert torch.equal(policy.felt(batch).touches, gripped_shear(newtons.felt(batch).touches))
-    force_N = torch.tensor([[[0.5, -2.0, 0.3]], [[0.5, -2.0, 3.0]], [[0.5, -2.0, 12.0]]])
-    felt = gripped_shear(force_N)
-    assert torch.equal(felt[..., :2], force_N[..., :2])
-    assert felt[:, 0, 2].tolist() == [0, 1, 1]
+def test_gripped_shear_tells_that_something_is_held_and_not_how_hard():
+    felt = gripped_shear(torch.tensor([[0.5, -2.0, 0.3], [0.5, -2.0, 3.0], [0.5, -2.0, 12.0]]))
+    assert felt.tolist() == [[0.5, -2.0, 0.0], [0.5, -2.0, 1.0], [0.5, -2.0, 1.0]]
 
 
-def test_flags_say_which_newtons_are_known(make_policy, make_batch):
-    newtons = make_policy(touch__input="newtons")
-    policy = make_policy(touch__input="flagged_newtons")
-    batch = make_batch(newtons)
-    force_N = newtons.felt(batch).touches
-    felt = policy.felt(batch).touches
-    assert torch.equal(felt, torch.cat([force_N, torch.ones_like(force_N)], dim=-1))
-    no_grip = flagged(force_N, reads_grip=False)
-    assert torch.equal(no_grip[..., :2], force_N[..., :2])
-    assert no_grip[0, 0, 0, 2:].tolist() == [0, 1, 1, 0]
+def test_flags_say_which_newtons_are_known():
+    no_grip = flagged(torch.tensor([0.5, -2.0, 3.0]), reads_grip=False)
+    assert no_grip.tolist() == [0.5, -2.0, 0.0, 1.0, 1.0, 0.0]
 
 
 def test_training_hides_each_axis_for_itself():
