@@ -31,6 +31,10 @@ def arm(name, codes, first_seed=0):
     )
 
 
+def clean(*reports):
+    return {report.arm: report.clean_by_seed for report in reports}
+
+
 def paired(only_first, only_second, both):
     """Clean success of two arms on the same seeds."""
     codes = [(True, False)] * only_first + [(False, True)] * only_second + [(True, True)] * both
@@ -46,13 +50,14 @@ def test_outcomes_sum_to_n(outcomes):
 
 def test_rows_survive_a_line_cut_short(tmp_path):
     file = tmp_path / "episodes.jsonl"
-    append_line(file, asdict(row(3)))
-    append_line(file, asdict(row(4, "residual", False)))
+    kept = {3: row(3), 4: row(4, "residual", False)}
+    for finished in kept.values():
+        append_line(file, asdict(finished))
     with file.open("a") as handle:
         handle.write('{"seed": 5, "outc')
-    assert read_rows(file) == {3: row(3), 4: row(4, "residual", False)}
+    assert read_rows(file) == kept
     append_line(file, asdict(row(5)))  # scored again
-    assert read_rows(file) == {3: row(3), 4: row(4, "residual", False), 5: row(5)}
+    assert read_rows(file) == kept | {5: row(5)}
 
 
 def test_rows_of_another_version_are_refused(tmp_path):
@@ -76,23 +81,23 @@ def test_one_letter_a_seed_says_what_happened():
 
 def test_a_clear_difference_survives_holm_and_an_arm_not_scored_is_not_asked_about():
     arms = arm("V", "r" * 20), arm("V+T", "C" * 15 + "r" * 5), arm("V+G", "C" + "r" * 19)
-    clear, none = better({report.arm: report.clean_by_seed for report in arms}, PAIRS)
+    clear, none = better(clean(*arms), PAIRS)
     assert (clear["arms"], none["arms"]) == (["V+T", "V"], ["V+G", "V"])
     assert clear["points"] == pytest.approx(75) and clear["p_holm"] < 0.001 < 0.5 < none["p_holm"]
     assert clear["p_holm"] == pytest.approx(2 * clear["p_value"])
 
 
 def test_only_shared_seeds_are_compared():
-    arms = arm("V", "rrrr"), arm("V+T", "CCCC", first_seed=2)
-    assert better({report.arm: report.clean_by_seed for report in arms}, PAIRS)[0]["n"] == 2
+    arms = clean(arm("V", "rrrr"), arm("V+T", "CCCC", first_seed=2))
+    assert better(arms, PAIRS)[0]["n"] == 2
     assert better({"V": {0: False}, "V+T": {9: True}}, PAIRS) == []
 
 
 def test_a_swap_is_as_good_only_when_shown():
     claims = [AtMostWorse("swapped", "V+G", "V+T", 0.10)]
-    clean = {"V+T": 180, "V+G": 178}
-    same = {name: {seed: seed < n for seed in range(200)} for name, n in clean.items()}
-    worse = same | {"V+G": {seed: seed < 150 for seed in range(200)}}
+    reference = arm("V+T", "C" * 180 + "r" * 20)
+    same = clean(reference, arm("V+G", "C" * 178 + "r" * 22))
+    worse = clean(reference, arm("V+G", "C" * 150 + "r" * 50))
     assert as_good(same, claims)[0]["shown"] and not as_good(worse, claims)[0]["shown"]
 
 
@@ -145,8 +150,8 @@ def test_the_bound_covers_as_often_as_it_says():
 
 
 def test_equal_arms_are_non_inferior_only_with_enough_seeds():
-    assert non_inferior([True] * 200, [True] * 200, 0.1).shown
-    assert not non_inferior([True] * 10, [True] * 10, 0.1).shown
+    assert non_inferior(*paired(0, 0, 200), 0.1).shown
+    assert not non_inferior(*paired(0, 0, 10), 0.1).shown
     worse = non_inferior(*paired(5, 45, 150), 0.1)
     assert not worse.shown and worse.difference == pytest.approx(-0.2) and worse.p_value > 0.9
 

@@ -7,7 +7,6 @@ from uniforce_vtla.errors import ContractError
 from uniforce_vtla.tokenizer.attention import CausalPairAttention
 from uniforce_vtla.tokenizer.model import build_model, warped
 from uniforce_vtla.tokenizer.settings import TokenizerConfig
-from uniforce_vtla.tokenizer.weights import content_hash
 
 
 def images(count, seed=0):
@@ -64,12 +63,10 @@ def test_shapes_with_and_without_options(motion_scales, embed_hidden):
     assert model.decoder(images(2), posterior.sample()).shape == (2, 1, 32, 32)
 
 
-def test_same_seed_same_weights_and_global_generator_untouched(tiny):
-    torch.manual_seed(3)
+def test_a_new_model_leaves_the_global_generator_alone(tiny):
     before = torch.random.get_rng_state()
-    first, second = build_model(tiny, 5), build_model(tiny, 5)
+    build_model(tiny, 5)
     assert torch.equal(torch.random.get_rng_state(), before)
-    assert content_hash(first, {}) == content_hash(second, {})
 
 
 @pytest.mark.parametrize("wrong", [{"side": 33}, {"heads": 3}, {"width": 18, "heads": 3}])
@@ -79,7 +76,7 @@ def test_sizes_that_do_not_divide_raise(wrong):
 
 
 def test_flow_moves_pixels_and_starts_at_rest(tiny):
-    image = torch.rand(2, 1, 32, 32)
+    image = images(2)
     assert torch.allclose(warped(image, torch.zeros(2, 2, 32, 32)), image, atol=1e-5)
     right = torch.zeros(2, 2, 32, 32)
     right[:, 0] = -3.0  # what is seen came from three pixels to the left
