@@ -272,6 +272,14 @@ def test_a_full_disk_stops_at_the_next_tick_and_what_was_saved_stays(monkeypatch
     assert end.exit_code == 4 and not end.endings, "no room for another one"
 
 
+@pytest.fixture(autouse=True)
+def hang_up_counts():
+    """Tests that are run under nohup ignore SIGHUP."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
 @pytest.mark.parametrize(
     "come", ["INT", "TERM", "HUP", "HUP HUP HUP", "TERM HUP", "INT INT", "HUP TERM INT"]
 )
