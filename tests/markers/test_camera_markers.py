@@ -144,6 +144,18 @@ def test_scattered_dirt_is_not_a_pattern(gel, gelsight):
         gelsight.marker_image(frame)
 
 
+def test_lights_out_during_a_pair(dome, tactip):
+    frame = dome(rings=6).frame
+    with pytest.raises(SensorError, match="all-black"):
+        tactip.pair(frame, np.zeros_like(frame), finger="left")
+
+
+def test_frames_of_two_sizes_are_no_pair(dome, tactip):
+    small = dome(rings=6, size=(320, 240)).frame
+    with pytest.raises(ContractError, match="one camera setting"):
+        tactip.pair(dome(rings=6).frame, small, finger="left")
+
+
 # --- real recordings -----------------------------------------------------------------------------------------------
 
 

@@ -173,6 +173,8 @@ def test_sensors_of_the_training_view_are_stored(make_config, tmp_path):
     assert config.trained_on["episodes"] == "4"
     for left in ("gelsight", "uskin"):
         assert check_sensors(config, {"left": left, "right": "tactip"}) == []
+    with pytest.raises(CheckpointError, match="right_sensor=uskin"):
+        check_sensors(config, {"left": "uskin", "right": "uskin"})
 
 
 def test_the_packages_tokenizer_is_stored_once(make_policy, make_batch, tmp_path):

@@ -304,6 +304,18 @@ def test_a_finger_is_calibrated_at_rollout_and_no_checkpoint_names_a_calibration
     calibrated.save_pretrained(tmp_path / "again")
     stored = json.loads((tmp_path / "again" / "config.json").read_text())
     assert stored["right_calibration"] == ""
+    calibrate(tmp_path / "map", policy.config, tokenizer_hash="another")
+    with pytest.raises(CheckpointError, match="Calibrate again"):
+        PI05UniforcePolicy.from_pretrained(tmp_path / "policy", config=config)
+
+
+def test_a_checkpoint_with_a_gate_is_not_loaded_without_one(make_policy, tmp_path):
+    policy = make_policy(touch__start_at_base=True)
+    policy.save_pretrained(tmp_path)
+    config = PI05UniforceConfig.from_pretrained(tmp_path)
+    config.touch.start_at_base = False
+    with pytest.raises(CheckpointError, match=r"touch_gate\.gate"):
+        PI05UniforcePolicy.from_pretrained(tmp_path, config=config)
 
 
 @pytest.mark.parametrize(("anchor", "judged"), [("tactip:1", "after"), ("gelsight:1", "before")])

@@ -93,7 +93,9 @@ def test_lerobot_trains_saves_and_resumes(dataset, new, tmp_path):
     hashed = json.loads((last / "hashes.json").read_text()).keys()
     assert hashed == {path.name for path in last.iterdir()} - {"hashes.json"}
     assert {"train_config.json", "policy_postprocessor.json"} < hashed
-    tokens = PI05UniforcePolicy.from_pretrained(last).model.force_tokens
+    policy = PI05UniforcePolicy.from_pretrained(last)
+    assert policy.config.push_to_hub is False
+    tokens = policy.model.force_tokens
     latents = torch.from_numpy(LATENTS).reshape(20, 16, 6)
     standardised = (latents - tokens.input_mean) / tokens.input_scale
     assert standardised.mean(dim=0).abs().max() < 1e-4
