@@ -6,7 +6,8 @@ can. It takes seconds: a flat gel covered by a tool shows the grip only once the
 
 import math
 
-GRIPPED_N = 2.0  # less is no grip
+from uniforce_vtla.tokenizer.newtons import GRIPPED_N
+
 EVERY = 6  # control steps between two comparisons: the other finger's image must be encoded
 # comparisons, ten seconds at 30 Hz; after five seconds a flat gel still reads a third of the grip
 LOOKS = 50
