@@ -4,8 +4,10 @@ from pathlib import Path
 from typing import Literal
 
 from uniforce_cli.calibrate import CalibrateCommand, calibrate_sensor, weigh_sensor
+from uniforce_vtla.contracts import Finger
 from uniforce_vtla.tokenizer import Tokenizer
 
+KNOWN: dict[Finger, str] = {"left": "gelsight", "right": "tactip"}  # worn by demonstrations
 UNITS = (2, 3, 4, 5)
 GRASPS = 300  # of a label-free calibration
 LOADS_N = "3,6,9"  # of a scale, which the sensor presses through the tool
@@ -18,9 +20,15 @@ def units(kind: str) -> tuple[str, ...]:
     return tuple(f"{kind}:{unit}" for unit in UNITS)
 
 
-def calibration_folder(worn: str, fit: Fit, work: Path) -> Path:
-    """Return the folder of a unit's calibration; it is made where there is none."""
-    folder = work / f"calibrations_{fit}" / worn.replace(":", "-")
+def calibration_folder(worn: str, fit: Fit, work: Path, finger: Finger = "right") -> Path:
+    """Return the folder of a unit's calibration; it is made where there is none.
+
+    Grasps are felt beside the sensor that the finger wore in the demonstrations.
+    """
+    made = f"calibrations_{fit}"
+    if finger == "left":
+        made += "_left"
+    folder = work / made / worn.replace(":", "-")
     if folder.is_dir():
         return folder
     tokenizer = Tokenizer.from_pretrained()
@@ -28,6 +36,6 @@ def calibration_folder(worn: str, fit: Fit, work: Path) -> Path:
         command = CalibrateCommand(worn, loads_N=LOADS_N, through="tool")
         found = weigh_sensor(command, tokenizer)
     else:
-        found = calibrate_sensor(CalibrateCommand(worn, grasps=GRASPS), tokenizer)
+        found = calibrate_sensor(CalibrateCommand(worn, KNOWN[finger], grasps=GRASPS), tokenizer)
     found.save(folder)
     return folder

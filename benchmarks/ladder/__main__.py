@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from benchmarks.calibrations import calibration_folder
+from benchmarks.calibrations import KNOWN, calibration_folder
 from benchmarks.ladder.plan import (
     BETTER,
     CLAIMS,
@@ -26,6 +26,7 @@ from uniforce_cli.boundary import command, one_thread
 from uniforce_cli.score import check_policies, score_arms
 from uniforce_cli.score_settings import ScoreConfig
 from uniforce_vtla.arguments import choose
+from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow, table
 from uniforce_vtla.evaluation.comparison import CleanBySeed, as_good, better
@@ -57,6 +58,13 @@ def first_scene(part: str) -> int:
     return BLOCKS["swap ladder in the hand's rig"].start
 
 
+def _calibration(config: LadderCommand, row: Row, finger: Finger, worn: str) -> str:
+    """Return the folder of a finger's calibration; "" where a row asks for none."""
+    if not row.fit or worn == KNOWN[finger]:
+        return ""
+    return str(calibration_folder(worn, row.fit, Path(config.work), finger))
+
+
 def configured(config: LadderCommand, row: Row) -> list[ScoreConfig]:
     """Return how a row is scored, a part per sensor; none without checkpoints."""
     policies = sorted(Path(config.checkpoints).glob(row.policy))
@@ -65,18 +73,17 @@ def configured(config: LadderCommand, row: Row) -> list[ScoreConfig]:
     share = row.rollouts // len(row.worn)
     first = first_scene(config.part)
     parts = []
-    for worn in row.worn:
-        fitted = ""
-        if row.fit:
-            fitted = str(calibration_folder(worn, row.fit, Path(config.work)))
+    lefts = row.left or (KNOWN["left"],) * len(row.worn)
+    for left, worn in zip(lefts, row.worn, strict=True):
         parts.append(
             ScoreConfig(
                 policy=",".join(map(str, policies)),
                 arm=row.name,
                 level=LEVEL,
-                left_sensor="gelsight",
+                left_sensor=left,
+                left_calibration=_calibration(config, row, "left", left),
                 right_sensor=worn,
-                right_calibration=fitted,
+                right_calibration=_calibration(config, row, "right", worn),
                 gripper=GRIPPER,
                 control=row.control,
                 grip=row.grip,

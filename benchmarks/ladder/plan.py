@@ -30,7 +30,8 @@ class Row:
     name: str
     policy: str  # checkpoints, as a pattern below the folder of all; several take turns
     worn: tuple[str, ...] = ("tactip",)  # in words (uniforce_vtla.contact.worn_in_words)
-    fit: Fit = ""  # how each of them is calibrated
+    fit: Fit = ""  # how each of them is calibrated; GelSight 1 and TacTip 1 need none
+    left: tuple[str, ...] = ()  # units that the left finger wears meanwhile; () = GelSight 1
     control: Literal["", "frozen"] = ""  # as ``uniforce score control=``
     grip: Literal["", "gripped"] = ""  # as ``uniforce score grip=``
     rollouts: int = 204

@@ -23,6 +23,10 @@ def row(codes):
     return {"n": len(codes), "clean": codes.count("C"), "seeds": seeds, "by_seed": codes}
 
 
+def named_folder(worn, fit, work, finger):
+    return work / fit / finger / worn
+
+
 def test_the_plan_names_rows_that_exist_and_chooses_on_development_scenes():
     rows = [row for part in PARTS.values() for row in part]
     names = {row.name for row in rows}
@@ -35,7 +39,7 @@ def test_the_plan_names_rows_that_exist_and_chooses_on_development_scenes():
 
 
 def test_rows_wait_for_checkpoints_and_wear_their_units_in_turns(tmp_path, monkeypatch):
-    monkeypatch.setattr(ladder, "calibration_folder", lambda worn, fit, work: work / fit / worn)
+    monkeypatch.setattr(ladder, "calibration_folder", named_folder)
     config = ladder.LadderCommand(checkpoints=str(tmp_path), work="work")
     wanted = Row("S2", "chosen/seed*", ("uskin:2", "uskin:3"), "grasps")
     assert not ladder.configured(config, wanted)
@@ -43,10 +47,25 @@ def test_rows_wait_for_checkpoints_and_wear_their_units_in_turns(tmp_path, monke
         (tmp_path / f"chosen/seed{seed}").mkdir(parents=True)
     first, second = ladder.configured(config, wanted)
     assert (first.right_sensor, second.right_sensor) == ("uskin:2", "uskin:3")
-    assert second.right_calibration == str(Path("work/grasps/uskin:3"))
+    assert second.right_calibration == str(Path("work/grasps/right/uskin:3"))
     assert first.gripper == second.gripper == "hand"
     assert [Path(policy).name for policy in first.policies] == ["seed0", "seed1"]
     assert [*first.seeds, *second.seeds] == list(BLOCK[:204])
+
+
+def test_both_fingers_wear_other_units_each_calibrated(tmp_path, monkeypatch):
+    monkeypatch.setattr(ladder, "calibration_folder", named_folder)
+    (tmp_path / "chosen/seed0").mkdir(parents=True)
+    both = Row("S2", "chosen/seed*", ("uskin:2", "uskin:3"), "grasps", ("uskin:4", "uskin:5"))
+    config = ladder.LadderCommand(checkpoints=str(tmp_path), work="work")
+    first, second = ladder.configured(config, both)
+    assert (first.left_sensor, second.left_sensor) == ("uskin:4", "uskin:5")
+    assert first.left_calibration == str(Path("work/grasps/left/uskin:4"))
+    assert first.right_calibration == str(Path("work/grasps/right/uskin:2"))
+    own = Row("S0", "chosen/seed*")
+    (alone,) = ladder.configured(config, own)
+    assert alone.left_sensor == "gelsight"
+    assert not alone.left_calibration and not alone.right_calibration
 
 
 def test_a_part_without_any_checkpoint_is_refused(tmp_path):
@@ -105,4 +124,12 @@ def test_a_calibration_is_made_once(tmp_path, monkeypatch):
     for _ in range(2):
         calibrations.calibration_folder("uskin:2", "grasps", tmp_path)
     ((command, _),) = [call.args for call in calibrate.call_args_list]
-    assert (command.new, command.grasps) == ("uskin:2", 300)
+    assert (command.new, command.anchor, command.grasps) == ("uskin:2", "tactip", 300)
+
+
+def test_a_left_fingers_calibration_is_fitted_beside_its_known_sensor(tmp_path, monkeypatch):
+    calibrate = Mock()
+    monkeypatch.setattr(calibrations, "calibrate_sensor", calibrate)
+    folder = calibrations.calibration_folder("uskin:2", "grasps", tmp_path, "left")
+    assert folder != calibrations.calibration_folder("uskin:2", "grasps", tmp_path)
+    assert [call.args[0].anchor for call in calibrate.call_args_list] == ["gelsight", "tactip"]
