@@ -22,12 +22,14 @@ class SensorFilm:
     """Film of one rollout."""
 
     sensor: str  # in words
-    video: Path  # of ``uniforce score``
+    video: Path  # of ``uniforce score``; absent where the sensor was refused at its first frame
     row: EpisodeRow
 
     @property
     def ending(self) -> str:
         """How the rollout ended."""
+        if not self.video.exists():
+            return "stopped before it began; the demo's log says why"
         words = [self.row.outcome.replace("_", " ")]
         if self.row.clean:
             words = ["clean wipe"]
@@ -45,7 +47,7 @@ def write_sensors_page(films: Sequence[SensorFilm], path: Path) -> Path:
     text = TEMPLATES.get_template("sensors_page.html").render(
         films=films,
         pictures=pictures,
-        last=max(map(len, pictures)) - 1,
+        last=max(0, *(len(film) - 1 for film in pictures)),
         hz=FILM_HZ,
         band_N=ScoreLimits().band_N,
     )
@@ -54,8 +56,10 @@ def write_sensors_page(films: Sequence[SensorFilm], path: Path) -> Path:
 
 
 def _frames(video: Path) -> list[str]:
-    """Return base64 WebP of each frame."""
-    found = []
+    """Return base64 WebP of each frame; none of an episode that never began."""
+    found: list[str] = []
+    if not video.exists():
+        return found
     with av.open(str(video)) as container:
         for frame in container.decode(video=0):
             picture = encoded(frame.to_ndarray(format="rgb24"), ".webp", *WEBP)
