@@ -17,15 +17,16 @@ from uniforce_vtla.sensors.layouts import rectangular
 
 SPACING_px = 20.0
 GRID_px = CENTRE_PX + rectangular(20, 28, (SPACING_px, SPACING_px))
+MANY = len(GRID_px)
 
 
 def drawn(points_px):
     return fill_discs(points_px[None], np.full((1, len(points_px)), 9.0))[0]
 
 
-def filled(hold, points_px):
+def filled(hold, points_px, lost=MANY):
     image = drawn(points_px)
-    held = hold.fill(image, points_px)
+    held = hold.fill(image, points_px, lost)
     return image, held
 
 
@@ -84,6 +85,17 @@ def test_a_pattern_that_jumps_or_goes_is_not_held():
         assert held == 0 and np.array_equal(image, drawn(now_px))
 
 
+def test_no_more_markers_are_held_than_are_lost():
+    """A sudden press leaves gaps where markers were, and shows all of them elsewhere."""
+    pushed_px = GRID_px.copy()
+    pushed_px[:5] += 0.7 * SPACING_px
+    for lost in (0, 2):
+        hold = MarkerHold(SPACING_px)
+        filled(hold, GRID_px)
+        assert filled(hold, pushed_px, lost)[1] <= lost
+    assert lost == filled(hold, GRID_px[lost:], lost)[1]
+
+
 def test_a_camera_that_moved_since_its_reference_shows_no_old_markers():
     """The reference is the first frame of its stream: without it a fifth missed at once might be refused."""
     # the third look in free air may become the new reference
@@ -117,7 +129,9 @@ def test_a_stream_of_nothing_missed_is_read_as_frames_alone(sensor):
     reference = simulator.raw_reference()
     alone.set_reference(reference)
     stream.set_reference(reference)
-    for frame in simulator.raw_frames(pressed(8)):
+    slow = simulator.raw_frames(pressed(8))
+    at_once = [reference, slow[-1], reference]
+    for frame in [*slow, *at_once]:
         assert np.array_equal(alone.marker_image(frame), stream.marker_image(frame))
 
 

@@ -25,17 +25,23 @@ class MarkerHold:
         self._centres_px = np.zeros((0, 2))
         self._missed_for = np.zeros(0, int)
 
-    def missed(self, centres_px: np.ndarray) -> np.ndarray:
-        """Return which remembered markers none of (M, 2) is near, as far as they are still held."""
-        away = cKDTree(centres_px).query(self._centres_px)[0] > self._reach_px
-        held = np.flatnonzero(away & (self._missed_for < self._frames))
-        if away.sum() > MOST * len(away):
-            return held[:0]
-        return held
+    def missed(self, centres_px: np.ndarray, lost: int) -> np.ndarray:
+        """Return which remembered markers none of (M, 2) is near, as far as they are still held.
 
-    def fill(self, image: np.ndarray, centres_px: np.ndarray) -> int:
+        Of no more than ``lost`` to the reference: where all are seen a sudden press has moved them.
+        """
+        away_px = cKDTree(centres_px).query(self._centres_px)[0]
+        away = away_px > self._reach_px
+        if away.sum() > MOST * len(away):
+            return np.zeros(0, int)
+        held = np.flatnonzero(away & (self._missed_for < self._frames))
+        farthest = np.argsort(-away_px[held], kind="stable")
+        return held[farthest[: max(0, lost)]]
+
+    def fill(self, image: np.ndarray, centres_px: np.ndarray, lost: int) -> int:
         """Draw the missed markers into an (H, W) uint8 image of (M, 2) markers; return how many."""
-        held = [k for k in self.missed(centres_px) if self._draw(image, self._centres_px[k])]
+        missed = self.missed(centres_px, lost)
+        held = [k for k in missed if self._draw(image, self._centres_px[k])]
         seen = np.zeros(len(centres_px), int)
         self._missed_for = np.concatenate([seen, self._missed_for[held] + 1])
         self._centres_px = np.concatenate([centres_px, self._centres_px[held]])

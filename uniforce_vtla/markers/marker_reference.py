@@ -90,7 +90,7 @@ class MarkerReference:
             raise ContractError(expected("current frame", self._shape, frame.shape, do))
         found, match = self._best(working, hold)
         image = found.image()
-        held = hold.fill(image, found.centres_px) if hold else 0
+        held = hold.fill(image, found.centres_px, match.lost) if hold else 0
         match = replace(match, matched=match.matched + held, lost=match.lost - held)
         wanted = f"the {self._tree.n} markers of the reference"
         if self._misses(match, REFUSE_SHARE):
@@ -124,7 +124,7 @@ class MarkerReference:
                 continue
             found, match = self._match(found)
             seen.append((found, match))
-            held = len(hold.missed(found.centres_px)) if hold else 0
+            held = len(hold.missed(found.centres_px, match.lost)) if hold else 0
             if not self._misses(replace(match, lost=match.lost - held), RETRY_SHARE):
                 return found, match
         if not seen:
