@@ -27,6 +27,7 @@ export UV_COMPILE_BYTECODE=1
 uv=$(find_uv)
 echo "set-up: uv $("$uv" --version | cut -d' ' -f2), python $(find_python)"
 [ -x .venv/bin/python ] || "$uv" venv --quiet --python "$(find_python)" .venv
+echo "set-up: fetching and compiling the libraries (some 6 GB); minutes the first time, without a word"
 "$uv" pip sync --quiet --python .venv/bin/python requirements.lock
 "$uv" pip install --quiet --python .venv/bin/python --no-deps --editable .
 "$uv" pip install --quiet --python .venv/bin/python --no-deps --only-binary :all: -r requirements-clients.lock ||

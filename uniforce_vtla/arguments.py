@@ -12,6 +12,7 @@ import tokenize
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, reduce
+from itertools import pairwise
 from operator import attrgetter, getitem
 from pathlib import Path
 from types import UnionType
@@ -170,12 +171,13 @@ def split_words(words: Iterable[str]) -> dict[str, str]:
     Raises ContractError: a word that is no ``key=value``, or an option that comes twice.
     """
     given = dict[str, str]()
-    for word in words:
+    for word, after in pairwise([*words, ""]):
         name, equals, text = word.removeprefix("--").partition("=")
         if not equals or not name:
-            raise ContractError(
-                expected("option", "key=value", shortened(word), "No space around the =.")
-            )
+            do = "No space around the =."
+            if word.startswith("--") and name and after and "=" not in after:
+                do = f"Write {shortened(name)}={shortened(after)}."
+            raise ContractError(expected("option", "key=value", shortened(word), do))
         if name in given:
             raise ContractError(expected(name, "one value", "two", "Give it once."))
         given[name] = text

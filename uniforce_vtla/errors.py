@@ -1,9 +1,10 @@
 """Every error a user can meet: what was expected, what came, what to do."""
 
+import difflib
 import errno
 import os
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 
 
 class UniForceError(Exception):
@@ -121,6 +122,12 @@ def _setting(pair: str) -> str:
 def expected(what: str, wanted: object, came: object, do: str) -> str:
     """Compose an error message, without the credentials of any address in it."""
     return without_credentials(f"{what}: expected {wanted}, got {came}. {do}")
+
+
+def nearest(came: str, known: Iterable[str], otherwise: str) -> str:
+    """Return what to do about an unknown name: take the nearest known one, or ``otherwise``."""
+    near = difflib.get_close_matches(came, known, 1)
+    return f"Did you mean {near[0]}?" if near else otherwise
 
 
 def described(value: object) -> str:

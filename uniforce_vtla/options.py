@@ -134,6 +134,7 @@ class Existing:
     words: tuple[str, ...] = ()  # names that stand for something else than a path
     many: bool = False
     hub: bool = False  # whether a hub id (``name/model``) will do
+    made_by: str = ""  # command that makes one
 
     def __str__(self) -> str:
         return " | ".join([*self.words, self.what]) + MANY * self.many
@@ -142,10 +143,13 @@ class Existing:
         """Raise ContractError where nothing of the kind is."""
         if not value:
             return
+        do = "Check the path."
+        if self.made_by:
+            do = f"Make it with `{self.made_by}`, or check the path."
         words = split(value) if self.many else [value]
         for word in words:
             if word not in self.words and not self._found(name, word):
-                raise ContractError(expected(name, str(self), shortened(word), "Check the path."))
+                raise ContractError(expected(name, str(self), shortened(word), do))
 
     def _found(self, name: str, word: str) -> bool:
         path = Path(word)
@@ -263,17 +267,29 @@ Slots = Annotated[
     str, Pattern("slot:finger pairs", r"\w+:(left|right)(,\s*\w+:(left|right))*", "touch0:left")
 ]
 Numbers = Annotated[str, Pattern("numbers", r"-?\d*\.?\d+(\s*,\s*-?\d*\.?\d+)*", "0.6,0.7")]
+RECORD = "uniforce record root=…"
 FilePath = Annotated[str, Existing("a file")]
 FolderPath = Annotated[str, Existing("a folder", ".")]
 FolderPaths = Annotated[str, Existing("folders", ".", many=True)]
-Dataset = Annotated[str, Existing("a recorded dataset's folder", "meta/info.json")]
-Datasets = Annotated[str, Existing("recorded datasets' folders", "meta/info.json", many=True)]
-View = Annotated[str, Existing("a training view's folder", VIEW_MARKER)]
+Dataset = Annotated[str, Existing("a recorded dataset's folder", "meta/info.json", made_by=RECORD)]
+Datasets = Annotated[
+    str, Existing("recorded datasets' folders", "meta/info.json", many=True, made_by=RECORD)
+]
+View = Annotated[
+    str, Existing("a training view's folder", VIEW_MARKER, made_by="uniforce view roots=…")
+]
 TokenizerFolder = Annotated[
     str, Existing("a tokenizer's folder", "config.json", words=("small", "nano"))
 ]
 Policies = Annotated[
-    str, Existing("checkpoints' folders", "config.json", words=("shipped", "expert"), many=True)
+    str,
+    Existing(
+        "checkpoints' folders",
+        "config.json",
+        words=("shipped", "expert"),
+        many=True,
+        made_by="uniforce train policy=pi05_uniforce",
+    ),
 ]
 OutFolder = Annotated[str, Writable()]
 OutFile = Annotated[str, Writable(folder=False)]

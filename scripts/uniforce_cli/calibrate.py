@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 from uniforce_cli.boundary import command, one_thread
 from uniforce_cli.paired_grasps import (
+    kind_worn,
     recorded_grasps,
     recorded_wipes,
     simulated_grasps,
@@ -61,6 +62,8 @@ class CalibrateCommand:
 
     A few recorded wipes with a known sensor on the other finger give one gain of shear.
     Example: uniforce calibrate new=uskin anchor=tactip wipes=outputs/wiping finger=right
+    Closer, if the new sensor replaces one that wiped beside the same anchor:
+    uniforce calibrate new=uskin anchor=gelsight wipes=outputs/wiping replaces=outputs/demos
 
     Use it: uniforce score … right_sensor=uskin right_calibration=outputs/calibration
     """
@@ -84,6 +87,9 @@ class CalibrateCommand:
     rig: FilePath = ""
     # dataset of `uniforce record` whose fingers wear new and anchor, instead of grasps
     wipes: FolderPath = ""
+    # with wipes: dataset in which the sensor that new replaces wiped beside the same anchor, as the
+    # demonstrations. New is scaled to what that one read, whatever share each finger carries
+    replaces: FolderPath = ""
     finger: Literal["left", "right"] = "right"  # finger that wears new, in the rig or in the wipes
     out: OutFolder = "outputs/calibration"  # folder of the calibration
     tokenizer: TokenizerFolder = ""  # checkpoint folder; empty = shipped
@@ -124,17 +130,20 @@ def scale_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
 
     Raises as ``gain_beside_an_anchor`` and ``recorded_wipes``.
     """
+    from uniforce_vtla.tokenizer.force_head import ForceHead
     from uniforce_vtla.tokenizer.gains import gain_beside_an_anchor
 
+    anchor = _kind(config, config.anchor)
     of_new, of_anchor = recorded_wipes(
-        config.wipes,
-        _kind(config, config.new),
-        _kind(config, config.anchor),
-        config.finger,
-        tokenizer,
+        config.wipes, _kind(config, config.new), anchor, config.finger, tokenizer
     )
-    head = _head_of_anchor(config)
-    return gain_beside_an_anchor(of_new, of_anchor, head, config.new, config.anchor)
+    known = anchor
+    before = None
+    if config.replaces:
+        known = kind_worn(config.replaces, config.finger)
+        before = recorded_wipes(config.replaces, known, anchor, config.finger, tokenizer)
+    head = ForceHead.from_pretrained(known, config.tokenizer or None)
+    return gain_beside_an_anchor(of_new, of_anchor, head, config.new, config.anchor, before)
 
 
 def weigh_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
@@ -201,6 +210,9 @@ def _check_sources(config: CalibrateCommand) -> None:
     if config.mounted != "upright" and not config.pairs:
         do = "Give pairs=, or set rotation_deg and flip in the rig."
         raise ContractError(expected("mounted", "recorded pairs beside it", "none", do))
+    if config.replaces and not config.wipes:
+        do = "Give wipes= too, or leave replaces out."
+        raise ContractError(expected("replaces", "recorded wipes beside it", "none", do))
     if config.rig and not config.loads_N:
         do = "Give loads_N=3,6,9, or leave rig out: grasps are pairs=, wipes are wipes=."
         raise ContractError(expected("rig", "known loads beside it", "none", do))

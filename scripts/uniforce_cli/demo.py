@@ -94,10 +94,12 @@ def logged(path: Path) -> Iterator[Callable[[str], None]]:
             ):
                 yield lambda text: print(text, file=out, flush=True)
         finally:
-            if isinstance(sys.exception(), Exception):  # Ctrl-C needs no explanation
+            if isinstance(sys.exception(), Exception):
                 tail = path.read_text().splitlines()[-TAIL:]
                 tail.append(f"the step failed; all it printed is in {path}")
                 print("\n".join(tail), file=out, flush=True)
+            elif sys.exception() is not None:
+                print(f"\nstopped: the next demo begins anew. Log: {path}", file=out, flush=True)
             for number, copy in enumerate(kept, start=1):
                 os.dup2(copy, number)
                 os.close(copy)
@@ -123,7 +125,7 @@ def run(config: DemoConfig) -> None:
 def _steps(config: DemoConfig, out: Path, say: Callable[[str], None]) -> Path:
     """Run every stage; return the page that plays each sensor's rollout side by side."""
     expert = "the scripted expert (GelSight left, TacTip right)"
-    say(f"\n[1/5] recording {config.episodes} demos with {expert}")
+    say(f"\n[1/5] recording {config.episodes} demos with {expert}, markers as drawn")
     from uniforce_cli import lerobot_training, record, score, show, view
     from uniforce_cli.sensors_page import SensorFilm, write_sensors_page
     from uniforce_vtla.evaluation.arms import table

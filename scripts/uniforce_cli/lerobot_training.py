@@ -186,7 +186,8 @@ def _check(given: Mapping[str, str], ours: bool) -> None:
         if not (root / VIEW_MARKER).is_file() and not (root / "meta/info.json").is_file():
             came = given["dataset.root"]
             wanted = "a dataset or a training view"
-            raise ContractError(expected("dataset.root", wanted, came, "Check the path."))
+            do = "Make a view with `uniforce view roots=… out=…`, or check the path."
+            raise ContractError(expected("dataset.root", wanted, came, do))
         if episodes != "null":
             _check_episodes(root, read_value(known[EPISODES], episodes))
     if "output_dir" in given:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
+from itertools import batched, islice
 from typing import TYPE_CHECKING
 
 from uniforce_vtla.errors import DatasetError, expected
@@ -31,6 +32,7 @@ BATCH = 32
 # Recorded pairs that count as one grasp: the layout doesn't store where a grasp ends. `uniforce
 # pairs` keeps some 25 pairs of a grasp, so that stretches of 50 cut few grasps in two.
 STRETCH = 50
+WIPES = 10  # episodes of a dataset that are read: three agree within a few percent already
 EVERY = 4  # frames of a recorded wipe, of which one is read: neighbours show the same
 logger = logging.getLogger(__name__)
 
@@ -151,10 +153,22 @@ def recorded_grasps(
     )
 
 
+def kind_worn(folder: str, finger: Finger) -> str:
+    """Return the kind of sensor that a finger wears in a dataset's first episode.
+
+    Raises DatasetError: as ``check_dataset``.
+    """
+    from uniforce_datasets.lossless import check_dataset
+    from uniforce_datasets.view_plan import episode_facts
+
+    _, facts = episode_facts(check_dataset(folder))[0]
+    return facts.left_sensor if finger == "left" else facts.right_sensor
+
+
 def recorded_wipes(
     folder: str, new: str, anchor: str, finger: Finger, tokenizer: Tokenizer
 ) -> tuple[Latent, Latent]:
-    """Read a dataset of wipes; ``finger`` wears the kind ``new``, the other one ``anchor``.
+    """Read a dataset's first wipes; ``finger`` wears the kind ``new``, the other one ``anchor``.
 
     Returns the pooled latents (n, P, L) of the new sensor and of the anchor at the same moments.
 
@@ -171,7 +185,7 @@ def recorded_wipes(
     wanted = {finger: new, other: anchor}
     of_new: list[Latent] = []
     of_anchor: list[Latent] = []
-    for episode, facts in episode_facts(source):
+    for episode, facts in episode_facts(source)[:WIPES]:
         worn = {"left": facts.left_sensor, "right": facts.right_sensor}
         if worn != wanted:
             do = "Name them new= and anchor=, and the new one's finger=."
@@ -185,8 +199,6 @@ def recorded_wipes(
 
 def _encoded(episode: Episode, fps: int, finger: Finger, tokenizer: Tokenizer) -> list[Latent]:
     """Return the latents of every fourth frame of a finger, in batches."""
-    from itertools import batched, islice
-
     import numpy as np
 
     from uniforce_datasets.source import marker_images

@@ -273,6 +273,12 @@ def _refuse_ignored(
     refuse_ignored(f"{mode} {operator}".strip(), ignored)
 
 
+def _saved(config: RecordConfig) -> int:
+    """Return how many episodes the dataset holds."""
+    info = Path(config.root) / "meta" / "info.json"
+    return int(read_object(info, DatasetError)["total_episodes"]) if info.is_file() else 0
+
+
 @command(RecordConfig, others=("robot.", "teleop."))
 def main(config: RecordConfig, flags: Sequence[str], given: Sequence[str]) -> int:
     os.environ.setdefault("HF_HUB_OFFLINE", "1")
@@ -283,8 +289,8 @@ def main(config: RecordConfig, flags: Sequence[str], given: Sequence[str]) -> in
         end = record(config, flags, given)
     except KeyboardInterrupt:
         stopped = "" if config.robot == "sim" else "; the robot has stopped"
-        saved = "Saved episodes are whole: run the same command again to go on"
-        print(f"record: interrupted{stopped}. {saved}", file=out)
+        saved = f"{_saved(config)} of {config.episodes} episodes are saved and whole"
+        print(f"record: interrupted{stopped}. {saved}: run it again to go on", file=out)
         return INTERRUPTED
     print(f"record: {end.message}", file=out)
     print(f"demos in {config.root} (LeRobot v3 dataset {config.repo_id})", file=out)

@@ -228,3 +228,6 @@ def test_recorded_wipes_scale_the_sensor_beside_a_known_one(tmp_path, calibrated
     assert "uskin:2: gain of shear" in capsys.readouterr().out
     assert found.through_tool and found.anchor == "tactip" and 0.5 < found.gain < 1.5
     refuses(main, [*asked, "finger=left"], "finger=")
+    again = calibrated(*asked, f"replaces={wipes}")
+    assert again.gain == pytest.approx(1)  # it replaces itself
+    refuses(main, [*asked[:2], f"replaces={wipes}"], "recorded wipes beside it")

@@ -306,6 +306,14 @@ def test_a_finger_takes_its_scale_from_the_one_that_holds_the_tool_with_it():
     assert (found.new, found.anchor, found.through_tool) == ("uskin:7", "tactip", True)
 
 
+def test_a_replaced_sensor_says_how_much_of_a_press_each_finger_carries():
+    """The anchor carries a quarter more than the finger beside it, whatever that one wears."""
+    before = carried(0.9 * WIPES_N), carried(1.25 * WIPES_N)
+    new, anchor = carried(0.5 * WIPES_N), carried(1.25 * WIPES_N)
+    found = gain_beside_an_anchor(new, anchor, SHEAR, "uskin:7", "gelsight", before)
+    assert found.gain == pytest.approx(0.9 / 0.5)
+
+
 @pytest.mark.parametrize(
     "new_N, anchor_N, says",
     [

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from uniforce_vtla.contact.faults import FAULTS
 from uniforce_vtla.contact.virtual import any_virtual
 from uniforce_vtla.contact.worn import WornSensor, drawing, unit_of
-from uniforce_vtla.errors import SensorError, expected
+from uniforce_vtla.errors import SensorError, expected, nearest
 
 USUAL_UNIT = "1"
 ANY = "any"
@@ -57,7 +57,12 @@ def with_faults(worn: WornSensor, faults: Sequence[str]) -> WornSensor:
                 name for name, fault in FAULTS.items() if worn.sensor.spec.signal in fault.signals
             ]
             raise SensorError(
-                expected(f"fault of {worn.sensor.name}", " | ".join(known), repr(name), "Name one.")
+                expected(
+                    f"fault of {worn.sensor.name}",
+                    " | ".join(known),
+                    repr(name),
+                    nearest(name, known, "Name one."),
+                )
             )
         try:
             worn = fault.put(worn, float(dose))

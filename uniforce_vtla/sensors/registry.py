@@ -1,6 +1,6 @@
 """The sensors this project knows. Adding one: a file beside this one and a line below."""
 
-from uniforce_vtla.errors import SensorError, expected
+from uniforce_vtla.errors import SensorError, expected, nearest
 from uniforce_vtla.sensors.gelsight import GELSIGHT
 from uniforce_vtla.sensors.paxini import PAXINI
 from uniforce_vtla.sensors.spec import SensorSpec
@@ -19,9 +19,6 @@ def list_sensors() -> tuple[str, ...]:
 def get_sensor(name: str) -> SensorSpec:
     """Return the facts of the sensor called ``name``; raise SensorError listing the known ones."""
     if not isinstance(name, str) or name not in _SENSORS:
-        raise SensorError(
-            expected(
-                "sensor", " | ".join(_SENSORS), repr(name), "Check the spelling or register it."
-            )
-        )
+        do = nearest(str(name), _SENSORS, "Check the spelling or register it.")
+        raise SensorError(expected("sensor", " | ".join(_SENSORS), repr(name), do))
     return _SENSORS[name]

@@ -79,7 +79,12 @@ def gain_through_a_tool(z: Latent, load_N: np.ndarray, head: ForceHead, new: str
 
 
 def gain_beside_an_anchor(
-    z_new: Latent, z_anchor: Latent, head: ForceHead, new: str, anchor: str
+    z_new: Latent,
+    z_anchor: Latent,
+    head: ForceHead,
+    new: str,
+    anchor: str,
+    before: tuple[Latent, Latent] | None = None,
 ) -> Calibration:
     """Return the gain of shear of a finger that wipes with a tool beside a known finger.
 
@@ -89,10 +94,21 @@ def gain_beside_an_anchor(
         head: of the kind whose newtons the policy knows.
         new: the sensor to scale, in words.
         anchor: the known one, in words.
+        before: (m, P, latent) of the sensor that ``new`` replaces, and of the known one beside it.
+            Fingers don't carry equal shares of a press: with it the new sensor is scaled to what
+            the replaced one read. None: to what the known one reads.
 
     Raises ContractError: latents that aren't paired, too few moments in which the tool is held, or
     shear that hardly changes or that the fingers disagree about.
     """
+    gain = _spread_to_anchor(z_new, z_anchor, head)
+    if before is not None:
+        gain /= _spread_to_anchor(*before, head)
+    return _gain_alone(z_new, head, new, anchor, gain, through_tool=True)
+
+
+def _spread_to_anchor(z_new: Latent, z_anchor: Latent, head: ForceHead) -> float:
+    """Return the known finger's spread of shear over the other one's, while both hold the tool."""
     if z_new.shape != z_anchor.shape:
         came = f"{tuple(z_new.shape)} and {tuple(z_anchor.shape)}"
         raise ContractError(
@@ -101,8 +117,7 @@ def gain_beside_an_anchor(
     read_N = _newtons(head, z_new)
     known_N = _newtons(head, z_anchor)
     is_held = known_N[:, 2] > HELD_N
-    gain = shear_gain(read_N[is_held, 1], known_N[is_held, 1])
-    return _gain_alone(z_new, head, new, anchor, gain, through_tool=True)
+    return shear_gain(read_N[is_held, 1], known_N[is_held, 1])
 
 
 def shear_gain(read_N: np.ndarray, known_N: np.ndarray) -> float:
