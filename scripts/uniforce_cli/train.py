@@ -20,7 +20,7 @@ Train a policy with LeRobot's trainer; everything after the verb is a setting of
   policy.train_expert_only=true | policy.freeze_vision_encoder=true | --peft.method_type=LORA
                          train fewer weights
   accelerate launch --num_processes=4 scripts/train.py …
-                         train on several devices; without a search for unused parameters
+                         train on several devices
   verify=full|quick|off  check the dataset before (default: quick if its repo_id is local/…,
                          else full)
   more: lerobot-train --help (run with --policy.type=pi05_uniforce to see this policy's settings)
