@@ -97,12 +97,12 @@ def test_a_claim_holds_within_its_margin_and_bound():
 
 def test_variants_are_pooled_over_their_rungs_and_seeds():
     rows = {}
-    for variant in ("shear", "newtons"):
+    for variant in ("gripped_shear", "newtons"):
         for seed in (0, 1):
             rows[f"{variant} {seed} S0"] = row("CCCr")
     found = ladder.pooled(rows | {"newtons 0 S1": row("rrrr")})
     counts = {name: (pool["clean"], pool["n"]) for name, pool in found.items()}
-    assert counts == {"shear": (6, 8), "newtons": (6, 12)}
+    assert counts == {"gripped_shear": (6, 8), "newtons": (6, 12)}
 
 
 def test_rows_scored_later_join_those_of_the_result_file(tmp_path, monkeypatch):
