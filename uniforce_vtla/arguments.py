@@ -2,7 +2,6 @@
 
 import ast
 import dataclasses
-import difflib
 import inspect
 import io
 import math
@@ -23,7 +22,7 @@ import numpy as np
 import yaml
 from draccus.utils import DraccusException
 
-from uniforce_vtla.errors import ContractError, UniForceError, expected
+from uniforce_vtla.errors import ContractError, UniForceError, expected, nearest
 from uniforce_vtla.options import (
     Existing,
     Writable,
@@ -188,8 +187,7 @@ def refuse_unknown(names: Iterable[str], known: Iterable[str]) -> None:
     """Raise ContractError for an option that isn't known; it names the nearest."""
     every = list(known)
     for name in set(names) - set(every):
-        near = difflib.get_close_matches(name, every, 1)
-        do = f"Did you mean {near[0]}=…?" if near else "--help lists them."
+        do = nearest(name, every, "--help lists them.", "=…")
         raise ContractError(expected("option", "one that this command has", shortened(name), do))
 
 

@@ -124,10 +124,13 @@ def expected(what: str, wanted: object, came: object, do: str) -> str:
     return without_credentials(f"{what}: expected {wanted}, got {came}. {do}")
 
 
-def nearest(came: str, known: Iterable[str], otherwise: str) -> str:
-    """Return what to do about an unknown name: take the nearest known one, or ``otherwise``."""
+def nearest(came: str, known: Iterable[str], otherwise: str, mark: str = "") -> str:
+    """Return what to do about an unknown name: take the nearest known one, or ``otherwise``.
+
+    A ``mark`` follows the name, ``=…`` that of an option.
+    """
     near = difflib.get_close_matches(came, known, 1)
-    return f"Did you mean {near[0]}?" if near else otherwise
+    return f"Did you mean {near[0]}{mark}?" if near else otherwise
 
 
 def described(value: object) -> str:

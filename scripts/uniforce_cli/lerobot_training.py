@@ -1,6 +1,5 @@
 """LeRobot's trainer with checked settings, training views and hashed checkpoints."""
 
-import difflib
 import io
 import logging
 import sys
@@ -31,6 +30,7 @@ from uniforce_vtla.errors import (
     DatasetError,
     UniForceError,
     expected,
+    nearest,
 )
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import VIEW_MARKER
@@ -231,9 +231,9 @@ def _with_nearest(error: UniForceError) -> UniForceError:
     """Add the nearest known name to what argparse says of an unknown one."""
     _, unknown, words = str(error).partition("unrecognized arguments: ")
     name = words.partition("=")[0].removeprefix("--")
-    near = difflib.get_close_matches(name, settings_known(), 1)
-    if unknown and near:
-        return ContractError(f"{error} Did you mean {near[0]}=…?")
+    do = nearest(name, settings_known(), "", "=…")
+    if unknown and do:
+        return ContractError(f"{error} {do}")
     return error
 
 

@@ -156,12 +156,12 @@ def recorded_grasps(
 def kind_worn(folder: str, finger: Finger) -> str:
     """Return the kind of sensor that a finger wears in a dataset's first episode.
 
-    Raises DatasetError: as ``check_dataset``.
+    Its frames aren't checked. Raises DatasetError: as ``read_source``.
     """
-    from uniforce_datasets.lossless import check_dataset
+    from uniforce_datasets.source import read_source
     from uniforce_datasets.view_plan import episode_facts
 
-    _, facts = episode_facts(check_dataset(folder))[0]
+    _, facts = episode_facts(read_source(folder))[0]
     return facts.left_sensor if finger == "left" else facts.right_sensor
 
 

@@ -30,13 +30,15 @@ class MarkerHold:
 
         Of no more than ``lost`` to the reference: where all are seen a sudden press has moved them.
         """
+        if lost == 0:
+            return np.zeros(0, int)
         away_px = cKDTree(centres_px).query(self._centres_px)[0]
         away = away_px > self._reach_px
         if away.sum() > MOST * len(away):
             return np.zeros(0, int)
         held = np.flatnonzero(away & (self._missed_for < self._frames))
         farthest = np.argsort(-away_px[held], kind="stable")
-        return held[farthest[: max(0, lost)]]
+        return held[farthest[:lost]]
 
     def fill(self, image: np.ndarray, centres_px: np.ndarray, lost: int) -> int:
         """Draw the missed markers into an (H, W) uint8 image of (M, 2) markers; return how many."""
