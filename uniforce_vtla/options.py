@@ -9,7 +9,7 @@ from numbers import Real
 from pathlib import Path
 from typing import Annotated, Any
 
-from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.errors import ContractError, expected, nearest
 from uniforce_vtla.keys import VIEW_MARKER
 
 LONGEST = 4000  # characters of any text
@@ -67,7 +67,8 @@ class Names:
             value = split(value)
         unknown = [word for word in each(value) if word not in self.known]
         if unknown:
-            raise ContractError(expected(name, str(self), ", ".join(unknown), "Choose of these."))
+            do = nearest(unknown[0], self.known, "Choose of these.")
+            raise ContractError(expected(name, str(self), ", ".join(unknown), do))
 
 
 @dataclass(frozen=True)

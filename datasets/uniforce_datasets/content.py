@@ -18,13 +18,13 @@ from tqdm import tqdm
 from uniforce_datasets.hashes import Verify
 from uniforce_datasets.raw_video import FOLDER, raw_path
 from uniforce_datasets.source import Episode, Source, VideoSpan, episode_frames, stored_frames
-from uniforce_datasets.video_encoder import REFERENCE_KEYS
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import DatasetError, expected
-from uniforce_vtla.keys import ACTION, TACTILE_KEYS
+from uniforce_vtla.keys import ACTION, TACTILE_KEYS, tactile_key
 
 COUNTED = ("episode_index", "frame_index", "timestamp")
 OBSERVATION = "observation."
+REFERENCE_KEYS = tuple(tactile_key(finger, reference=True) for finger in FINGERS)
 TOLERANCE_s = 1e-4  # of a frame's time; LeRobot's own
 END_FRAMES = 2  # frames looked at from the end of a video
 BAR_AFTER_s = 5.0

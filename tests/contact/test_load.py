@@ -18,7 +18,7 @@ from uniforce_vtla.contact import (
 )
 from uniforce_vtla.contact.indenters import HEIGHTS
 from uniforce_vtla.contact.simulator import free_air
-from uniforce_vtla.contact.traction import solve_traction
+from uniforce_vtla.contact.traction import CellSkin, solve_traction
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.sensors import get_sensor, list_sensors
 
@@ -90,13 +90,13 @@ def test_partial_slip_hands_load_to_sticking_cells():
     """Torsion and shear that slip on one side only are still carried as a whole."""
     pad = simulator("gelsight").pad
     position = pad.position_mm
+    skin = CellSkin.of(pad.influence.skin, np.arange(len(position)))
     p = np.exp(-(position**2).sum(axis=1, keepdims=True).T / 30).astype(np.float32)
     total = float(p.sum())
     shear = np.array([[0.45 * total, 0.0]])
     torsion = np.array([2.0 * total])
     free, capped = (
-        solve_traction(p, position, pad.influence.skin, shear, torsion, friction)
-        for friction in (1e6, 1.0)
+        solve_traction(p, position, skin, shear, torsion, friction) for friction in (1e6, 1.0)
     )
     assert (np.hypot(*free[0]) > p[0] * 1.01).any() and (np.hypot(*capped[0]) <= p[0] * 1.001).all()
     np.testing.assert_allclose(capped.sum(axis=2), shear, rtol=0.03, atol=0.03 * total)

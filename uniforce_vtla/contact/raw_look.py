@@ -19,6 +19,7 @@ _EDGE_BLUR_PX = 1.2  # a camera's edge spread
 _PIXEL_NOISE = 2.0  # grey levels, standard deviation
 _GEL_MARKER_DARKNESS = 0.72  # share of light a printed marker swallows
 _GEL_SHADE = 60.0  # grey levels per unit slope of the indented surface
+_LAMPS_rad = np.deg2rad([90, 210, 330])  # where red, green and blue come from
 _PIN_RGB = np.array([205, 215, 235], np.float32)  # pins are whitest in blue
 _SHEET_ROOM_PX = 64  # by which the noise sheet is larger than a frame, each way
 _RIM_PX = (247.0, 262.0)  # bright ring just outside the 240 px (20 mm) of the dome
@@ -44,9 +45,10 @@ def gelsight_frames(
     """
     frames = []
     for image, depth in zip(marker_images, indentation_mm, strict=True):
-        left = 1 - _GEL_MARKER_DARKNESS * _blurred(image)
-        shades = _slope_shades(depth, cell_mm, px_per_mm)
-        frames.append(_exposed((_gel_light() + shades) * left, rng, noise))
+        planes = _slope_shades(depth, cell_mm, px_per_mm)
+        planes += _gel_light()
+        planes *= 1 - _GEL_MARKER_DARKNESS * _blurred(image)
+        frames.append(_exposed(planes, rng, noise))
     return np.stack(frames)
 
 
@@ -84,14 +86,17 @@ def _exposed(planes: np.ndarray, rng: np.random.Generator, noise: PixelNoise) ->
     return cv2.merge(list(np.clip(planes, 0, 255, out=planes).astype(np.uint8)))
 
 
-def _slope_shades(depth_mm: np.ndarray, cell_mm: float, px_per_mm: float) -> list[np.ndarray]:
-    """Return three colours, (H, W) each: light on slopes from lamps at 90°, 210° and 330°."""
+def _slope_shades(depth_mm: np.ndarray, cell_mm: float, px_per_mm: float) -> np.ndarray:
+    """Return (3, H, W) light on slopes, one lamp per colour."""
     smooth = cv2.GaussianBlur(depth_mm.astype(np.float32), (0, 0), 1.0 / cell_mm)
     dy, dx = np.gradient(smooth, cell_mm)
     places = _cells_of_pixels(len(depth_mm), px_per_mm * cell_mm)
-    slope = cv2.split(cv2.remap(cv2.merge([dx, dy]), *places, cv2.INTER_LINEAR))
-    angles = np.deg2rad([90, 210, 330])
-    return [_GEL_SHADE * (slope[0] * np.cos(a) + slope[1] * np.sin(a)) for a in angles]
+    shades = np.empty((len(_LAMPS_rad), *MARKER_IMAGE_SHAPE), np.float32)
+    for shade, angle in zip(shades, _LAMPS_rad, strict=True):
+        toward_lamp = np.cos(angle) * dx + np.sin(angle) * dy
+        on_cells = (_GEL_SHADE * toward_lamp).astype(np.float32)  # few cells, many pixels
+        cv2.remap(on_cells, *places, cv2.INTER_LINEAR, dst=shade)
+    return shades
 
 
 @cache
@@ -131,8 +136,7 @@ def _gel_light() -> np.ndarray:
     rows, columns = np.indices(MARKER_IMAGE_SHAPE)
     x = (columns - CENTRE_PX[0]) / CENTRE_PX[0]
     y = (rows - CENTRE_PX[1]) / CENTRE_PX[1]
-    angles = np.deg2rad([90, 210, 330])
-    light = np.stack([150 + 35 * (x * np.cos(a) + y * np.sin(a)) for a in angles], axis=-1)
+    light = np.stack([150 + 35 * (x * np.cos(a) + y * np.sin(a)) for a in _LAMPS_rad], axis=-1)
     vignette = 1 - 0.4 * (_radius_px() / 400) ** 2
     return _planes((light * vignette[..., None]).astype(np.float32))
 

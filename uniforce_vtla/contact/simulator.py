@@ -14,7 +14,7 @@ from uniforce_vtla.contact.responses import (
     PointResponse,
     TaxelResponse,
 )
-from uniforce_vtla.contact.traction import Traction, solve_traction, transmitted
+from uniforce_vtla.contact.traction import CellSkin, Traction, solve_traction, transmitted
 from uniforce_vtla.contact.units import Look, UnitVariation
 from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual, gel_of
 from uniforce_vtla.contracts import ContactState
@@ -61,6 +61,8 @@ class TactileSimulator:
         self._stiffness = self._material.stiffness * self.unit.stiffness
         self._respond = self._build_response()
         self._lost, self._dead = self._damage()
+        self._pressed = np.zeros(0, int)
+        self._skin = CellSkin.of(self.pad.influence.skin, self._pressed)
 
     def reference(self) -> np.ndarray:
         """Return the (480, 640) uint8 marker image in free air, without noise."""
@@ -149,12 +151,19 @@ class TactileSimulator:
         shear = solve_traction(
             press,
             self.pad.position_mm[cells],
-            self.pad.influence.skin[:, cells][..., cells],
+            self._skin_of(cells),
             contact.force_N[:, :2],
             contact.torsion_Nmm,
             self.options.friction,
         )
         return Traction(cells, press, shear)
+
+    def _skin_of(self, cells: np.ndarray) -> CellSkin:
+        """Return these cells' part of the skin; a held object presses the same ones for long."""
+        if not np.array_equal(cells, self._pressed):
+            self._pressed = cells
+            self._skin = CellSkin.of(self.pad.influence.skin, cells)
+        return self._skin
 
     def _markers(self, traction: Traction, noise: bool) -> tuple[np.ndarray, np.ndarray]:
         if isinstance(self._respond, Drawn):

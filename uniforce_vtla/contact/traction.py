@@ -1,6 +1,7 @@
 """Shear load → tangential traction: the skin sticks to the object as far as friction allows."""
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -22,10 +23,26 @@ class Traction:
     shear_N: np.ndarray  # (B, 2, K) tangential force on each, x right, y down
 
 
+@dataclass(frozen=True)
+class CellSkin:
+    """How far C cells move along the skin under forces on them, in mm per newton; x before y."""
+
+    dragged: np.ndarray  # (2C, 2C) by forces along the skin; symmetric
+    pushed: np.ndarray  # (2C, C) by forces into it
+
+    @classmethod
+    def of(cls, influence: np.ndarray, cells: np.ndarray) -> Self:
+        """Return some (C,) cells of a pad's (3, P, 3, P) influence."""
+        C = len(cells)
+        part = influence[:2, cells][..., cells]  # (2, C, 3, C)
+        dragged = part[:, :, :2].reshape(2 * C, 2 * C)
+        return cls(dragged, pushed=part[:, :, 2].reshape(2 * C, C))
+
+
 def solve_traction(
     press_N: np.ndarray,
     position_mm: np.ndarray,
-    skin: np.ndarray,
+    skin: CellSkin,
     shear_N: np.ndarray,
     torsion_Nmm: np.ndarray,
     friction: float,
@@ -39,7 +56,7 @@ def solve_traction(
     Args:
         press_N: (B, C) normal force on each cell.
         position_mm: (C, 2) cell centres.
-        skin: (3, C, 3, C) displacement of cells in mm per newton on cells.
+        skin: of the same cells.
         shear_N: (B, 2) fx, fy.
         torsion_Nmm: (B,) moment about the centre of pressure, inward normal.
         friction: μ.
@@ -50,17 +67,16 @@ def solve_traction(
     load = (shear_N, torsion_Nmm)
     # (B, 2, C) = q / p
     ratio = even = _cap(_share(press_N, arm, *load), press_N, arm, *load, friction)
-    dragged = skin[:2, :, :2].reshape(2 * C, 2 * C)  # symmetric
-    pushed = (press_N @ skin[:2, :, 2].reshape(2 * C, C).T).reshape(B, 2, C)
+    pushed = (press_N @ skin.pushed.T).reshape(B, 2, C)
     weight = press_N / total
     direction = np.zeros_like(ratio)
     old = np.ones(B, np.float32)
     for step in range(_STICK_STEPS):
-        moved = ((ratio * press_N[:, None]).reshape(B, -1) @ dragged).reshape(B, 2, C) + pushed
+        moved = ((ratio * press_N[:, None]).reshape(B, -1) @ skin.dragged).reshape(B, 2, C) + pushed
         slip = _less_rigid(moved, weight, arm)
         length = (slip**2 * press_N[:, None]).sum(axis=(1, 2))
         direction = (length / np.maximum(old, _TINY) * (step > 0))[:, None, None] * direction - slip
-        change = ((direction * press_N[:, None]).reshape(B, -1) @ dragged).reshape(B, 2, C)
+        change = ((direction * press_N[:, None]).reshape(B, -1) @ skin.dragged).reshape(B, 2, C)
         along = direction * press_N[:, None]
         curvature = np.maximum((change * along).sum(axis=(1, 2)), _TINY)
         size = -(slip * along).sum(axis=(1, 2)) / curvature
