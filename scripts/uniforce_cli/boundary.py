@@ -49,10 +49,9 @@ Verify = Literal["full", "quick", "off"]
 Level = Literal["easy", "touch"]
 Gripper = Literal["servo", "hand"]  # of the scene
 Sensor = Annotated[str, Names(list_sensors())]
-# words for the sensor on a simulated finger (uniforce_vtla/contact/worn.py)
-_WORN = rf"({'|'.join(list_sensors())})(:(any|drawing|\d{{1,6}}))?(\+\w+=[\d.]+)*"
-_KINDS = f"{' | '.join(list_sensors())}, and which unit of it"
-Worn = Annotated[str, Pattern(_KINDS, _WORN, "tactip:any")]
+# words for the sensor on a simulated finger (uniforce_vtla/contact/worn_in_words.py)
+_WORN = r"\w+(:(any|drawing|\d{1,6}))?(\+\w+=[\d.]+)*"
+Worn = Annotated[str, Pattern("a sensor and which unit of it", _WORN, "tactip:any")]
 Sensors = Annotated[str, Names(list_sensors(), many=True)]
 
 

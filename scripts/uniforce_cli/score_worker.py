@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import torch
 from lerobot.utils.io_utils import write_video
@@ -173,7 +174,7 @@ class ShuffledTouch(OtherTouch):
         pixels = dict(observation["pixels"])
         for name, packed in bank[int(self._rng.integers(len(bank)))].items():
             image = np.unpackbits(packed, axis=-1) * np.uint8(255)
-            pixels[name] = np.repeat(image[..., None], 3, axis=-1)
+            pixels[name] = cv2.cvtColor(image, cv2.COLOR_GRAY2RGB)
         return self._inner.chunk(observation | {"pixels": pixels}, task)
 
 

@@ -176,9 +176,8 @@ def counts_picture(change: np.ndarray) -> np.ndarray:
     Normal counts, upright.
     """
     z = np.clip(change[:, 2].reshape(4, 4)[::-1] / FULL_COUNTS * 255, 0, 255).astype(np.uint8)
-    return np.repeat(
-        cv2.resize(z, (160, 120), interpolation=cv2.INTER_NEAREST)[..., None], 3, axis=2
-    )
+    large = cv2.resize(z, (160, 120), interpolation=cv2.INTER_NEAREST)
+    return cv2.cvtColor(large, cv2.COLOR_GRAY2RGB)
 
 
 def save_panel(view: TouchView, path: str) -> Path:

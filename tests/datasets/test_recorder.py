@@ -18,7 +18,7 @@ from properties import examples
 
 from uniforce_datasets import staging, video_encoder
 from uniforce_datasets.cards import read_card
-from uniforce_datasets.features import vector_column
+from uniforce_datasets.features import ColumnMaker, vector_column
 from uniforce_datasets.lossless import check_dataset, open_dataset
 from uniforce_datasets.pooled_quantiles import POOLED_KEYS, pooled_stats
 from uniforce_datasets.raw_video import raw_path
@@ -67,6 +67,13 @@ def add_frames(recorder, count=SHORT, seed=0, raw=None):
 def save_one(recorder, **given):
     add_frames(recorder, **given)
     recorder.save(success=True, outcome="success", seed=7, card={"label": "success"})
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_a_marker_image_may_come_with_equal_channels(channels):
+    image = dots(0)
+    given = np.dstack([image] * channels)
+    np.testing.assert_array_equal(ColumnMaker()(TACTILE_KEYS[0], given), np.dstack([image] * 3))
 
 
 @pytest.mark.parametrize("root", ["", " ", "/proc/nothing", "a\0b", "{file}"])

@@ -14,6 +14,7 @@ from policy_samples import calibrate
 from lerobot_env_uniforce_wiping import WipeEnv
 from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint, stored_config
 from uniforce_cli import score_worker
+from uniforce_cli.boundary import Worn
 from uniforce_cli.score import ROWS, SCRIPTS, ScoreConfig, score, score_arms, write_report
 from uniforce_cli.score_settings import Rig
 from uniforce_cli.score_worker import (
@@ -23,6 +24,7 @@ from uniforce_cli.score_worker import (
     donated_touch,
     score_job,
 )
+from uniforce_vtla.contact.virtual import hidden_sensors
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.keys import TACTILE_NAMES
 from uniforce_vtla.results_file import only_writer
@@ -165,6 +167,11 @@ def test_a_slot_the_policy_lacks_is_refused_before_processes_start(settings, rol
     with pytest.raises(ContractError, match="touch0"):
         score(replace(settings, swap="nose:left"))
     assert not jobs
+
+
+@pytest.mark.parametrize("name", sorted(hidden_sensors()))
+def test_a_sensor_that_no_table_lists_can_be_worn(name):
+    Worn.__metadata__[0].check("right_sensor", f"{name}:any")
 
 
 def test_the_calibration_of_another_unit_is_refused(settings, tmp_path, rolled_out):
