@@ -20,8 +20,6 @@ X, Y, Z, YAW, WIDTH = range(5)
 STRAY_SHARE = 0.05  # of the inked cells: so few don't make a row the first inked one
 LOOKS_BACK = 2  # times a board that is not clean is wiped again: more don't fit into an episode
 NEAR_m = 0.002  # arrived
-# width target inside the measured one, from which on the fingers touch; a servo's lag is half of it
-PRESSED_m = 0.008
 SLOW_DOWN_m = 0.008  # before a corner
 APPROACH_GAIN = 7.0  # 1/s: speed per distance left, so that moves end softly
 # A soft arm lags behind its command by .3 s, a stiff one by .1 s. A policy observes neither the
@@ -42,6 +40,14 @@ class Pace:
     stroke_m_s: float = 0.080
     shift_m_s: float = 0.045  # between rows: drag along the closing axis loads one pad more
     ramp_m_s2: float = 0.5  # change of speed along the sweep
+
+
+@dataclass(frozen=True)
+class Linger:
+    """How a hand that has closed stays in the tray."""
+
+    steps: int = 0
+    sink_m: float = 0.0  # change of height meanwhile
 
 
 class Regulator(Protocol):
@@ -129,7 +135,7 @@ class WipeSequence:
         look: returns the x at which the ink that is left begins, m, None where the board is clean.
         pace: speeds.
         stray: draws by how much, (2,) m, the hand misses the beginning of a row; None: not at all.
-        sink_m: change of the hand's height while it closes on the eraser.
+        linger: how the closed hand stays in the tray; None: it lifts at once.
     """
 
     def __init__(
@@ -140,7 +146,7 @@ class WipeSequence:
         look: Callable[[], float | None],
         pace: Pace | None = None,
         stray: Callable[[], np.ndarray] | None = None,
-        sink_m: float = 0.0,
+        linger: Linger | None = None,
     ) -> None:
         self.level = level
         self.regulator = regulator
@@ -149,7 +155,8 @@ class WipeSequence:
         self.target = np.array(target, dtype=np.float64)
         self.phase = "descend"
         self._look = look
-        self._sink_m = sink_m
+        self._linger = linger or Linger()
+        self._lingered = 0
         self._looks_left = LOOKS_BACK
         self._along_m = 0.0
         self._speed_m_s = 0.0
@@ -202,11 +209,12 @@ class WipeSequence:
 
     def _close(self, measured: np.ndarray) -> bool:
         goal_m = self.level.layout.grasp_height_m
-        if measured[WIDTH] - self.target[WIDTH] > PRESSED_m:
-            goal_m += self._sink_m
+        if self._lingered:
+            goal_m += self._linger.sink_m
         self._go_to_height(goal_m, measured)
-        self.target[WIDTH], is_held = self.regulator.close(self.target[WIDTH], measured)
-        return is_held
+        self.target[WIDTH], held = self.regulator.close(self.target[WIDTH], measured)
+        self._lingered += held
+        return self._lingered > self._linger.steps
 
     def _lift(self, measured: np.ndarray) -> bool:
         self.target[WIDTH] = self.regulator.hold(self.target[WIDTH], measured)
