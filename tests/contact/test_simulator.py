@@ -119,17 +119,22 @@ def test_symmetric_press_gives_a_symmetric_image(sensor):
     np.testing.assert_array_equal(image, image[::-1])
 
 
+# The pressure of a batch is iterated until its slowest contact has converged, so the others take more
+# steps than alone: a cone two more. On one processor shear then differs by up to half a cell's own
+UNEVEN = pytest.mark.xfail(reason="a batch's contacts converge together", strict=False)
+
+
 @SENSORS
-def test_batch_equals_singles(sensor):
+@pytest.mark.parametrize("third", ["sphere", pytest.param("cone", marks=UNEVEN)])
+def test_batch_equals_singles(sensor, third):
     contacts = [
         contact((i - 2, 1, 3.0 * i), 2.0 * i, name)
-        for i, name in enumerate(("wave", "dots", "sphere", "line"))
+        for i, name in enumerate(("wave", "dots", third, "line"))
     ]
     batched, _ = TactileSimulator(sensor, seed=3).markers_px(stacked(*contacts))
     single = TactileSimulator(sensor, seed=3)
     singles = np.concatenate([single.markers_px(c)[0] for c in contacts])
-    # taxels: counts are rounded, 1 count = .06 px. No cone: its solver stops at the very bound, and a
-    # processor decides by the last bit whether it takes one step more (paxini: 3.6 px)
+    # taxels: counts are rounded, 1 count = .06 px
     np.testing.assert_allclose(batched, singles, atol=0.1)
 
 

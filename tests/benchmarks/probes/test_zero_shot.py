@@ -93,8 +93,8 @@ def test_no_held_out_sensor_is_in_the_pretraining_family():
     assert keen.rest_counts > 1.25 * usual.rest_counts
 
 
-# of BRIEF, by code that draws the whole set to its committed hash. The last bit of a matrix product
-# differs by processor, and a cell at the edge of a contact with it: two processors are known
+# of BRIEF, by code that draws the whole set to its committed hash. The same code draws a uSkin
+# otherwise on another processor: two are known
 SCORED = {
     "gelsight_d": ("8e6c838602f5",),
     "tactip": ("f217d66e3144",),
