@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ, Layout, Level
-from lerobot_env_uniforce_wiping.sequence import Linger, Pace, Regulator, WipeSequence, look_back
+from lerobot_env_uniforce_wiping.sequence import Pace, Regulator, WipeSequence, look_back
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError, expected
 
@@ -56,10 +56,6 @@ class ExpertNoise:
     # a policy's hand stops some millimetres too low or too high, and needs demos from there
     grasp_sd_m: float = 0.004  # height of the grasp on the eraser, per episode
     carry_sd_m: float = 0.005  # height of carrying, per episode
-    # a hand that holds by itself lingers in the tray once it has closed, and goes up or down there:
-    # a policy's hand does, feels the shear of a wipe, and wiped the tray
-    linger_s: float = 0.5  # at most, per episode
-    sink_sd_m: float = 0.006
     # across and along the row: where the eraser is set down, from the row's beginning
     stray_sd_m: tuple[float, float] = (0.004, 0.008)
 
@@ -116,12 +112,14 @@ class TouchRegulator:
         self._holds = holds
 
     def close(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
-        """Close fast until a pad touches, then regulate; done at `lift_from` of the wanted grip."""
+        """Close fast until a pad touches, then regulate; done at `lift_from` of the wanted grip.
+
+        A hand says itself when it holds, but late, and a policy doesn't hear it: an expert that
+        waits for it teaches the mean of waiting and lifting. It counts where grip is read too low.
+        """
         s = self._settings
-        is_held = self._holds()
-        if is_held is not None:
-            return target_m - CLOSING_m_s / CONTROL_HZ, is_held
-        return self.hold(target_m, measured), self._contact().grip_N > s.lift_from * s.grip_N
+        is_gripped = self._contact().grip_N > s.lift_from * s.grip_N
+        return self.hold(target_m, measured), is_gripped or bool(self._holds())
 
     def hold(self, target_m: float, measured: np.ndarray) -> float:
         """Move the width against the grip error, or inside the object where the hand holds it."""
@@ -209,22 +207,13 @@ class WipeExpert:
         self._holds = lambda: env.sim.gripper.holds
         regulator = self._regulator(level.layout, press, grip)
         start = env.state.astype(np.float64)
-        linger = None
-        if self._holds() is not None:
-            linger = self._linger(env.scene.seed)
         self._sequence = WipeSequence(
-            level, regulator, start, lambda: look_back(env), pace, self._stray, linger
+            level, regulator, start, lambda: look_back(env), pace, self._stray
         )
 
     def _stray(self) -> np.ndarray:
         """Draw by how much the hand arrives beside a row, (2,) m."""
         return np.clip(self._rng.standard_normal(2), -2, 2) * self.noise.stray_sd_m
-
-    def _linger(self, seed: int) -> Linger:
-        """Draw how this run's hand stays in the tray; a generator of its own leaves the rest."""
-        rng = np.random.default_rng([seed, 4243])
-        steps = round(rng.uniform(0, self.noise.linger_s) * CONTROL_HZ)
-        return Linger(steps, self.noise.sink_sd_m * float(np.clip(rng.standard_normal(), -2, 2)))
 
     def _own_heights(self, level: Level) -> Level:
         """Return the level with this run's own heights of grasp and carrying."""

@@ -42,14 +42,6 @@ class Pace:
     ramp_m_s2: float = 0.5  # change of speed along the sweep
 
 
-@dataclass(frozen=True)
-class Linger:
-    """How a hand that has closed stays in the tray."""
-
-    steps: int = 0
-    sink_m: float = 0.0  # change of height meanwhile
-
-
 class Regulator(Protocol):
     """Decides grip and press, each from the current target and the measured state."""
 
@@ -135,7 +127,6 @@ class WipeSequence:
         look: returns the x at which the ink that is left begins, m, None where the board is clean.
         pace: speeds.
         stray: draws by how much, (2,) m, the hand misses the beginning of a row; None: not at all.
-        linger: how the closed hand stays in the tray; None: it lifts at once.
     """
 
     def __init__(
@@ -146,7 +137,6 @@ class WipeSequence:
         look: Callable[[], float | None],
         pace: Pace | None = None,
         stray: Callable[[], np.ndarray] | None = None,
-        linger: Linger | None = None,
     ) -> None:
         self.level = level
         self.regulator = regulator
@@ -155,8 +145,6 @@ class WipeSequence:
         self.target = np.array(target, dtype=np.float64)
         self.phase = "descend"
         self._look = look
-        self._linger = linger or Linger()
-        self._lingered = 0
         self._looks_left = LOOKS_BACK
         self._along_m = 0.0
         self._speed_m_s = 0.0
@@ -208,13 +196,9 @@ class WipeSequence:
         return here and measured[Z] < layout.grasp_height_m + 2 * NEAR_m
 
     def _close(self, measured: np.ndarray) -> bool:
-        goal_m = self.level.layout.grasp_height_m
-        if self._lingered:
-            goal_m += self._linger.sink_m
-        self._go_to_height(goal_m, measured)
-        self.target[WIDTH], held = self.regulator.close(self.target[WIDTH], measured)
-        self._lingered += held
-        return self._lingered > self._linger.steps
+        self._go_to_height(self.level.layout.grasp_height_m, measured)
+        self.target[WIDTH], is_held = self.regulator.close(self.target[WIDTH], measured)
+        return is_held
 
     def _lift(self, measured: np.ndarray) -> bool:
         self.target[WIDTH] = self.regulator.hold(self.target[WIDTH], measured)
