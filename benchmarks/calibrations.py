@@ -6,13 +6,15 @@ from typing import Literal
 from uniforce_cli.calibrate import CalibrateCommand, calibrate_sensor, weigh_sensor
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.tokenizer import Tokenizer
+from uniforce_vtla.tokenizer.settings import CalibrationConfig
 
 KNOWN: dict[Finger, str] = {"left": "gelsight", "right": "tactip"}  # worn by demonstrations
 UNITS = (2, 3, 4, 5)
 GRASPS = 300  # of a label-free calibration
 LOADS_N = "3,6,9"  # of a scale, which the sensor presses through the tool
 
-type Fit = Literal["", "grasps", "tool"]
+# by grasps | by grasps, for a policy that feels whole latents: no gain of newtons | weighed
+type Fit = Literal["", "grasps", "maps", "tool"]
 
 
 def units(kind: str) -> tuple[str, ...]:
@@ -36,6 +38,8 @@ def calibration_folder(worn: str, fit: Fit, work: Path, finger: Finger = "right"
         command = CalibrateCommand(worn, loads_N=LOADS_N, through="tool")
         found = weigh_sensor(command, tokenizer)
     else:
-        found = calibrate_sensor(CalibrateCommand(worn, KNOWN[finger], grasps=GRASPS), tokenizer)
+        form = CalibrationConfig(gain=fit != "maps")
+        command = CalibrateCommand(worn, KNOWN[finger], grasps=GRASPS, fit=form)
+        found = calibrate_sensor(command, tokenizer)
     found.save(folder)
     return folder

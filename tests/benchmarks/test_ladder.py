@@ -97,12 +97,12 @@ def test_a_claim_holds_within_its_margin_and_bound():
 
 def test_variants_are_pooled_over_their_rungs_and_seeds():
     rows = {}
-    for variant in ("gripped_shear", "newtons"):
+    for variant in ("newtons", "latent"):
         for seed in (0, 1):
             rows[f"{variant} {seed} S0"] = row("CCCr")
-    found = ladder.pooled(rows | {"newtons 0 S1": row("rrrr")})
+    found = ladder.pooled(rows | {"latent 0 S1": row("rrrr")})
     counts = {name: (pool["clean"], pool["n"]) for name, pool in found.items()}
-    assert counts == {"gripped_shear": (6, 8), "newtons": (6, 12)}
+    assert counts == {"newtons": (6, 8), "latent": (6, 12)}
 
 
 def test_rows_scored_later_join_those_of_the_result_file(tmp_path, monkeypatch):
@@ -125,6 +125,9 @@ def test_a_calibration_is_made_once(tmp_path, monkeypatch):
         calibrations.calibration_folder("uskin:2", "grasps", tmp_path)
     ((command, _),) = [call.args for call in calibrate.call_args_list]
     assert (command.new, command.anchor, command.grasps) == ("uskin:2", "tactip", 300)
+    assert command.fit.gain
+    calibrations.calibration_folder("uskin:2", "maps", tmp_path)
+    assert not calibrate.call_args.args[0].fit.gain, "a policy that feels latents can't use it"
 
 
 def test_a_left_fingers_calibration_is_fitted_beside_its_known_sensor(tmp_path, monkeypatch):
