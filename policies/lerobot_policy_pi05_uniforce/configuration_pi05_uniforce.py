@@ -57,17 +57,13 @@ NEVER_STORED = {
 }
 MOST_CARRIED_N = 100.0  # of a grip: no finger reads more
 FORMERLY = {"true": "always", "false": "robot"}  # action.stop_outside_demos
-# touch inputs that are no latent map: N, N, N, Nmm and flags that become 1 in the network, so that
-# shear, press and torsion of a firm wipe are about 1 there
+# touch inputs that are no latent map: N, N, N, Nmm that become 1 in the network, so that shear,
+# press and torsion of a firm wipe are about 1 there
 FORCES: dict[str, tuple[float, ...]] = {
     "newtons": (5, 5, 10),
-    "shear": (5, 5),
-    "gripped_shear": (5, 5, 1),
-    "flagged_newtons": (5, 5, 10, 1, 1, 1),
     "wrench": (5, 5, 10, 100),
 }
-READ_BY_HEAD = ("newtons", "shear", "gripped_shear", "flagged_newtons")
-ENCODED = ("latent", *READ_BY_HEAD)  # touch inputs that come from the frozen tokenizer
+ENCODED = ("latent", "newtons")  # touch inputs that come from the frozen tokenizer
 HELD = ("held", "gripped")  # choices of grip that replace what is read
 CHOICES = {
     "verify": ("full", "quick", "off"),
@@ -96,9 +92,7 @@ class TouchSettings:
     # slot → finger; {} = none
     slots: dict[str, str] = field(default_factory=lambda: {"touch0": "right"})
     # "newtons" (tiny): three numbers that a frozen force head reads in the latents | "latent"
-    # (base): the whole map, as in the paper | "shear": two of the newtons, no grip |
-    # "gripped_shear": and whether something is gripped | "flagged_newtons": beside each newton
-    # whether it is known (augment.axis_dropout) | "none": plain π0.5 | "wrench": the simulator's
+    # (base): the whole map, as in the paper | "none": plain π0.5 | "wrench": the simulator's
     input: str = _BY_SIZE
     # input=newtons: sensor type whose force head reads, that of the demonstrations' finger: the
     # shipped one, or the one beside tokenizer_path
@@ -158,7 +152,6 @@ class AugmentSettings:
     # lights and camera poses (augment.py); 0 = none, 1 = about as scenes of level touch differ
     camera_variation: float = _BY_SIZE
     touch_dropout: float = _BY_SIZE  # chance to hide a slot; .3 with two slots, 0 with one
-    axis_dropout: float = 0.25  # touch.input=flagged_newtons: chance to hide each axis
 
 
 @dataclass
@@ -287,8 +280,6 @@ class PI05UniforceConfig(PI05Config):
         _require(square, "image_resolution", "a square", self.image_resolution)
         holds = self.grip in HELD and not (self.slots and touch.input == "newtons")
         _require(not holds, "grip", "read: this policy feels no newtons", self.grip)
-        dropout = self.augment.axis_dropout
-        _require(0 <= dropout < 1, "augment.axis_dropout", "at least 0, below 1", dropout)
         for slot, held_N in touch.carried_N.items():
             fits = isinstance(held_N, int | float) and 0 < held_N < MOST_CARRIED_N
             _require(fits, f"touch.carried_N of {slot}", f"0 to {MOST_CARRIED_N} N", held_N)
@@ -320,7 +311,7 @@ class PI05UniforceConfig(PI05Config):
     @property
     def reads_newtons(self) -> bool:
         """Whether a frozen force head reads newtons in the latents."""
-        return bool(self.slots) and self.touch.input in READ_BY_HEAD
+        return bool(self.slots) and self.touch.input == "newtons"
 
     @property
     def touch_in_view(self) -> str:

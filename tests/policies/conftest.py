@@ -5,7 +5,6 @@ from policy_samples import small_config, watched
 
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy
 from lerobot_policy_pi05_uniforce import make_pi05_uniforce_pre_post_processors as make_processors
-from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import READ_BY_HEAD
 from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
 from lerobot_policy_pi05_uniforce.touch.touch_input import marker_images
@@ -40,7 +39,7 @@ def make_config(tokenizer_path):
     def make(**settings):
         touch = {"touch__slots": {"touch0": "right", "touch1": "left"}, "touch__input": "latent"}
         # only the shipped tokenizers have a head
-        if settings.get("touch__input") not in READ_BY_HEAD:
+        if settings.get("touch__input") != "newtons":
             touch["touch__tokenizer_path"] = str(tokenizer_path)
         cameras = ("front", "wrist", "tactile_left", "tactile_right")
         return small_config(cameras, **in_groups(touch | settings))

@@ -10,11 +10,6 @@ from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import (
     TouchSettings,
 )
 from lerobot_policy_pi05_uniforce.touch.sensors import carried_grip, held_grips
-from lerobot_policy_pi05_uniforce.touch.touch_input import (
-    flagged,
-    gripped_shear,
-    with_hidden_axes,
-)
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.tokenizer.newtons import Lift, Newtons
 
@@ -115,40 +110,3 @@ def test_grip_is_held_from_the_first_touch_on():
     felt = newtons(torch.tensor([[[0.1, -2.0, 0.3]], [[0.1, -2.0, 4.0]], [[0.1, -2.0, 17.0]]]))
     assert felt[:, 2].tolist() == pytest.approx([0.3, 10.5, 10.5])
     assert felt[:, 1].tolist() == [-2.0] * 3
-
-
-@pytest.mark.parametrize(
-    "touch, of_newtons",
-    [
-        ("shear", lambda force_N: force_N[..., :2]),
-        ("gripped_shear", gripped_shear),
-        ("flagged_newtons", lambda force_N: torch.cat([force_N, torch.ones_like(force_N)], -1)),
-    ],
-)
-def test_other_inputs_are_made_of_the_newtons(touch, of_newtons, make_policy, make_batch):
-    newtons = make_policy(touch__input="newtons")
-    policy = make_policy(touch__input=touch)
-    batch = make_batch(newtons)
-    assert torch.equal(policy.felt(batch).touches, of_newtons(newtons.felt(batch).touches))
-
-
-def test_gripped_shear_tells_that_something_is_held_and_not_how_hard():
-    felt = gripped_shear(torch.tensor([[0.5, -2.0, 0.3], [0.5, -2.0, 3.0], [0.5, -2.0, 12.0]]))
-    assert felt.tolist() == [[0.5, -2.0, 0.0], [0.5, -2.0, 1.0], [0.5, -2.0, 1.0]]
-
-
-def test_flags_say_which_newtons_are_known():
-    no_grip = flagged(torch.tensor([0.5, -2.0, 3.0]), reads_grip=False)
-    assert no_grip.tolist() == [0.5, -2.0, 0.0, 1.0, 1.0, 0.0]
-
-
-def test_training_hides_each_axis_for_itself():
-    force_N = torch.full((4_000, 1, 3), 2.0)
-    hidden = with_hidden_axes(flagged(force_N, reads_grip=True), 0.25)
-    known = hidden[..., 3:]
-    assert torch.equal(hidden[..., :3], 2 * known)
-    assert known.mean(dim=(0, 1)).tolist() == pytest.approx([0.75] * 3, abs=0.03)
-    together = (known[..., 0] * known[..., 1]).mean()
-    assert together == pytest.approx(0.75**2, abs=0.03), "axes are hidden independently"
-    unread = with_hidden_axes(flagged(force_N, reads_grip=False), 0.25)
-    assert not unread[..., 5].any(), "a grip that isn't known stays so"

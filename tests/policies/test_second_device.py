@@ -25,7 +25,7 @@ DEVICES = pytest.mark.parametrize("device", [NAME, GPU])
 TOLERANCE = {NAME: 1e-5, "cuda": 1e-3}  # m, m, m, rad, m: another order of summation on a GPU
 LOOKS = FREE_LOOKS + 1
 WATCHED = {"touch__input": "latent", "touch__tokenizer_path": None}
-INPUTS = ("none", "wrench", "newtons", "shear", "gripped_shear", "flagged_newtons")
+INPUTS = ("none", "wrench", "newtons")
 NEWTONS = {"touch__input": "newtons"}
 PATHS = {name: {"touch__input": name} for name in INPUTS} | {
     "monitor": WATCHED,

@@ -25,11 +25,6 @@ GRIPPED_N = 2.0
 FZ = 2  # of a reading's fx, fy, fz
 
 
-def is_gripped(force_N: Tensor) -> Tensor:
-    """Return (...,) bool of (..., 3) newtons: whether something is gripped, however hard."""
-    return force_N[..., FZ] > GRIPPED_N
-
-
 class Lift:
     """Tells when the touched object was lifted; one row for each environment."""
 
@@ -89,7 +84,7 @@ class Newtons:
             return force_N
         grip_N = force_N[:, FZ]
         if self.from_touch:
-            is_held = is_gripped(force_N)
+            is_held = grip_N > GRIPPED_N
         elif height_m is None:
             return force_N
         else:

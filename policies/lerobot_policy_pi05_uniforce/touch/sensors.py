@@ -33,14 +33,12 @@ class PolicySensors:
         by_slot: slot → sensor of the finger that fills it.
         comparison: of the first slot's finger with the other one; None without slots.
         notes: a sentence about each grip that is held.
-        reads_grip: slot → whether its sensor reads grip under a tool.
     """
 
     def __init__(self, config: PI05UniforceConfig, frozen: FrozenTouch | None) -> None:
         self.by_slot: dict[str, ForceSensor] = {}
         self.comparison: GripComparison | None = None
         self.notes: list[str] = []
-        self.reads_grip: dict[str, bool] = {}
         if frozen is None:
             return
         calibrations = load_calibrations(config)
@@ -64,9 +62,7 @@ class PolicySensors:
         for slot in config.slots:
             finger = fingers[slot]
             self.by_slot[slot] = sensor(finger, held_N.get(slot))
-            calibration = calibrations.get(finger)
-            self.by_slot[slot].monitor = make_monitor(config, slot, calibration)
-            self.reads_grip[slot] = reads_grip(calibration)
+            self.by_slot[slot].monitor = make_monitor(config, slot, calibrations.get(finger))
         left, right = FINGERS
         own = self.by_slot[config.slots[0]]
         other = sensor(left if own.finger == right else right)
@@ -182,11 +178,6 @@ def make_monitor(
     return monitor_of(kind, finger, size, readings, calibration)
 
 
-def reads_grip(calibration: Calibration | None) -> bool:
-    """Return whether a sensor reads grip under a tool; of one without a calibration: yes."""
-    return calibration is None or calibration.reads_grip
-
-
 def held_grips(
     config: PI05UniforceConfig, calibrations: Mapping[Finger, Calibration]
 ) -> tuple[dict[str, float], list[str]]:
@@ -200,7 +191,8 @@ def held_grips(
     notes = []
     for slot, finger in config.finger_by_slot().items():
         calibration = calibrations.get(finger)
-        if config.grip == "read" or (config.grip == "" and reads_grip(calibration)):
+        reads_grip = calibration is None or calibration.reads_grip
+        if config.grip == "read" or (config.grip == "" and reads_grip):
             continue
         carried_N = config.touch.carried_N.get(slot)
         if carried_N is None:

@@ -14,7 +14,6 @@ from uniforce_vtla.errors import RolloutError, SensorError, UniForceError, expec
 from uniforce_vtla.force_sensor import ForceSensor
 from uniforce_vtla.keys import AXES, STATE, latent_key, tactile_key, wrench_key
 from uniforce_vtla.tokenizer.latent_range import FreeAirError
-from uniforce_vtla.tokenizer.newtons import FZ, is_gripped
 
 logger = logging.getLogger(__name__)
 
@@ -38,7 +37,6 @@ class TouchInput:
         self.config = config
         self.sensors = sensors.by_slot
         self.notes = sensors.notes
-        self._reads_grip = sensors.reads_grip
         self.masked = False  # every slot hidden: takes touch away from a trained policy
         self._comparison = sensors.comparison
         # references taken in this episode instead of those given
@@ -77,8 +75,6 @@ class TouchInput:
         if not self.config.slots:
             return None, None
         touches = torch.stack([self._read(batch, slot) for slot in self.config.slots])
-        if training and self.config.touch.input == "flagged_newtons":
-            touches = with_hidden_axes(touches, self.config.augment.axis_dropout)
         masks = touches.isfinite().flatten(2).all(dim=2)
         if self.masked:
             masks = torch.zeros_like(masks)
@@ -114,19 +110,11 @@ class TouchInput:
 
         Raises RolloutError where its sensor is lost.
         """
-        touch = self.config.touch.input
-        if touch == "wrench":
+        if self.config.touch.input == "wrench":
             return taken(batch, wrench_key(slot)).float()[:, None]
         if not self.config.reads_newtons:
             return self._latent(batch, slot)
-        force_N = self._newtons(batch, slot)[:, None]  # (B, 1, 3)
-        if touch == "shear":
-            return force_N[..., :FZ]
-        if touch == "gripped_shear":
-            return gripped_shear(force_N)
-        if touch == "flagged_newtons":
-            return flagged(force_N, self._reads_grip[slot])
-        return force_N
+        return self._newtons(batch, slot)[:, None]  # (B, 1, 3)
 
     def _latent(self, batch: Batch, slot: str) -> Tensor:
         """Return a slot's (B, K, L) latents; those of a demonstration aren't calibrated."""
@@ -181,29 +169,6 @@ class TouchInput:
         if not bounds or MEASURED_STATE not in batch:
             return False
         return bool((batch[MEASURED_STATE][:, WIDTH] > bounds[1][WIDTH] - OPEN_m).all())
-
-
-def gripped_shear(force_N: Tensor) -> Tensor:
-    """Return (B, 1, 3): fx, fy, and 1 where something is gripped, else 0.
-
-    How hard is left out: the hand holds by its own force, and kinds of sensor disagree about it.
-    """
-    gripped = is_gripped(force_N)[..., None].to(force_N)  # (B, 1, 1)
-    return torch.cat([force_N[..., :FZ], gripped], dim=-1)
-
-
-def flagged(force_N: Tensor, reads_grip: bool) -> Tensor:
-    """Return (B, 1, 6): fx, fy, fz, 0 where not known, and three flags, 1 where known."""
-    known = torch.ones_like(force_N)
-    known[..., FZ] = float(reads_grip)
-    return torch.cat([force_N * known, known], dim=-1)
-
-
-def with_hidden_axes(touches: Tensor, chance: float) -> Tensor:
-    """Return flagged newtons (..., 6) with each axis hidden by ``chance``, sample by sample."""
-    force_N, known = touches.chunk(2, dim=-1)
-    known = known * (torch.rand_like(known) >= chance)
-    return torch.cat([force_N * known, known], dim=-1)
 
 
 def marker_images(batch: Batch, finger: Finger) -> tuple[Tensor, Tensor]:
