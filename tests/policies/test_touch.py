@@ -20,6 +20,7 @@ from lerobot_policy_pi05_uniforce.touch.tokens import SHUT, Felt, ForceTokens
 from lerobot_policy_pi05_uniforce.touch.touch_input import TouchInput
 from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError, SensorError
 from uniforce_vtla.keys import latent_key, tactile_key
+from uniforce_vtla.tokenizer import newtons
 from uniforce_vtla.tokenizer.finger_balance import FingerBalance
 from uniforce_vtla.tokenizer.force_head import ForceHead
 from uniforce_vtla.tokenizer.latent_range import FREE_LOOKS, FreeAirError
@@ -401,3 +402,22 @@ def test_the_shipped_policy_compares_its_finger_with_the_other_one_where_that_is
     assert "right finger reads 2.00 times the other one's grip" in caplog.text
     watch_start("tactip:1", monitor="off", drawn=("left", "right"))
     assert see.call_count == 2
+
+
+def test_fingers_that_are_both_felt_are_encoded_once_and_compared_as_read(
+    make_policy, make_batch, monkeypatch
+):
+    see = mock.Mock(return_value=None)
+    monkeypatch.setattr(FingerBalance, "see", see)
+    held = {"touch__carried_N": {"touch0": 9.0, "touch1": 9.0}, "grip": "gripped"}
+    policy = watched(make_policy(touch__input="newtons", **held))
+    batch = with_dots(make_batch(policy))
+    policy.touch._comparison._every = 1
+    monkeypatch.setattr(newtons, "GRIPPED_N", -100.0)  # whatever is read counts as gripped
+    sensors = [policy.touch.sensors[slot] for slot in policy.config.slots]
+    latents = mock.Mock(side_effect=sensors[0].tokenizer.latents)
+    monkeypatch.setattr(sensors[0].tokenizer, "latents", latents)
+    policy.eval().felt(batch)
+    assert latents.call_count == len(sensors)
+    (grips_N,) = [call.args for call in see.call_args_list]
+    assert 9.0 not in grips_N, "a held grip"

@@ -72,14 +72,20 @@ class Newtons:
         self._lift = Lift()
 
     @torch.no_grad()
+    def read(self, latent: Tensor) -> Tensor:
+        """Return (B, 3) N, canonical frame, of (B, K, L) latents, with the grip that is read."""
+        force_N = self.head.step(latent, None)[0]  # (B, 3)
+        if self.calibration is not None:
+            force_N = self.calibration.scaled(force_N)
+        return force_N
+
+    @torch.no_grad()
     def __call__(self, latent: Tensor, height_m: Tensor | None = None) -> Tensor:
         """Return (B, 3) N, canonical frame, of (B, K, L) latents.
 
         ``height_m`` is the hand's (B,) height; without it the grip is given as read.
         """
-        force_N = self.head.step(latent, None)[0]  # (B, 3)
-        if self.calibration is not None:
-            force_N = self.calibration.scaled(force_N)
+        force_N = self.read(latent)
         if self.held_N is None:
             return force_N
         grip_N = force_N[:, FZ]

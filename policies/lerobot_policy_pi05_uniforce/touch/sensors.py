@@ -63,9 +63,11 @@ class PolicySensors:
             finger = fingers[slot]
             self.by_slot[slot] = sensor(finger, held_N.get(slot))
             self.by_slot[slot].monitor = make_monitor(config, slot, calibrations.get(finger))
+        by_finger = {sensor.finger: sensor for sensor in self.by_slot.values()}
         left, right = FINGERS
         own = self.by_slot[config.slots[0]]
-        other = sensor(left if own.finger == right else right)
+        beside = left if own.finger == right else right
+        other = by_finger.get(beside) or sensor(beside)
         self.comparison = GripComparison(own, other, config.n_action_steps)
 
 
@@ -96,12 +98,8 @@ class GripComparison:
         is_due = self._readings % self._every == 0
         return is_due and self.own.newtons is not None and not self._balance.done
 
-    def see(self, latent: Tensor, other_pair: tuple[Tensor, Tensor]) -> None:
-        """Take in own calibrated latents (B, K, L) and the other finger's images (B, H, W)."""
-        try:
-            beside = self.other.encode(*other_pair)
-        except ContractError:  # it shows no markers: the policy does without it
-            return
+    def see(self, latent: Tensor, beside: Tensor) -> None:
+        """Take in own and the other finger's calibrated latents, (B, K, L) each."""
         times = self._balance.see(_grip_N(self.own, latent), _grip_N(self.other, beside))
         if times is not None and imbalance(times) > 1:
             message = (
@@ -113,7 +111,7 @@ class GripComparison:
 
 def _grip_N(sensor: ForceSensor, latent: Tensor) -> float:  # noqa: N802  a unit
     assert sensor.newtons is not None, "is_due() has seen that there is a head"
-    return float(sensor.newtons(latent)[:, FZ].mean())
+    return float(sensor.newtons.read(latent)[:, FZ].mean())  # not one that is held
 
 
 def load_calibrations(config: PI05UniforceConfig) -> dict[Finger, Calibration]:

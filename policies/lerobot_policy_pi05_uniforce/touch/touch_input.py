@@ -10,8 +10,7 @@ from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05Uniforc
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
 from lerobot_policy_pi05_uniforce.touch.sensors import HEIGHT, PolicySensors
 from uniforce_vtla.contracts import FINGERS, Finger
-from uniforce_vtla.errors import RolloutError, SensorError, UniForceError, expected
-from uniforce_vtla.force_sensor import ForceSensor
+from uniforce_vtla.errors import ContractError, RolloutError, SensorError, UniForceError, expected
 from uniforce_vtla.keys import AXES, STATE, latent_key, tactile_key, wrench_key
 from uniforce_vtla.tokenizer.latent_range import FreeAirError
 
@@ -39,6 +38,7 @@ class TouchInput:
         self.notes = sensors.notes
         self.masked = False  # every slot hidden: takes touch away from a trained policy
         self._comparison = sensors.comparison
+        self._encoded_now: dict[Finger, Tensor] = {}  # finger → calibrated latents of this batch
         # references taken in this episode instead of those given
         self._renewed: dict[str, Tensor] = {}
         self._logged: set[str] = set()
@@ -74,7 +74,9 @@ class TouchInput:
                 sensor.monitor.active = not training
         if not self.config.slots:
             return None, None
+        self._encoded_now.clear()
         touches = torch.stack([self._read(batch, slot) for slot in self.config.slots])
+        self._compare_grips(batch)
         masks = touches.isfinite().flatten(2).all(dim=2)
         if self.masked:
             masks = torch.zeros_like(masks)
@@ -148,20 +150,29 @@ class TouchInput:
             logger.warning("%s finger: a new reference is taken. %s", sensor.finger, error)
             self._renewed[slot] = current
             latent = sensor.renew(current)
-        self._compare(batch, sensor, latent)
+        self._encoded_now[sensor.finger] = latent
         return latent
 
-    def _compare(self, batch: Batch, sensor: ForceSensor, latent: Tensor) -> None:
+    def _compare_grips(self, batch: Batch) -> None:
         """Compare the first slot's grip with the other finger's, where its pictures are there."""
         comparison = self._comparison
-        monitor = sensor.monitor
-        if comparison is None or comparison.own is not sensor:
+        if comparison is None:
             return
-        if monitor is None or not monitor.active:
+        latent = self._encoded_now.get(comparison.own.finger)
+        monitor = comparison.own.monitor
+        if latent is None or monitor is None or not monitor.active:
             return
-        other = comparison.other.finger
-        if set(PAIR_KEYS[other]) <= batch.keys() and comparison.is_due():
-            comparison.see(latent, marker_images(batch, other))
+        other = comparison.other
+        is_encoded = other.finger in self._encoded_now
+        is_seen = is_encoded or set(PAIR_KEYS[other.finger]) <= batch.keys()
+        if not is_seen or not comparison.is_due():
+            return
+        if not is_encoded:
+            try:
+                self._encoded_now[other.finger] = other.encode(*marker_images(batch, other.finger))
+            except ContractError:  # it shows no markers: the policy does without it
+                return
+        comparison.see(latent, self._encoded_now[other.finger])
 
     def _hand_is_open(self, batch: Batch) -> bool:
         """Return whether the hand is as wide as demonstrations commanded; False where unknown."""
