@@ -138,10 +138,12 @@ class PolicyController:
     def _batch(self, observation: dict[str, Any], task: str) -> dict[str, Any]:
         """Return the preprocessed observation, without marker images that nothing reads."""
         pixels = dict(observation["pixels"])
-        if not self.policy.touch.is_watched:
-            for name in TACTILE_NAMES:
-                if name.split("_")[1] not in self.reads:  # tactile_FINGER[_ref]
-                    pixels.pop(name, None)
+        is_watched = self.policy.touch.is_watched
+        for name in TACTILE_NAMES:
+            image = pixels.pop(name, None)
+            is_read = is_watched or name.split("_")[1] in self.reads  # tactile_FINGER[_ref]
+            if image is not None and is_read:
+                pixels[name] = image[..., :1]  # (H, W, 1): RGB are copies of one channel
         wanted: dict[str, Any] = {"pixels": pixels}
         for name, value in observation.items():
             if name != "pixels" and not name.startswith("wrench_"):

@@ -79,9 +79,10 @@ def check_images(images: torch.Tensor, name: str) -> torch.Tensor:
     if min(images.shape[1:]) < MIN_SIDE_PX:
         do = "Pass one channel of each image, not RGB."
         raise ContractError(expected(name, f"(B, H, W), {MIN_SIDE_PX} px a side or more", came, do))
-    if is_uint8 and int(images.max()) == 1:
+    lowest, highest = images.aminmax()  # NaN if any is NaN
+    if is_uint8 and int(highest) == 1:
         raise ContractError(expected(name, "uint8 of 0 and 255", "0 and 1", "Multiply by 255."))
-    if not is_uint8 and not bool(((images >= 0) & (images <= 1)).all()):  # NaN fails this too
+    if not is_uint8 and not (lowest >= 0 and highest <= 1):
         raise ContractError(
             expected(name, "floats in [0, 1]", "NaN or values outside", "Divide by 255?")
         )
