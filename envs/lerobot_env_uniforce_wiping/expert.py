@@ -115,7 +115,8 @@ class TouchRegulator:
         """Close fast until a pad touches, then regulate; done at `lift_from` of the wanted grip.
 
         A hand says itself when it holds, but late, and a policy doesn't hear it: an expert that
-        waits for it teaches the mean of waiting and lifting. It counts where grip is read too low.
+        waits for it teaches the mean of waiting and lifting. The hand's word counts where the
+        reading of grip stays too low.
         """
         s = self._settings
         is_gripped = self._contact().grip_N > s.lift_from * s.grip_N

@@ -421,3 +421,16 @@ def test_fingers_that_are_both_felt_are_encoded_once_and_compared_as_read(
     assert latents.call_count == len(sensors)
     (grips_N,) = [call.args for call in see.call_args_list]
     assert 9.0 not in grips_N, "a held grip"
+
+
+def test_a_felt_finger_that_is_lost_is_not_read_again_for_the_comparison(
+    make_policy, make_batch, monkeypatch
+):
+    policy = watched(make_policy(touch__input="newtons", touch__on_sensor_loss="mask"), limit=99.0)
+    batch = with_dots(make_batch(policy))
+    policy.touch._comparison._every = 1
+    lost = mock.Mock(side_effect=SensorError("left finger: unhealthy"))
+    monkeypatch.setattr(policy.touch.sensors["touch1"], "encode", lost)
+    masks = policy.eval().felt(batch).masks
+    assert masks[0].all() and not masks[1].any()
+    assert lost.call_count == 1

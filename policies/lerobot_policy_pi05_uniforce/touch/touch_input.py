@@ -163,16 +163,17 @@ class TouchInput:
         if latent is None or monitor is None or not monitor.active:
             return
         other = comparison.other
-        is_encoded = other.finger in self._encoded_now
-        is_seen = is_encoded or set(PAIR_KEYS[other.finger]) <= batch.keys()
-        if not is_seen or not comparison.is_due():
+        beside = self._encoded_now.get(other.finger)
+        is_felt = other in self.sensors.values()  # encoded with its slot, or lost
+        is_seen = not is_felt and set(PAIR_KEYS[other.finger]) <= batch.keys()
+        if (beside is None and not is_seen) or not comparison.is_due():
             return
-        if not is_encoded:
+        if beside is None:
             try:
-                self._encoded_now[other.finger] = other.encode(*marker_images(batch, other.finger))
+                beside = other.encode(*marker_images(batch, other.finger))
             except ContractError:  # it shows no markers: the policy does without it
                 return
-        comparison.see(latent, self._encoded_now[other.finger])
+        comparison.see(latent, beside)
 
     def _hand_is_open(self, batch: Batch) -> bool:
         """Return whether the hand is as wide as demonstrations commanded; False where unknown."""
