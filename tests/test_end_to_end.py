@@ -55,6 +55,7 @@ def test_scores_with_the_trained_and_a_swapped_sensor(checkpoint, tmp_path):
     assert len(list(tmp_path.glob("*/seed_10000.mp4"))) == 2
 
 
+@pytest.mark.thorough
 def test_lerobot_eval_agrees_with_our_score(tmp_path, monkeypatch):
     """The shipped policy wipes the board of the first scene in both commands."""
     (row,) = score(ScoreConfig(rollouts=1, workers=1, videos=0, out=str(tmp_path / "score"))).rows

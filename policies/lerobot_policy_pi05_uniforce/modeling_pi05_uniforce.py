@@ -395,10 +395,10 @@ class PI05UniforcePolicy(stock.PI05Policy):
         return target
 
     def train(self, mode: bool = True) -> Self:
-        """Set the mode of every module; LeRobot's evaluation mode at every step costs nothing."""
-        if not mode and not any(module.training for module in self.modules()):
-            return self
-        return super().train(mode)
+        """Set the mode of every module; LeRobot's evaluation mode at every step costs little."""
+        if mode or _trains(self):
+            return super().train(mode)
+        return self
 
     def get_optim_params(self) -> list[dict[str, Any]]:
         """Return trainable parameters in groups: the backbone, new modules, the gate of touch."""
@@ -406,6 +406,11 @@ class PI05UniforcePolicy(stock.PI05Policy):
 
     def _get_default_peft_targets(self) -> dict[str, Any]:
         return training.lora_targets(self.model)
+
+
+def _trains(module: torch.nn.Module) -> bool:
+    """Return whether a module, or one inside it, is in training mode."""
+    return module.training or any(map(_trains, module.children()))
 
 
 def made_up_batch(config: PI05UniforceConfig, device: torch.device) -> Batch:

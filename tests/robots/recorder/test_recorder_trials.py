@@ -19,6 +19,7 @@ from benchmarks.recorder.plan import Plan
 from benchmarks.recorder.rig import Rig
 
 pytestmark = [
+    pytest.mark.thorough,
     pytest.mark.timeout(900),
     pytest.mark.skipif(
         importlib.util.find_spec("franky") is None,
@@ -48,18 +49,14 @@ def test_two_episodes_end_to_end(rig):
     assert load_in_stock_lerobot(root)["loads_in_stock_lerobot"]
 
 
-@pytest.mark.parametrize(
-    "kills", [pytest.param([4]), pytest.param([0, 4, 8], marks=pytest.mark.thorough)]
-)
-def test_kills_cost_no_saved_episode(rig, kills):
+def test_kills_cost_no_saved_episode(rig):
     # all of it mid-tick, the loop mid-save, the storing process in between
-    for number in kills:
+    for number in (0, 4, 8):
         seen = kill9.kill_once(rig, rig.plan.folder / "killed", number)
         assert seen["said_stored"] and not seen["saved_lost"] and not seen["processes_left"], seen
     assert kill9.finish(rig, rig.plan.folder / "killed")["exit_code"] == 0
 
 
-@pytest.mark.thorough
 def test_faults_hold_the_arm_and_are_labelled(rig):
     """One session: a person goes on after each fault."""
     ledger = Ledger(rig.plan.folder / "found")
