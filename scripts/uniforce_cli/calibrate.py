@@ -150,18 +150,24 @@ def weigh_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
     """Have loads pressed and fit the gain; raises as ``gain_of_loads`` and the presses do."""
     from uniforce_cli.known_loads import known_loads, simulated_presses, simulated_tool
     from uniforce_vtla.contact.worn_in_words import wear
-    from uniforce_vtla.tokenizer.gains import gain_of_loads, gain_through_a_tool
+    from uniforce_vtla.tokenizer.gains import (
+        gain_of_loads,
+        gain_through_a_tool,
+        latent_gain_through_a_tool,
+    )
 
     loads_N = known_loads(config.loads_N)
     head = _head_of_anchor(config)
     by_tool = config.through == "tool"
-    fit = gain_through_a_tool if by_tool else gain_of_loads
     simulate = simulated_tool if by_tool else simulated_presses
     if config.rig:
         latents, load_N = _presses_of_rig(config, loads_N, tokenizer)
     else:
         unit = wear(config.new)(config.seed)
         latents, load_N = simulate(unit, loads_N, config.seed, tokenizer.pooled)
+    if by_tool and not config.fit.gain:
+        return latent_gain_through_a_tool(latents, load_N, head, config.new, tokenizer.unmoved())
+    fit = gain_through_a_tool if by_tool else gain_of_loads
     return fit(latents, load_N, head, config.new)
 
 
@@ -216,6 +222,9 @@ def _check_sources(config: CalibrateCommand) -> None:
     if config.rig and not config.loads_N:
         do = "Give loads_N=3,6,9, or leave rig out: grasps are pairs=, wipes are wipes=."
         raise ContractError(expected("rig", "known loads beside it", "none", do))
+    if not config.fit.gain and (config.wipes or (config.loads_N and config.through == "pad")):
+        do = "Weigh it with loads_N=3,6,9 through=tool."
+        raise ContractError(expected("fit.gain", "true: wipes and bare presses", "false", do))
 
 
 def choice_in_words(choice: Choice) -> str:
@@ -267,8 +276,7 @@ def main(config: CalibrateCommand) -> None:
     if config.loads_N or config.wipes:
         fit = weigh_sensor if config.loads_N else scale_sensor
         found = fit(config, tokenizer)
-        gain = "gain of shear" if found.through_tool else "gain"
-        print(f"{config.new}: {gain} {found.gain:.2f}; in {found.save(config.out)}. Next: {then}")
+        print(f"{config.new}: {found.gain_in_words}; in {found.save(config.out)}. Next: {then}")
         return
     found = calibrate_sensor(config, tokenizer)
     print_agreement(found)

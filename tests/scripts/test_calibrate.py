@@ -200,6 +200,8 @@ def test_every_kind_is_weighed_through_the_tool(worn, calibrated):
     """A covered flat gel can't be weighed bare; the shear of what it holds it shows."""
     found = calibrated(f"new={worn}", "loads_N=3,6,9", "through=tool")
     assert found.through_tool and 0.6 < found.gain < 1.4
+    of_latents = calibrated(f"new={worn}", "loads_N=3,6,9", "through=tool", "fit.gain=false")
+    assert of_latents.gain == 1 and 0.6 < 1 + of_latents.map.weight[0, 0] < 1.4
 
 
 def record_wipe(root, frames):

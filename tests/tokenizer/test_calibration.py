@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 import torch
 
+from uniforce_vtla.contact import TactileSimulator
 from uniforce_vtla.errors import CheckpointError, ContractError
+from uniforce_vtla.tokenizer import Tokenizer
 from uniforce_vtla.tokenizer.calibrate import calibrate
 from uniforce_vtla.tokenizer.calibration import Calibration
 from uniforce_vtla.tokenizer.calibration_choice import choose
@@ -16,6 +18,7 @@ from uniforce_vtla.tokenizer.gains import (
     gain_beside_an_anchor,
     gain_of_loads,
     gain_through_a_tool,
+    latent_gain_through_a_tool,
 )
 from uniforce_vtla.tokenizer.latent import Latent
 from uniforce_vtla.tokenizer.latent_map import fit_map
@@ -281,13 +284,36 @@ def test_a_tool_on_a_scale_gives_a_gain_of_shear_alone(tmp_path):
     assert is_stored_whole(found, tmp_path)
 
 
+def test_a_tool_on_a_scale_gives_a_gain_of_latents(tmp_path):
+    loads = (0.0, 3.0, 6.0, 9.0)
+    z = through_tool(*loads)
+    free = torch.full(z.shape[1:], 0.3)
+    found = latent_gain_through_a_tool(z, loads, SHEAR, "uskin:7", free)
+    assert torch.allclose(found.map(free[None]), free[None])
+    read_N = SHEAR(found(z))[:, 1]
+    assert (read_N[0] - read_N).tolist() == pytest.approx([0, 1.5, 3, 4.5], abs=0.02)
+    assert found.gain == 1 and found.gain_in_words == "gain of latents 0.80"
+    assert is_stored_whole(found, tmp_path)
+    with pytest.raises(ContractError, match="a gain of latents"):
+        latent_gain_through_a_tool(z, [10 * load for load in loads], SHEAR, "uskin:7", free)
+
+
+@pytest.mark.parametrize("weigh", [gain_through_a_tool, latent_gain_through_a_tool])
 @pytest.mark.parametrize(
     "load_N", [(3, 6, 9, 9), (0, 3, 6, 6), (0, 3, 6, np.nan), (0, 9, 6, 3), (0, -3, 6, 9), (0, 3)]
 )
-def test_tools_that_give_no_gain_are_refused(load_N):
+def test_tools_that_give_no_gain_are_refused(load_N, weigh):
     pressed = through_tool(0, 3, 6, 9)
+    free = [torch.zeros(pressed.shape[1:])] if weigh is latent_gain_through_a_tool else []
     with pytest.raises(ContractError, match=r"loads|presses"):
-        gain_through_a_tool(pressed, load_N, SHEAR, "uskin:7")
+        weigh(pressed, load_N, SHEAR, "uskin:7", *free)
+
+
+@pytest.mark.parametrize("kind", ["tactip", "gelsight", "uskin"])
+def test_free_air_has_about_the_latent_of_an_unmoved_marker(kind):
+    tokenizer = Tokenizer.from_pretrained()
+    free = TactileSimulator(kind).reference()[None]
+    assert (tokenizer.pooled(free, free, "right")[0] - tokenizer.unmoved()).abs().max() < 0.03
 
 
 def carried(shear_N, noise_N=0.0, seed=0):

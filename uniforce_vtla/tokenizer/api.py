@@ -150,6 +150,15 @@ class Tokenizer:
         """
         return Latent.of(pool_latent(self.latents(reference, current, finger), grid), self.hash)
 
+    def unmoved(self) -> torch.Tensor:
+        """Return the pooled latent (P, latent) of a marker that stays where it is.
+
+        A sensor in free air has about this one, whatever its pattern: .02 apart at most.
+        """
+        image = np.zeros((1, self.config.side, self.config.side), np.uint8)
+        image[0, self.config.side // 2, self.config.side // 2] = 255
+        return self.pooled(image, image, "right")[0]
+
     def forget_references(self) -> None:
         """Forget all references: another episode begins, or the network has moved."""
         self._references.forget()

@@ -110,6 +110,15 @@ class Calibration:
         r2 = self.agreement["tool"].r2[2]
         return f"the calibration of {self.new} reads grip under tools with R² {r2:.2f}"
 
+    @property
+    def gain_in_words(self) -> str:
+        """The one gain of a sensor that was weighed or has wiped."""
+        if self.through_tool:
+            return f"gain of shear {self.gain:.2f}"
+        if self.gain != 1:
+            return f"gain {self.gain:.2f}"
+        return f"gain of latents {1 + float(self.map.weight[0, 0]):.2f}"
+
     def worst(self, classes: Sequence[str] = OBJECT_CLASSES) -> tuple[str, float]:
         """Return the class among ``classes`` whose R² of Fz is lowest, and that R²."""
         worst = min(classes, key=lambda name: self.agreement[name].r2[2])

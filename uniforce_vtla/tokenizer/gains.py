@@ -3,13 +3,16 @@
 A kitchen scale needs no known sensor: three presses give one gain of the newtons. Pressing the tool
 that the fingers hold gives one of shear: a covered flat gel shows shear and hardly grip. Without a
 scale, wiping with the tool between a known finger and the new one does: each carries half the
-press.
+press. A policy that feels whole latents needs a gain of those.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
+from scipy.optimize import brentq
 
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.tokenizer.calibration import Calibration
@@ -19,11 +22,14 @@ from uniforce_vtla.tokenizer.latent import Latent
 from uniforce_vtla.tokenizer.latent_map import LatentMap
 
 FEWEST_LOADS = 3
+TOOL_UPRIGHT = "Is the reference of free air, and do tool and sensor stand upright?"
 REST_SHARE = 0.3  # of the mean load: rms that a gain may leave; simulated TacTips leave .05 to .1
 HELD_N = 1.0  # grip that the anchor reads, from which on both fingers hold the tool
 FEWEST_HELD = 30  # moments
 LEAST_SPREAD_N = 0.25  # of the anchor's shear; a tool that is only carried shows little but noise
 LEAST_R = 0.7  # between the fingers' shear
+# of latents: about the roots of GAINS, since newtons grow about with the square of a latent
+LATENT_GAINS = (0.5, 2.0)
 
 
 def gain_of_loads(z: Latent, load_N: np.ndarray, head: ForceHead, new: str) -> Calibration:
@@ -61,21 +67,65 @@ def gain_through_a_tool(z: Latent, load_N: np.ndarray, head: ForceHead, new: str
     Raises ContractError: fewer than three loads, none of a hanging tool, or readings that don't
     follow.
     """
+    carried_N, is_free = _carried(load_N, len(z))
+    gain = _gain(carried_N, _shear_of_presses(head, z, is_free), TOOL_UPRIGHT)
+    return _gain_alone(z, head, new, new, gain, through_tool=True)
+
+
+def latent_gain_through_a_tool(
+    z: Latent, load_N: np.ndarray, head: ForceHead, new: str, free: torch.Tensor
+) -> Calibration:
+    """Return a map that scales latents about free air until the shear read follows known loads.
+
+    Args:
+        z: (n, P, latent) of presses, and of the tool hanging free, load 0.
+        load_N: (n,) shown by the scale, N.
+        head: of the kind whose latents the policy knows.
+        new: the sensor, in words.
+        free: (P, latent) of free air.
+
+    Raises ContractError: as ``gain_through_a_tool``, or no gain between .5 and 2 does it.
+    """
+    carried_N, is_free = _carried(load_N, len(z))
+
+    def shear_at(gain: float) -> np.ndarray:
+        scaled = Latent.of(LatentMap.scaling(gain, free)(z), head.tokenizer_hash)
+        return _shear_of_presses(head, scaled, is_free)
+
+    def excess(gain: float) -> float:
+        return float((carried_N * (shear_at(gain) - carried_N)).sum())
+
+    lowest, highest = LATENT_GAINS
+    if not excess(lowest) < 0 < excess(highest):
+        came = f"{np.round(shear_at(1.0), 1).tolist()} N read of {carried_N.tolist()}"
+        wanted = f"readings that a gain of latents of {lowest} to {highest} brings to the loads"
+        raise ContractError(expected("presses", wanted, came, TOOL_UPRIGHT))
+    gain = brentq(excess, lowest, highest, xtol=1e-3)
+    _gain(carried_N, shear_at(gain), TOOL_UPRIGHT)
+    return replace(_gain_alone(z, head, new, new, 1.0), map=LatentMap.scaling(gain, free))
+
+
+def _carried(load_N: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return each finger's half of the loads above zero, N, and (n,) bool: the tool hangs free.
+
+    Raises ContractError: fewer than three loads, or none of a hanging tool.
+    """
     known_N = np.asarray(load_N, float)
-    shear_N = _newtons(head, z)[:, 1]  # canonical y points down
     is_free = known_N == 0
     are_loads = bool((np.isfinite(known_N) & (known_N >= 0)).all())
     is_enough = len(set(known_N[~is_free])) >= FEWEST_LOADS and bool(is_free.any())
-    if len(known_N) != len(shear_N) or not are_loads or not is_enough:
-        came = f"{known_N.tolist()} for {len(shear_N)} frames"
+    if len(known_N) != count or not are_loads or not is_enough:
+        came = f"{known_N.tolist()} for {count} frames"
         wanted = f"0 and {FEWEST_LOADS} or more different ones"
         do = "Let it hang free, then press with 3, 6 and 9 N."
         raise ContractError(expected("loads", wanted, came, do))
-    carried_N = known_N[~is_free] / 2
-    read_N = shear_N[is_free].mean() - shear_N[~is_free]  # a press pushes the tool up
-    do = "Is the reference of free air, and do tool and sensor stand upright?"
-    gain = _gain(carried_N, read_N, do)
-    return _gain_alone(z, head, new, new, gain, through_tool=True)
+    return known_N[~is_free] / 2, is_free
+
+
+def _shear_of_presses(head: ForceHead, z: Latent, is_free: np.ndarray) -> np.ndarray:
+    """Return by how many N each press pushes the tool up; canonical y points down."""
+    shear_N = _newtons(head, z)[:, 1]
+    return shear_N[is_free].mean() - shear_N[~is_free]
 
 
 def gain_beside_an_anchor(

@@ -36,6 +36,14 @@ class LatentMap(nn.Module):
         self.register_buffer("centre", torch.zeros(numbers))
         self.register_buffer("shift", torch.zeros(numbers))
 
+    @classmethod
+    def scaling(cls, gain: float, free: torch.Tensor) -> LatentMap:
+        """Return the map z' = z + (gain − 1) · (z − free) for ``free`` (P, latent)."""
+        found = cls(*free.shape)
+        found.weight.copy_((gain - 1) * torch.eye(free.numel()))
+        found.centre.copy_(free.flatten())
+        return found.eval()
+
     def forward(self, z: torch.Tensor) -> torch.Tensor:
         """Return mapped latents (B, P, latent)."""
         flat = z.flatten(1)
