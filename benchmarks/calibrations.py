@@ -1,5 +1,6 @@
 """Calibrations of units that no demonstration wears, made once and kept in a folder."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -13,8 +14,8 @@ UNITS = (2, 3, 4, 5)
 GRASPS = 300  # of a label-free calibration
 LOADS_N = "3,6,9"  # of a scale, which the sensor presses through the tool
 
-# by grasps | by grasps, for a policy that feels whole latents: no gain of newtons | weighed
-type Fit = Literal["", "grasps", "maps", "tool"]
+# by grasps | weighed on a scale, through the tool; both for a policy that feels whole latents
+type Fit = Literal["", "grasps", "tool"]
 
 
 def units(kind: str) -> tuple[str, ...]:
@@ -34,12 +35,12 @@ def calibration_folder(worn: str, fit: Fit, work: Path, finger: Finger = "right"
     if folder.is_dir():
         return folder
     tokenizer = Tokenizer.from_pretrained()
+    of_latents = CalibrationConfig(gain=False)
+    command = CalibrateCommand(worn, KNOWN[finger], grasps=GRASPS, fit=of_latents)
     if fit == "tool":
-        command = CalibrateCommand(worn, loads_N=LOADS_N, through="tool")
+        command = replace(command, loads_N=LOADS_N, through="tool")
         found = weigh_sensor(command, tokenizer)
     else:
-        form = CalibrationConfig(gain=fit != "maps")
-        command = CalibrateCommand(worn, KNOWN[finger], grasps=GRASPS, fit=form)
         found = calibrate_sensor(command, tokenizer)
     found.save(folder)
     return folder

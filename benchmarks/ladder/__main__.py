@@ -1,25 +1,21 @@
-"""Score a part of the plan: rows in turns on the same scenes, one table, one result file."""
+"""Score the plan: rows in turns on the same scenes, one table, one result file."""
 
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from benchmarks.calibrations import KNOWN, calibration_folder
 from benchmarks.ladder.plan import (
     BETTER,
     CLAIMS,
-    DEVELOPMENT,
     GRIPPER,
+    LADDER,
     LEVEL,
-    PARTS,
     SLACK,
-    TRAINING_SEEDS,
-    VARIANTS,
     Row,
 )
-from benchmarks.ledger import update
 from benchmarks.scene_blocks import BLOCKS
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
 from uniforce_cli.boundary import command, one_thread
@@ -33,29 +29,22 @@ from uniforce_vtla.evaluation.comparison import CleanBySeed, as_good, better
 from uniforce_vtla.evaluation.statistics import wilson
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.options import FolderPath, OutFile, OutFolder, Text, Workers
+from uniforce_vtla.results_file import provenance, write_json
 
 
 @dataclass
 class LadderCommand:
     """Roll out what the plan names and the checkpoints' folder holds; write the result.
 
-    Example: python -m benchmarks.ladder part=ladder checkpoints=outputs/swap
+    Example: python -m benchmarks.ladder rows=S0,S1
     """
 
-    part: Literal["variants", "ladder"] = "ladder"
-    checkpoints: FolderPath = "outputs/swap"  # shear/seed0, shear/seed1, …
-    rows: Text = ""  # names between commas: score these alone; "" = all of the part
+    checkpoints: FolderPath = "benchmarks/ladder/checkpoints"  # latent/seed0, latent/seed1, …
+    rows: Text = ""  # names between commas: score these alone; "" = all
     workers: Workers = 2
     # calibrations, and episodes so far: run it again to go on
     work: OutFolder = "outputs/ladder"
-    out: OutFile = "outputs/swap.json"  # the result file; its key is the part
-
-
-def first_scene(part: str) -> int:
-    """Return the first scene of a part."""
-    if part == "variants":
-        return DEVELOPMENT.start
-    return BLOCKS["swap ladder in the hand's rig"].start
+    out: OutFile = "outputs/swap.json"  # the result file
 
 
 def _calibration(config: LadderCommand, row: Row, finger: Finger, worn: str) -> str:
@@ -71,7 +60,7 @@ def configured(config: LadderCommand, row: Row) -> list[ScoreConfig]:
     if not policies:
         return []
     share = row.rollouts // len(row.worn)
-    first = first_scene(config.part)
+    first = BLOCKS["swap ladder in the hand's rig"].start
     parts = []
     lefts = row.left or (KNOWN["left"],) * len(row.worn)
     for left, worn in zip(lefts, row.worn, strict=True):
@@ -86,7 +75,6 @@ def configured(config: LadderCommand, row: Row) -> list[ScoreConfig]:
                 right_calibration=_calibration(config, row, "right", worn),
                 gripper=GRIPPER,
                 control=row.control,
-                grip=row.grip,
                 first_seed=first,
                 rollouts=share,
                 videos=0,
@@ -135,35 +123,12 @@ def claims(rows: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
     return found
 
 
-def pooled(rows: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Return each variant's clean wipes over its rungs and training seeds."""
-    found = {}
-    for variant in VARIANTS:
-        own = []
-        for name, row in rows.items():
-            if any(name.startswith(f"{variant} {seed} ") for seed in TRAINING_SEEDS):
-                own.append(row)
-        if own:
-            clean = sum(row["clean"] for row in own)
-            n = sum(row["n"] for row in own)
-            interval = wilson(clean, n)
-            found[variant] = {
-                "rows": len(own),
-                "clean": clean,
-                "n": n,
-                "wilson95": [interval.low, interval.high],
-            }
-    return found
-
-
 def earlier_rows(config: LadderCommand) -> dict[str, dict[str, Any]]:
-    """Return the rows of this part that an earlier run wrote."""
+    """Return the rows that an earlier run wrote."""
     path = Path(config.out)
     if not path.is_file():
         return {}
-    rows: dict[str, dict[str, Any]] = (
-        read_object(path, ContractError).get(config.part, {}).get("rows", {})
-    )
+    rows: dict[str, dict[str, Any]] = read_object(path, ContractError).get("rows", {})
     return rows
 
 
@@ -173,7 +138,7 @@ def scored(config: LadderCommand) -> dict[str, dict[str, Any]]:
     Raises CheckpointError: there are none for any row.
     """
     configs = []
-    planned = {row.name: row for row in PARTS[config.part]}
+    planned = {row.name: row for row in LADDER}
     chosen = choose(planned, config.rows, "rows")
     for name, row in planned.items():
         if name not in chosen:
@@ -199,22 +164,16 @@ def main(config: LadderCommand) -> None:
     one_thread()
     rows = earlier_rows(config) | scored(config)
     content: dict[str, Any] = {"level": LEVEL, "level_hash": level_hash(LEVELS[LEVEL])}
-    content |= {"gripper": GRIPPER, "rows": rows}
-    if config.part == "variants":
-        content["pooled"] = pooled(rows)
-        for name, line in content["pooled"].items():
-            print(f"{name:18} {line['clean']} of {line['n']} clean in {line['rows']} rows")
-    else:
-        content["within"] = claims(rows)
-        content["tests"] = better(clean_by_scene(rows), BETTER)
+    content |= {"gripper": GRIPPER, "rows": rows, "within": claims(rows)}
+    content["tests"] = better(clean_by_scene(rows), BETTER)
     for name, row in rows.items():
         by_seed = " ".join(row["clean_by_training_seed"].values())
         print(f"{name:34} {wilson(row['clean'], row['n'])}  training seeds {by_seed}")
-    for claim in content.get("within", []):
+    for claim in content["within"]:
         said = f"{100 * claim['difference']:+.0f} points, bound {100 * claim['lower']:+.0f}"
         verdict = "within" if claim["holds"] else "NOT within"
         print(f"{' against '.join(claim['arms'])}: {said}, {verdict}")
-    print(f"written to {update(Path(config.out), config.part, content)}")
+    print(f"written to {write_json(Path(config.out), content | provenance())}")
 
 
 if __name__ == "__main__":

@@ -1,9 +1,8 @@
-"""Plan of the swap ladder: rows, scenes and claims. Fixed before a policy of it is trained.
+"""Plan of the swap ladder: rows, scenes and claims. Fixed before a final scene was scored.
 
-Why these rows, and the rule that chooses among the variants, stand in docs/experiments/swap.md.
-All demonstrations wear GelSight 1 on the left finger and TacTip 1 on the right one, in the hand's
-rig. Every policy feels with both fingers. The ladder exchanges the right one's sensor, and two rows
-exchange both.
+How the policy was chosen stands in docs/experiments/swap.md. All demonstrations wear GelSight 1 on
+the left finger and TacTip 1 on the right one, in the hand's rig. Every policy feels with both
+fingers. The ladder exchanges the right one's sensor, and two rows exchange both.
 
 Checkpoints are folders ``<checkpoints>/<policy>/seed0`` …; all learn from the same demonstrations
 with the same recipe.
@@ -19,7 +18,6 @@ from uniforce_vtla.evaluation.comparison import AtMostWorse
 LEVEL: Level = "touch"
 GRIPPER: Gripper = "hand"
 FEWER = 104  # rollouts of a row that no claim of 200 rests on
-DEVELOPMENT = range(22_000, 22_020)  # scenes that the variants are chosen on
 
 
 @dataclass(frozen=True)
@@ -30,70 +28,36 @@ class Row:
     """
 
     name: str
-    policy: str  # checkpoints, as a pattern below the folder of all; several take turns
+    policy: str = "latent/seed*"  # checkpoints, a pattern below the folder of all; they take turns
     worn: tuple[str, ...] = ("tactip",)  # in words (uniforce_vtla.contact.worn_in_words)
     fit: Fit = ""  # how each of them is calibrated; GelSight 1 and TacTip 1 need none
     left: tuple[str, ...] = ()  # units that the left finger wears meanwhile; () = GelSight 1
     control: Literal["", "frozen"] = ""  # as ``uniforce score control=``
-    grip: Literal["", "gripped"] = ""  # as ``uniforce score grip=``
     rollouts: int = 204
-
-
-# simplest first (docs/experiments/swap.md)
-VARIANTS = ("newtons", "latent")
-TRAINING_SEEDS = (0, 1)  # that the variants are chosen with
-RUNGS: dict[str, tuple[tuple[str, ...], Fit]] = {
-    "S0": (("tactip",), ""),
-    "S1": (("tactip:any",), ""),
-    "S2 uskin by grasps": (units("uskin"), "grasps"),
-    "S2 gelsight by grasps": (units("gelsight"), "grasps"),
-}
-
-
-def without_gain(fit: Fit) -> Fit:
-    """Return how a sensor is calibrated for a policy that feels whole latents."""
-    return "maps" if fit == "grasps" else fit
-
-
-def _variants() -> tuple[Row, ...]:
-    rows = []
-    for variant in VARIANTS:
-        for seed in TRAINING_SEEDS:
-            for rung, (worn, fit) in RUNGS.items():
-                name = f"{variant} {seed} {rung}"
-                policy = f"{variant}/seed{seed}"
-                if variant == "latent":
-                    rows.append(Row(name, policy, worn, without_gain(fit), rollouts=20))
-                else:
-                    rows.append(Row(name, policy, worn, fit, grip="gripped", rollouts=20))
-    return tuple(rows)
 
 
 def _both_exchanged(kind: str) -> Row:
     """Return the row in which both fingers wear units of another kind, each calibrated."""
     right = units(kind)
     left = right[1:] + right[:1]
-    return Row(f"S2 both {kind}", "chosen/seed*", right, "grasps", left, rollouts=FEWER)
+    return Row(f"S2 both {kind}", worn=right, fit="grasps", left=left, rollouts=FEWER)
 
 
 def _ladder() -> tuple[Row, ...]:
-    rows = [Row("S0", "chosen/seed*")]
+    rows = [Row("S0")]
     for rung, kind in (("S1", "tactip"), ("S2 uskin", "uskin"), ("S2 gelsight", "gelsight")):
-        rows.append(Row(rung, "chosen/seed*", (f"{kind}:any",)))
-        rows.append(Row(f"{rung} by grasps", "chosen/seed*", units(kind), "grasps"))
-        rows.append(Row(f"{rung} weighed", "chosen/seed*", units(kind), "tool"))
-    rows.append(Row("frozen touch", "chosen/seed*", control="frozen"))
+        rows.append(Row(rung, worn=(f"{kind}:any",)))
+        rows.append(Row(f"{rung} by grasps", worn=units(kind), fit="grasps"))
+        rows.append(Row(f"{rung} weighed", worn=units(kind), fit="tool"))
+    rows.append(Row("frozen touch", control="frozen"))
     rows.append(Row("vision alone", "none/seed*"))
     rows.append(Row("true wrench", "wrench/seed*", rollouts=FEWER))
     rows.append(_both_exchanged("uskin"))
     rows.append(_both_exchanged("gelsight"))
-    for rung, (worn, fit) in RUNGS.items():
-        by_maps = without_gain(fit)
-        rows.append(Row(f"whole map {rung}", "latent/seed*", worn, by_maps, rollouts=FEWER))
     return tuple(rows)
 
 
-PARTS = {"variants": _variants(), "ladder": _ladder()}
+LADDER = _ladder()
 
 CLAIMS = (
     AtMostWorse("another unit, calibrated by grasps", "S1 by grasps", "S0", 0.07),
@@ -110,5 +74,4 @@ BETTER = (
     ("S0", "vision alone"),
     ("S2 uskin by grasps", "S2 uskin"),
     ("S2 gelsight by grasps", "S2 gelsight"),
-    *((rung, f"whole map {rung}") for rung in RUNGS),
 )

@@ -34,10 +34,12 @@ COLOURS = dict(zip(ACTORS, (SENSOR_COLOURS["TacTip"], "#89c2d9", OTHER), strict=
 class StressCommand:
     """Roll three actors out under faults in rising doses; write and draw the curves.
 
-    Example: python -m benchmarks.stress checkpoints=outputs/swap scenes=30
+    Example: python -m benchmarks.stress scenes=30
     """
 
-    checkpoints: FolderPath = "outputs/swap"  # holds chosen/seed0 …, which take turns
+    checkpoints: FolderPath = (
+        "benchmarks/ladder/checkpoints"  # holds latent/seed0 …, which take turns
+    )
     scenes: Count = 30  # the same for every actor and dose
     only: Text = ""  # faults, comma between them; "" = all
     actors: Text = ""  # comma between them; "" = all
@@ -134,10 +136,10 @@ def policies_of(config: StressCommand) -> list[str]:
 
     Raises CheckpointError: there are none. ContractError: the ledger's episodes are of others.
     """
-    found = sorted(map(str, Path(config.checkpoints).glob("chosen/seed*")))
+    found = sorted(map(str, Path(config.checkpoints).glob("latent/seed*")))
     if not found:
         do = "Train them into it, as docs/experiments/swap.md says."
-        raise CheckpointError(expected(config.checkpoints, "chosen/seed0 …", "none", do))
+        raise CheckpointError(expected(config.checkpoints, "latent/seed0 …", "none", do))
     now = {"policies": [content_of(policy) for policy in found]}
     path = Path(config.work) / "acts.json"
     if path.is_file() and read_object(path, ContractError) != now:

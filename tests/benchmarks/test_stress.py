@@ -91,7 +91,7 @@ def test_curves_are_rolled_out_scene_by_scene_and_go_on(tmp_path, monkeypatch):
     monkeypatch.setattr(stress, "play", play)
     monkeypatch.setattr(stress, "content_of", lambda policy: Path(policy).name)
     for seed in (0, 1):
-        (tmp_path / f"chosen/seed{seed}").mkdir(parents=True)
+        (tmp_path / f"latent/seed{seed}").mkdir(parents=True)
     out = tmp_path / "curves.json"
     given = [f"checkpoints={tmp_path}", f"work={tmp_path / 'work'}", f"out={out}", "workers=1"]
     given += ["only=pushed arm", "actors=policy", "scenes=2"]
@@ -107,14 +107,14 @@ def test_curves_are_rolled_out_scene_by_scene_and_go_on(tmp_path, monkeypatch):
 def test_a_ledger_of_other_policies_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(stress, "content_of", lambda policy: (Path(policy) / "a").read_text())
     config = stress.StressCommand(checkpoints=str(tmp_path), work=str(tmp_path / "work"))
-    with pytest.raises(CheckpointError, match="chosen/seed0"):
+    with pytest.raises(CheckpointError, match="latent/seed0"):
         stress.policies_of(config)
-    (tmp_path / "chosen/seed0").mkdir(parents=True)
+    (tmp_path / "latent/seed0").mkdir(parents=True)
     (tmp_path / "work").mkdir()
-    (tmp_path / "chosen/seed0/a").write_text("one")
+    (tmp_path / "latent/seed0/a").write_text("one")
     for _ in range(2):
         stress.policies_of(config)
-    (tmp_path / "chosen/seed0/a").write_text("another")
+    (tmp_path / "latent/seed0/a").write_text("another")
     with pytest.raises(ContractError, match="of other ones"):
         stress.policies_of(config)
 
