@@ -34,8 +34,6 @@ BY_SIZE: dict[str, tuple[Any, Any]] = {
     "scheduler_warmup_steps": (3_000, 1_000),
     "scheduler_decay_steps": (100_000, 30_000),
     "scheduler_decay_lr": (1e-5, 2.5e-6),
-    # tiny: whole latents teach it what sensors don't share, docs/experiments/tiny_policy.md
-    "touch.input": ("newtons", "latent"),
     "touch.start_at_base": (False, True),  # from scratch there is no base
     "action.form": ("target_delta", "absolute"),
     "action.objective": ("regression", "flow"),
@@ -90,10 +88,11 @@ class TouchSettings:
     """Which fingers give force tokens, of what, and where they enter the network."""
 
     # slot → finger; {} = none
-    slots: dict[str, str] = field(default_factory=lambda: {"touch0": "right"})
-    # "newtons" (tiny): three numbers that a frozen force head reads in the latents | "latent"
-    # (base): the whole map, as in the paper | "none": plain π0.5 | "wrench": the simulator's
-    input: str = _BY_SIZE
+    slots: dict[str, str] = field(default_factory=lambda: {"touch0": "right", "touch1": "left"})
+    # "latent": the whole map, as in the paper | "newtons": three numbers that a frozen force head
+    # reads in it, which wiped less cleanly (docs/experiments/swap.md) | "none": plain π0.5 |
+    # "wrench": the simulator's
+    input: str = "latent"
     # input=newtons: sensor type whose force head reads, that of the demonstrations' finger: the
     # shipped one, or the one beside tokenizer_path
     head: str = "tactip"
