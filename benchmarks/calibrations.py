@@ -7,14 +7,13 @@ from typing import Literal
 from uniforce_cli.calibrate import CalibrateCommand, calibrate_sensor, weigh_sensor
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.tokenizer import Tokenizer
-from uniforce_vtla.tokenizer.settings import CalibrationConfig
 
 KNOWN: dict[Finger, str] = {"left": "gelsight", "right": "tactip"}  # worn by demonstrations
 UNITS = (2, 3, 4, 5)
 GRASPS = 300  # of a label-free calibration
 LOADS_N = "3,6,9"  # of a scale, which the sensor presses through the tool
 
-# by grasps | weighed on a scale, through the tool; both for a policy that feels whole latents
+# by grasps | weighed on a scale, through the tool
 type Fit = Literal["", "grasps", "tool"]
 
 
@@ -35,8 +34,7 @@ def calibration_folder(worn: str, fit: Fit, work: Path, finger: Finger = "right"
     if folder.is_dir():
         return folder
     tokenizer = Tokenizer.from_pretrained()
-    of_latents = CalibrationConfig(gain=False)
-    command = CalibrateCommand(worn, KNOWN[finger], grasps=GRASPS, fit=of_latents)
+    command = CalibrateCommand(worn, KNOWN[finger], grasps=GRASPS)
     if fit == "tool":
         command = replace(command, loads_N=LOADS_N, through="tool")
         found = weigh_sensor(command, tokenizer)

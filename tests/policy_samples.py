@@ -90,11 +90,11 @@ def with_dots(batch):
 JUDGED = {"tool": Agreement(9, (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))}
 
 
-def calibrate(folder, config, shift=0.0, new="tactip:7", anchor="tactip:7", gain=1.0, **hashes):
+def calibrate(folder, config, shift=0.0, new="tactip:7", anchor="tactip:7", **hashes):
     """Save a calibration for a policy whose map adds ``shift``; return its folder."""
     found = LatentMap(config.tokens_per_slot, config.latent_size)
     found.shift.fill_(shift)
     tokenizer_hash = hashes.get("tokenizer_hash", config.tokenizer_hash)
     head_hash = hashes.get("head_hash", config.touch.head_hash)
     names = (tokenizer_hash, head_hash, new, anchor)
-    return str(Calibration(found, *names, 1.0, 0.0, JUDGED, gain).save(folder))
+    return str(Calibration(found, *names, 1.0, 0.0, JUDGED).save(folder))

@@ -41,11 +41,6 @@ def checkpoint(drawn_demo, tmp_path_factory):
     return folder / "train" / "checkpoints" / "last" / "pretrained_model"
 
 
-def test_a_checkpoint_knows_what_grip_its_demonstrations_carried(checkpoint):
-    touch = json.loads((checkpoint / "config.json").read_text())["touch"]
-    assert set(touch["carried_N"]) == {"touch0"} and 4 < touch["carried_N"]["touch0"] < 14
-
-
 def test_scores_with_the_trained_and_a_swapped_sensor(checkpoint, tmp_path):
     for left, swap in (("gelsight", ""), ("uskin", "touch0:left")):
         once = {"rollouts": 1, "workers": 1, "out": str(tmp_path)}

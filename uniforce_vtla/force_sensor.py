@@ -6,7 +6,7 @@ touch`, `uniforce calibrate`. Each part is a file of its own:
 1. markers: ``markers/canonicalizer.py``, a raw frame becomes a binary marker image.
 2. latent: ``tokenizer/api.py``, reference and current image become a latent force map, pooled.
 3. calibrated latent: ``tokenizer/latent_map.py``, a map onto the known sensor's latents.
-4. newtons: ``tokenizer/newtons.py``, the frozen head reads force; a gain; a grip that is held.
+4. newtons: ``tokenizer/force_head.py``, the frozen head reads force.
 5. health: ``tokenizer/latent_range.py``, distance from healthy sensors of the same kind.
 """
 
@@ -30,7 +30,6 @@ from uniforce_vtla.tokenizer.calibration import Calibration
 from uniforce_vtla.tokenizer.force_head import SOURCE, ForceHead
 from uniforce_vtla.tokenizer.latent import POOL, pool_latent
 from uniforce_vtla.tokenizer.latent_range import HealthMonitor, LatentRange
-from uniforce_vtla.tokenizer.newtons import Newtons
 
 if TYPE_CHECKING:
     from uniforce_vtla.tokenizer.api import Images
@@ -61,8 +60,6 @@ class ForceSensor:
         tokenizer: encoder, a size that is shipped, or a folder; None for the shipped one.
         head: force head, or the sensor kind whose shipped head reads newtons; None reads no
             newtons.
-        held_N: grip to give once something is lifted; None gives it as read.
-        held_from_touch: give it from the first touch on, where a hand holds by its own force.
         grid: latents are pooled to grid × grid.
 
     Raises SensorError: an unknown kind; CheckpointError: no such checkpoint, or one that doesn't
@@ -78,8 +75,6 @@ class ForceSensor:
         watch: int = 0,
         tokenizer: Tokenizer | str | Path | None = None,
         head: ForceHead | str | None = SOURCE,
-        held_N: float | None = None,
-        held_from_touch: bool = False,
         grid: int = POOL,
     ) -> None:
         self.kind = kind
@@ -97,11 +92,9 @@ class ForceSensor:
         self._map: nn.Module = nn.Identity() if calibration is None else calibration.map
         if isinstance(head, str):
             head = ForceHead.from_pretrained(head, beside)
-        self.newtons = None
-        self._head = head
+        self.head = head
         if head is not None:
             _same_tokenizer(head, tokenizer)
-            self.newtons = Newtons(head.model, calibration, held_N, held_from_touch)
         self.monitor = None
         if watch:
             self.monitor = monitor_of(kind, self.finger, beside, watch, calibration)
@@ -144,7 +137,7 @@ class ForceSensor:
         """
         latent = self.encode(reference[None], current[None])
         force_N = np.full(3, np.nan, np.float32)
-        if self.newtons is not None:
+        if self.head is not None:
             canonical_N = self.newtons(latent)[0].cpu().numpy()
             force_N = to_finger_frame(canonical_N, self.finger)
         health = float("nan") if self.monitor is None else self.monitor.health
@@ -156,17 +149,25 @@ class ForceSensor:
 
         In the finger's own frame; raises as ``encode``.
         """
-        if self.newtons is None:
-            do = "Name a head."
-            raise ContractError(expected("ForceSensor", "a force head", "none", do))
         latent = self.encode(reference[None], current)
         return to_finger_frame(self.newtons(latent).cpu().numpy(), self.finger)
+
+    @torch.no_grad()
+    def newtons(self, latent: torch.Tensor) -> torch.Tensor:
+        """Return (B, 3) N, canonical frame, of calibrated pooled latents (B, K, L).
+
+        Raises ContractError: it has no head.
+        """
+        if self.head is None:
+            do = "Name a head."
+            raise ContractError(expected("ForceSensor", "a force head", "none", do))
+        return self.head.model.step(latent, None)[0]
 
     def facts(self) -> dict[str, str]:
         """Return the hashes of everything that decides its newtons; datasets store them."""
         facts = {"tokenizer": self.tokenizer.hash}
-        if self._head is not None:
-            facts["force_head"] = self._head.hash
+        if self.head is not None:
+            facts["force_head"] = self.head.hash
         if self.calibration is not None:
             facts["calibration"] = self.calibration.hash
         return facts
@@ -200,14 +201,12 @@ class ForceSensor:
         self.tokenizer.forget_references()
         if self.monitor is not None:
             self.monitor.reset()
-        if self.newtons is not None:
-            self.newtons.reset()
 
     def to(self, device: torch.device | str) -> Self:
         """Move everything that holds tensors."""
         self.tokenizer.model.to(device)
-        if self.newtons is not None:
-            self.newtons.head.to(device)
+        if self.head is not None:
+            self.head.model.to(device)
         self._map.to(device)
         if self.monitor is not None:
             self.monitor.to(torch.device(device))

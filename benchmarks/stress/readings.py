@@ -59,7 +59,7 @@ class ReadsWorn(WipeExpert):
     def _feel(self, env: WipeEnv) -> dict[Finger, np.ndarray]:
         with suppress(SensorError):  # a frame late; the score shows what it costs
             latent = encode_now(env, self._finger, self._tokenizer)
-            worn = self._calibration
-            force_N = self._head(latent) if worn is None else worn.scaled(self._head(worn(latent)))
-            self._read = force_N[0].numpy()
+            if self._calibration is not None:
+                latent = self._calibration(latent)
+            self._read = self._head(latent)[0].numpy()
         return {self._finger: self._read}

@@ -44,16 +44,14 @@ BY_SIZE: dict[str, tuple[Any, Any]] = {
     "sampler.noise_scale": (0.0, 1.0),
 }
 # of older checkpoints: what they were tried with didn't pay, and the only value that still runs
-REMOVED = {"touch.site": "prefix", "action.previous_steps": 0}
+REMOVED = {"touch.site": "prefix", "action.previous_steps": 0, "grip": ""}
 # run-time settings; checkpoints always store these defaults
 NEVER_STORED = {
     "verify": "full",
     "monitor": "stop",
-    "grip": "",
     "left_calibration": "",
     "right_calibration": "",
 }
-MOST_CARRIED_N = 100.0  # of a grip: no finger reads more
 FORMERLY = {"true": "always", "false": "robot"}  # action.stop_outside_demos
 # touch inputs that are no latent map: N, N, N, Nmm that become 1 in the network, so that shear,
 # press and torsion of a firm wipe are about 1 there
@@ -62,11 +60,9 @@ FORCES: dict[str, tuple[float, ...]] = {
     "wrench": (5, 5, 10, 100),
 }
 ENCODED = ("latent", "newtons")  # touch inputs that come from the frozen tokenizer
-HELD = ("held", "gripped")  # choices of grip that replace what is read
 CHOICES = {
     "verify": ("full", "quick", "off"),
     "monitor": ("stop", "off"),
-    "grip": ("", "read", *HELD),
     "touch.input": (*ENCODED, "wrench", "none"),
     "touch.on_sensor_loss": ("error", "mask"),
     "action.form": ("target_delta", "absolute"),
@@ -107,8 +103,8 @@ class TouchSettings:
     on_sensor_loss: str = "error"
     # slot → sensor types seen in training, "gelsight+uskin"; "" or absent = any
     trained_sensors: dict[str, str] = field(default_factory=dict)
-    # slot → N of grip that the demonstrations' finger read once lifted; filled from a view
-    carried_N: dict[str, float] = field(default_factory=dict)
+    # REMOVED: older checkpoints name it
+    carried_N: dict[str, float] = field(default_factory=dict, init=False)
     # tactile tokenizer to freeze into a new policy; None = the shipped one
     tokenizer_path: str | None = None
     # version of the marker images it was trained on; filled when the policy is made
@@ -198,10 +194,7 @@ class PI05UniforceConfig(PI05Config):
     verify: str = "full"
     # rollout: "stop" when a sensor looks unhealthy (tokenizer/latent_range.py) | "off"
     monitor: str = "stop"
-    # rollout, touch.input=newtons: "read" as the finger reads it | "held", once lifted, at the
-    # demonstrations' grip | "gripped": held from the first touch on, for a hand that holds by its
-    # own force | "": held where the finger's calibration can't read grip under a tool
-    grip: str = ""
+    grip: str = field(default="", init=False)  # REMOVED: older checkpoints name it
 
     touch: TouchSettings = field(default_factory=TouchSettings)
     action: ActionSettings = field(default_factory=ActionSettings)
@@ -277,11 +270,6 @@ class PI05UniforceConfig(PI05Config):
         _require(self.size != "tiny" or not stock, "size=tiny", "plain float32", self.dtype)
         square = self.image_resolution[0] == self.image_resolution[1]
         _require(square, "image_resolution", "a square", self.image_resolution)
-        holds = self.grip in HELD and not (self.slots and touch.input == "newtons")
-        _require(not holds, "grip", "read: this policy feels no newtons", self.grip)
-        for slot, held_N in touch.carried_N.items():
-            fits = isinstance(held_N, int | float) and 0 < held_N < MOST_CARRIED_N
-            _require(fits, f"touch.carried_N of {slot}", f"0 to {MOST_CARRIED_N} N", held_N)
         calibrated = self.left_calibration or self.right_calibration
         came = f"touch.input={touch.input} in {sorted(touch.slots)}"
         fits = self.encodes or not calibrated

@@ -60,7 +60,6 @@ class PolicyController:
             ``notes`` say.
         calibrations: finger → folder of its sensor's calibration.
         monitor: "stop" when a sensor isn't healthy | "off".
-        grip: "read" | "held" | "gripped" | "", see the config's.
 
     Raises CheckpointError: as ``stored_config``, weights that don't fit, or a sensor that differs
     unasked.
@@ -74,23 +73,20 @@ class PolicyController:
         asked: dict[Finger, str] | None = None,
         calibrations: dict[Finger, str] | None = None,
         monitor: str = "stop",
-        grip: str = "",
     ) -> None:
         config = stored_config(Path(checkpoint))
         config.monitor = monitor
-        config.grip = grip
         config.swap = swap or config.swap
         for finger, sensor in (asked or {}).items():
             if sensor:
                 setattr(config, f"{finger}_sensor", sensor)
         for finger, folder in (calibrations or {}).items():
             setattr(config, f"{finger}_calibration", folder)
-        notes = stored.check_sensors(config, mounted)
+        self.notes = stored.check_sensors(config, mounted)
         for finger, kind in mounted.items():  # whose health is watched
             setattr(config, f"{finger}_sensor", kind)
         source = str(config.pretrained_path)
         self.policy = PI05UniforcePolicy.from_pretrained(source, config=config)
-        self.notes = [*notes, *self.policy.touch.notes]
         with stored.misfits_named(f"processors of {source}"):
             self._before, self._after = make_pre_post_processors(config, pretrained_path=source)
         self.config = config
@@ -138,11 +134,10 @@ class PolicyController:
     def _batch(self, observation: dict[str, Any], task: str) -> dict[str, Any]:
         """Return the preprocessed observation, without marker images that nothing reads."""
         pixels = dict(observation["pixels"])
-        is_watched = self.policy.touch.is_watched
         for name in TACTILE_NAMES:
             image = pixels.pop(name, None)
-            is_read = is_watched or name.split("_")[1] in self.reads  # tactile_FINGER[_ref]
-            if image is not None and is_read:
+            finger = name.split("_")[1]  # tactile_FINGER[_ref]
+            if image is not None and finger in self.reads:
                 pixels[name] = image[..., :1]  # (H, W, 1): RGB are copies of one channel
         wanted: dict[str, Any] = {"pixels": pixels}
         for name, value in observation.items():

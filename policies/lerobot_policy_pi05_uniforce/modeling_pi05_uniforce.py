@@ -28,7 +28,7 @@ from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE,
 from lerobot_policy_pi05_uniforce.sampler.cuda_graphs import BUCKETS
 from lerobot_policy_pi05_uniforce.sampler.prefix import drop_padding
 from lerobot_policy_pi05_uniforce.touch.encoder import ENCODER, check_hash, is_packaged
-from lerobot_policy_pi05_uniforce.touch.sensors import PolicySensors
+from lerobot_policy_pi05_uniforce.touch.sensors import policy_sensors
 from lerobot_policy_pi05_uniforce.touch.tokens import Felt
 from lerobot_policy_pi05_uniforce.touch.touch_input import PAIR_KEYS, Batch, TouchInput
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
@@ -75,7 +75,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
         config.touch.marker_images = MARKER_IMAGES  # a checkpoint's was compared with it
         self.init_rtc_processor()
         self.model = PI05UniforcePytorch(config, self.rtc_processor, empty)
-        self.touch = TouchInput(config, PolicySensors(config, self.model.tactile_encoder))
+        self.touch = TouchInput(config, policy_sensors(config, self.model.tactile_encoder))
         self._take_dataset_facts(dataset_stats, dataset_meta)
         if config.gradient_checkpointing:
             self.model.gradient_checkpointing_enable()
@@ -125,7 +125,6 @@ class PI05UniforcePolicy(stock.PI05Policy):
             training.read_view(meta, config)
             training.read_latent_columns(meta, config)
             training.read_provenance(meta, config)
-            training.read_carried(meta, config, self.model.tactile_encoder)
         if stats:
             if meta is not None:
                 # fine-tuning skips our processor factory, and asks the policy for no statistics

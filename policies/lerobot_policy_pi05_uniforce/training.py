@@ -13,7 +13,6 @@ import torch
 from torch import Tensor, nn
 
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import ENCODED, PI05UniforceConfig
-from lerobot_policy_pi05_uniforce.touch.sensors import carried_grip
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.json_file import read_object
@@ -110,27 +109,6 @@ def read_provenance(dataset_meta: Any, config: PI05UniforceConfig) -> None:
         total = getattr(dataset_meta, f"total_{name}", None)
         found[name] = getattr(dataset_meta, f"used_{name}", total)
     config.trained_on = {name: str(value) for name, value in found.items() if value is not None}
-
-
-def read_carried(dataset_meta: Any, config: PI05UniforceConfig, frozen: Any) -> None:
-    """Note by slot which grip the demonstrations' finger reads once something is lifted.
-
-    Only where a training view has latents and the policy a force head.
-    """
-    episodes = getattr(dataset_meta, "touch_episodes", None)
-    if episodes is None or frozen is None or frozen.head is None:
-        return
-    for slot in config.slots:
-        felt = []
-        for state, latents in episodes(latent_key(slot)):  # (T, axes), (T, K · L)
-            latent = torch.from_numpy(latents).float()
-            latent = latent.reshape(len(latent), config.tokens_per_slot, config.latent_size)
-            with torch.no_grad():
-                force_N = frozen.head.step(latent, None)[0]  # (T, 3)
-            felt.append((torch.from_numpy(state), force_N))
-        carried_N = carried_grip(felt)
-        if carried_N is not None:
-            config.touch.carried_N[slot] = carried_N
 
 
 def refuse_force_in_state(dataset_meta: Any) -> None:

@@ -1,4 +1,4 @@
-"""Calibrate a new sensor: by grasps or wipes beside a known one, or by presses of known load."""
+"""Calibrate a new sensor: by grasps beside a known one, or by presses of known load."""
 
 from __future__ import annotations
 
@@ -7,12 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 from uniforce_cli.boundary import command, one_thread
-from uniforce_cli.paired_grasps import (
-    kind_worn,
-    recorded_grasps,
-    recorded_wipes,
-    simulated_grasps,
-)
+from uniforce_cli.paired_grasps import recorded_grasps, simulated_grasps
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import (
     Count,
@@ -47,23 +42,19 @@ logger = logging.getLogger(__name__)
 
 @dataclass
 class CalibrateCommand:
-    """Fit a sensor to a known one by grasps or wipes, or to known loads on a kitchen scale.
+    """Fit a sensor to a known one by grasps, or to known loads on a kitchen scale.
 
     Grasps take two minutes: hold a small object from outside, let both fingers grasp it, squeeze,
-    push and twist. After a minute take a tool's flat handle. Left-out grasps choose among a map of
-    the latent, one gain of the newtons, and neither.
+    push and twist. After a minute take a tool's flat handle. Left-out grasps choose a map of the
+    latent, or none.
     Record: uniforce pairs robot=franka rig=rig.yaml indenters=small,tool
     Example: uniforce calibrate new=gelsight anchor=tactip pairs=outputs/pairs/uniforce_pairs
     In simulation: uniforce calibrate new=tactip:7 anchor=tactip:1
 
-    A kitchen scale takes half a minute. The fingers hold the task's tool; the fit is one gain.
+    A kitchen scale takes half a minute. The fingers hold the task's tool; the fit is one gain of
+    the latents.
     Example: uniforce calibrate new=uskin rig=rig.yaml finger=right loads_N=3,6,9 through=tool
     In simulation: uniforce calibrate new=uskin:7 loads_N=3,6,9 through=tool
-
-    A few recorded wipes with a known sensor on the other finger give one gain of shear.
-    Example: uniforce calibrate new=uskin anchor=tactip wipes=outputs/wiping finger=right
-    Closer, if the new sensor replaces one that wiped beside the same anchor:
-    uniforce calibrate new=uskin anchor=gelsight wipes=outputs/wiping replaces=outputs/demos
 
     Use it: uniforce score … right_sensor=uskin right_calibration=outputs/calibration
     """
@@ -80,17 +71,12 @@ class CalibrateCommand:
     task: Literal["both", "small", "tool"] = "both"
     grasps: Count = 600  # simulated pairs
     loads_N: Numbers = ""  # three known loads or more, instead of an anchor's grasps
-    # with loads_N. pad: pressed bare on a handle, one gain of all axes, for domes and taxels |
-    # tool: the held tool is pressed on the scale, one gain of shear, for every kind
+    # with loads_N. pad: pressed bare on a handle, for domes and taxels | tool: the held tool is
+    # pressed on the scale, for every kind
     through: Literal["pad", "tool"] = "pad"
     # with loads_N: YAML file with `robot: {cameras: …}`; empty = presses are simulated
     rig: FilePath = ""
-    # dataset of `uniforce record` whose fingers wear new and anchor, instead of grasps
-    wipes: FolderPath = ""
-    # with wipes: dataset in which the sensor that new replaces wiped beside the same anchor, as the
-    # demonstrations. New is scaled to what that one read, whatever share each finger carries
-    replaces: FolderPath = ""
-    finger: Literal["left", "right"] = "right"  # finger that wears new, in the rig or in the wipes
+    finger: Literal["left", "right"] = "right"  # finger that wears new, in the rig
     out: OutFolder = "outputs/calibration"  # folder of the calibration
     tokenizer: TokenizerFolder = ""  # checkpoint folder; empty = shipped
     # shares of the grasps that judge, and agreement below which the fit is refused
@@ -125,36 +111,11 @@ def calibrate_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibrat
     )
 
 
-def scale_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
-    """Fit the gain of shear to recorded wipes.
-
-    Raises as ``gain_beside_an_anchor`` and ``recorded_wipes``.
-    """
-    from uniforce_vtla.tokenizer.force_head import ForceHead
-    from uniforce_vtla.tokenizer.gains import gain_beside_an_anchor
-
-    anchor = _kind(config, config.anchor)
-    of_new, of_anchor = recorded_wipes(
-        config.wipes, _kind(config, config.new), anchor, config.finger, tokenizer
-    )
-    known = anchor
-    before = None
-    if config.replaces:
-        known = kind_worn(config.replaces, config.finger)
-        before = recorded_wipes(config.replaces, known, anchor, config.finger, tokenizer)
-    head = ForceHead.from_pretrained(known, config.tokenizer or None)
-    return gain_beside_an_anchor(of_new, of_anchor, head, config.new, config.anchor, before)
-
-
 def weigh_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
     """Have loads pressed and fit the gain; raises as ``gain_of_loads`` and the presses do."""
     from uniforce_cli.known_loads import known_loads, simulated_presses, simulated_tool
     from uniforce_vtla.contact.worn_in_words import wear
-    from uniforce_vtla.tokenizer.gains import (
-        gain_of_loads,
-        gain_through_a_tool,
-        latent_gain_through_a_tool,
-    )
+    from uniforce_vtla.tokenizer.gains import gain_of_loads, gain_through_a_tool
 
     loads_N = known_loads(config.loads_N)
     head = _head_of_anchor(config)
@@ -165,10 +126,8 @@ def weigh_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
     else:
         unit = wear(config.new)(config.seed)
         latents, load_N = simulate(unit, loads_N, config.seed, tokenizer.pooled)
-    if by_tool and not config.fit.gain:
-        return latent_gain_through_a_tool(latents, load_N, head, config.new, tokenizer.unmoved())
     fit = gain_through_a_tool if by_tool else gain_of_loads
-    return fit(latents, load_N, head, config.new)
+    return fit(latents, load_N, head, config.new, tokenizer.unmoved())
 
 
 def _presses_of_rig(
@@ -206,33 +165,23 @@ def _head_of_anchor(config: CalibrateCommand) -> ForceHead:
 
 def _check_sources(config: CalibrateCommand) -> None:
     """Refuse what contradicts itself before a tokenizer is loaded."""
-    named = {"pairs=": config.pairs, "wipes=": config.wipes, "loads_N=": config.loads_N}
-    given = [name for name, value in named.items() if value]
-    if len(given) > 1:
-        came = " and ".join(given)
-        raise ContractError(
-            expected("calibration", "pairs=, wipes= or loads_N=", came, "Leave all but one out.")
-        )
+    if config.pairs and config.loads_N:
+        came = "pairs= and loads_N="
+        do = "Leave one out."
+        raise ContractError(expected("calibration", "pairs= or loads_N=", came, do))
     if config.mounted != "upright" and not config.pairs:
         do = "Give pairs=, or set rotation_deg and flip in the rig."
         raise ContractError(expected("mounted", "recorded pairs beside it", "none", do))
-    if config.replaces and not config.wipes:
-        do = "Give wipes= too, or leave replaces out."
-        raise ContractError(expected("replaces", "recorded wipes beside it", "none", do))
     if config.rig and not config.loads_N:
-        do = "Give loads_N=3,6,9, or leave rig out: grasps are pairs=, wipes are wipes=."
+        do = "Give loads_N=3,6,9, or leave rig out: grasps are pairs=."
         raise ContractError(expected("rig", "known loads beside it", "none", do))
-    if not config.fit.gain and (config.wipes or (config.loads_N and config.through == "pad")):
-        do = "Weigh it with loads_N=3,6,9 through=tool."
-        raise ContractError(expected("fit.gain", "true: wipes and bare presses", "false", do))
 
 
 def choice_in_words(choice: Choice) -> str:
     """Return the chosen form and the error that each form leaves on left-out grasps."""
-    errors = ", ".join(f"{form} {error:.3f}" for form, error in choice.error.items())
-    noise = ", ".join(f"{form} ± {choice.standard_error[form]:.3f}" for form in ("gain", "map"))
-    chosen = f"chosen by {choice.grasps} left-out grasps: {choice.form}"
-    return f"{chosen}. Error: {errors}; against none {noise}"
+    errors = f"none {choice.error['none']:.3f}, map {choice.error['map']:.3f}"
+    noise = f"± {choice.standard_error['map']:.3f}"
+    return f"chosen by {choice.grasps} left-out grasps: {choice.form}. Error: {errors} {noise}"
 
 
 def check_agreement(found: Calibration, config: CalibrateCommand) -> str:
@@ -273,10 +222,10 @@ def main(config: CalibrateCommand) -> None:
     _check_sources(config)
     tokenizer = Tokenizer.from_pretrained(config.tokenizer or None)
     then = f"uniforce score policy=… right_sensor={config.new} right_calibration={config.out}"
-    if config.loads_N or config.wipes:
-        fit = weigh_sensor if config.loads_N else scale_sensor
-        found = fit(config, tokenizer)
-        print(f"{config.new}: {found.gain_in_words}; in {found.save(config.out)}. Next: {then}")
+    if config.loads_N:
+        found = weigh_sensor(config, tokenizer)
+        gain = f"gain of latents {found.latent_gain:.2f}"
+        print(f"{config.new}: {gain}; in {found.save(config.out)}. Next: {then}")
         return
     found = calibrate_sensor(config, tokenizer)
     print_agreement(found)
@@ -285,9 +234,6 @@ def main(config: CalibrateCommand) -> None:
             "%s seems turned by %.0f°: see `uniforce touch check=angle`", config.new, found.turn_deg
         )
     worst = check_agreement(found, config)
-    if not found.reads_grip:
-        held = "a policy holds it from the lift on (grip=read | held says otherwise)"
-        print(f"{found.grip_in_words}: {held}")
     if found.worst()[1] < config.fit.warn_below:
         logger.warning("%s: grasp again, more of them and all over the pad", worst)
     print(f"{worst}; calibration in {found.save(config.out)}. Next: {then}")

@@ -1,6 +1,6 @@
 """Presses of known load on one sensor: simulated, or by hand on a kitchen scale.
 
-They give the gain of its newtons.
+They give the gain of its latents.
 """
 
 from __future__ import annotations

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from itertools import batched, islice
 from typing import TYPE_CHECKING
 
 from uniforce_vtla.errors import DatasetError, expected
@@ -15,7 +14,6 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from uniforce_datasets.source import Episode
     from uniforce_vtla.contact.worn import WornView
     from uniforce_vtla.contracts import ContactState, Finger
     from uniforce_vtla.tokenizer.api import Tokenizer
@@ -32,8 +30,6 @@ BATCH = 32
 # Recorded pairs that count as one grasp: the layout doesn't store where a grasp ends. `uniforce
 # pairs` keeps some 25 pairs of a grasp, so that stretches of 50 cut few grasps in two.
 STRETCH = 50
-WIPES = 10  # episodes of a dataset that are read: three agree within a few percent already
-EVERY = 4  # frames of a recorded wipe, of which one is read: neighbours show the same
 logger = logging.getLogger(__name__)
 
 
@@ -151,60 +147,3 @@ def recorded_grasps(
         classes=tuple(classes),
         numbers=tuple(numbers),
     )
-
-
-def kind_worn(folder: str, finger: Finger) -> str:
-    """Return the kind of sensor that a finger wears in a dataset's first episode.
-
-    Its frames aren't checked. Raises DatasetError: as ``read_source``.
-    """
-    from uniforce_datasets.source import read_source
-    from uniforce_datasets.view_plan import episode_facts
-
-    _, facts = episode_facts(read_source(folder))[0]
-    return facts.left_sensor if finger == "left" else facts.right_sensor
-
-
-def recorded_wipes(
-    folder: str, new: str, anchor: str, finger: Finger, tokenizer: Tokenizer
-) -> tuple[Latent, Latent]:
-    """Read a dataset's first wipes; ``finger`` wears the kind ``new``, the other one ``anchor``.
-
-    Returns the pooled latents (n, P, L) of the new sensor and of the anchor at the same moments.
-
-    Raises DatasetError: as ``check_dataset``, or fingers that wear others; SensorError: a reference
-    that can't be read.
-    """
-    import torch
-
-    from uniforce_datasets.lossless import check_dataset
-    from uniforce_datasets.view_plan import episode_facts
-
-    source = check_dataset(folder)
-    other: Finger = "left" if finger == "right" else "right"
-    wanted = {finger: new, other: anchor}
-    of_new: list[Latent] = []
-    of_anchor: list[Latent] = []
-    for episode, facts in episode_facts(source)[:WIPES]:
-        worn = {"left": facts.left_sensor, "right": facts.right_sensor}
-        if worn != wanted:
-            do = "Name them new= and anchor=, and the new one's finger=."
-            raise DatasetError(
-                expected(f"sensors of {folder}, episode {episode.index}", wanted, worn, do)
-            )
-        of_new += _encoded(episode, source.fps, finger, tokenizer)
-        of_anchor += _encoded(episode, source.fps, other, tokenizer)
-    return torch.cat(of_new), torch.cat(of_anchor)  # type: ignore[return-value]  # keeps the origin
-
-
-def _encoded(episode: Episode, fps: int, finger: Finger, tokenizer: Tokenizer) -> list[Latent]:
-    """Return the latents of every fourth frame of a finger, in batches."""
-    import numpy as np
-
-    from uniforce_datasets.source import marker_images
-
-    reference, current = marker_images(episode, fps, finger)
-    latents = []
-    for images in batched(islice(current, 0, None, EVERY), BATCH):
-        latents.append(tokenizer.pooled(reference, np.stack(images), finger))
-    return latents

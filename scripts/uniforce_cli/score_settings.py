@@ -32,7 +32,6 @@ class Rig:
     right_calibration: str = ""
     monitor: str = "stop"
     gripper: str = "servo"
-    grip: str = ""
 
     @property
     def mounted(self) -> dict[Finger, str]:
@@ -85,10 +84,6 @@ class ScoreConfig:
     right_calibration: options.FolderPath = ""
     # stop = abort the episode when a sensor looks unhealthy | off = go on
     monitor: Literal["stop", "off"] = "stop"
-    # grip that the policy feels: read = as the finger reads it | held = once lifted, as in the
-    # demonstrations | gripped = as in the demonstrations from the first touch on, for a hand that
-    # holds by its own force | "" = held only if the calibration can't read grip under a tool
-    grip: Literal["", "read", "held", "gripped"] = ""
     # servo = the scene's usual gripper, which regulates grip finely | hand = holds by force, as the
     # robot's hand does
     gripper: Gripper = "servo"
@@ -114,8 +109,6 @@ class ScoreConfig:
         if self.right_sensor:
             words.append(f"right {self.right_sensor}")
         words += [f"{finger} calibrated" for finger in self.rig.calibrations]
-        if self.grip:
-            words.append(f"grip {self.grip}")
         if self.gripper == "hand":
             words.append("hand")
         if self.monitor == "off":
@@ -152,8 +145,6 @@ class ScoreConfig:
         words = [arm, sensors, self.level]
         if self.gripper == "hand":
             words.append("hand")
-        if self.grip:
-            words.append(f"grip-{self.grip}")
         if self.swap:
             words.append(self.swap.replace(":", "-"))
         words += [f"{finger}-calibrated" for finger in self.rig.calibrations]

@@ -206,7 +206,7 @@ def policy_on_rig(policy: str, rig: Rig) -> tuple[WipeEnv, PolicyController]:
     if rig.right_sensor:
         asked["right"] = rig.kinds["right"]
     controller = PolicyController(
-        checkpoint_of(policy), rig.kinds, rig.swap, asked, rig.calibrations, rig.monitor, rig.grip
+        checkpoint_of(policy), rig.kinds, rig.swap, asked, rig.calibrations, rig.monitor
     )
     env = _scene(rig, controller.reads, controller.needs_true_wrench)
     return env, controller

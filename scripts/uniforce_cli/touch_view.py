@@ -61,7 +61,7 @@ def views(finger: TactileFinger, sensor: ForceSensor, label: str) -> Iterator[To
         if raw.ndim == 2:  # counts mean little without their rest
             raw = raw.astype(np.int64) - finger.reference_raw
         force_N = None
-        if sensor.newtons is not None:
+        if sensor.head is not None:
             force_N = sensor.read_markers(reference, markers).force_N
         yield TouchView(
             label=label,

@@ -32,7 +32,6 @@ PATHS = {name: {"touch__input": name} for name in INPUTS} | {
     "gate": WATCHED | {"touch__start_at_base": True},
     "swap": WATCHED | {"touch__slots": {"touch0": "right"}, "swap": "touch0:left"},
     "calibrated": NEWTONS,
-    "held grip": NEWTONS | {"touch__carried_N": {"touch0": 8.9, "touch1": 8.9}, "grip": "held"},
     "new reference": WATCHED,
     "masked": WATCHED,
     "lost": WATCHED | {"touch__on_sensor_loss": "mask"},
@@ -49,7 +48,7 @@ def make(make_policy, tmp_path):
         settings = dict(PATHS[path])
         if path == "calibrated":
             config = make_policy(**settings).config
-            settings["right_calibration"] = calibrate(tmp_path, config, shift=0.1, gain=1.2)
+            settings["right_calibration"] = calibrate(tmp_path, config, shift=0.1)
         policy = make_policy(**settings)
         alive(policy, OPEN if path == "gate" else None)
         if policy.config.encodes:

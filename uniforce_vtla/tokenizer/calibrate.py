@@ -5,8 +5,7 @@ time tools. Their forces are equal, so their latents should be. The difference d
 on the pad, so one linear map of the whole pooled latent is fitted, ridge-regressed towards the
 identity. No force is measured.
 
-The map is used only if left-out grasps are read better with it. Otherwise one gain of the newtons
-is used, or nothing (``calibration_choice.py``).
+The map is used only if left-out grasps are read better with it (``calibration_choice.py``).
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ def calibrate(
     config: CalibrationConfig | None = None,
     grasps: Sequence[int] | None = None,
 ) -> Calibration:
-    """Choose and fit a map, a gain or nothing to paired pooled latents.
+    """Choose and fit a map or nothing to paired pooled latents.
 
     Judge it on held-out grasps.
 
@@ -67,7 +66,7 @@ def calibrate(
     _check(own_new, own_anchor, names, of_grasp, config)
     judge, fit = _split(names, of_grasp, config)
     paired = (own_new[fit], own_anchor[fit], head, of_grasp[fit])
-    choice = choose(*paired, with_gain=config.gain)
+    choice = choose(*paired)
     found = fit_form(choice.form, *paired)
     truth_N = newtons(head, own_anchor[judge])
     before_N = newtons(head, own_new[judge])
@@ -91,7 +90,6 @@ def calibrate(
         ridge=found.ridge,
         turn_deg=math.degrees(in_plane_turn_rad(before_N[:, :2], truth_N[:, :2])),
         agreement=agreement,
-        gain=found.gain,
         choice=choice,
     )
 

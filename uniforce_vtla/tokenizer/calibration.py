@@ -1,9 +1,9 @@
 """A sensor's calibration.
 
-A map of its latents, a gain of its newtons, and how well both fingers agree.
+A map of its latents, and how well both fingers agree.
 
-It belongs to one unit. It is fitted by grasps (``calibrate.py``), or by known loads or wipes
-(``gains.py``), and applied by ``ForceSensor``.
+It belongs to one unit. It is fitted by grasps (``calibrate.py``) or by known loads (``gains.py``),
+and applied by ``ForceSensor``.
 """
 
 from __future__ import annotations
@@ -17,16 +17,13 @@ import torch
 
 from uniforce_vtla.contracts import check_count
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
-from uniforce_vtla.tokenizer.calibration_choice import GAINS, Choice, read_choice
+from uniforce_vtla.tokenizer.calibration_choice import Choice, read_choice
 from uniforce_vtla.tokenizer.latent import Latent, own_latent
 from uniforce_vtla.tokenizer.latent_map import LatentMap
 from uniforce_vtla.tokenizer.settings import OBJECT_CLASSES
 from uniforce_vtla.tokenizer.weights import content_hash, load_model, read_config, save_checkpoint
 
 MAX_NUMBERS = 4096  # of a pooled latent; larger maps are none of ours
-# R² of grip on held-out grasps of tools, from which on the grip is believed: domes and taxels have
-# .93 to .99, flat gels .81 to .86
-TRUSTED_R2 = 0.9
 
 
 @dataclass(frozen=True)
@@ -41,7 +38,7 @@ class Agreement:
 
 @dataclass(frozen=True)
 class Calibration:
-    """A fitted map or gain, the networks it belongs to, and how well the fingers agree."""
+    """A fitted map, the networks it belongs to, and how well the fingers agree."""
 
     map: LatentMap
     tokenizer_hash: str  # whose latents it maps
@@ -52,18 +49,7 @@ class Calibration:
     # turn that brings the new sensor's shear, as read before, to the anchor's; x towards y
     turn_deg: float
     agreement: dict[str, Agreement]  # by class of objects
-    gain: float = 1.0  # of the newtons that the head reads after the map
-    through_tool: bool = False  # the gain is of shear alone, found through a held tool
-    choice: Choice | None = None  # of grasps; None: of loads or wipes, or older than the choice
-
-    def scaled(self, force_N: torch.Tensor) -> torch.Tensor:
-        """Return newtons (…, 3), read after the map, times the gain.
-
-        Of all axes, or of shear alone.
-        """
-        if not self.through_tool:
-            return force_N * self.gain
-        return force_N * force_N.new_tensor([self.gain, self.gain, 1.0])
+    choice: Choice | None = None  # of grasps; None: of loads, or older than the choice
 
     @torch.no_grad()
     def __call__(self, z: Latent) -> Latent:
@@ -84,40 +70,13 @@ class Calibration:
 
     @property
     def hash(self) -> str:
-        """Content hash of map, gain and what they belong to; scores of a policy store it."""
-        facts: dict[str, object] = {"tokenizer_hash": self.tokenizer_hash}
-        if self.gain != 1:
-            facts["gain"] = self.gain
-        if self.through_tool:
-            facts["through_tool"] = True
-        return content_hash(self.map, facts)
+        """Content hash of the map and its tokenizer; scores of a policy store it."""
+        return content_hash(self.map, {"tokenizer_hash": self.tokenizer_hash})
 
     @property
-    def reads_grip(self) -> bool:
-        """Whether the sensor reads grip under a tool.
-
-        A gain of bare presses was never judged: yes.
-        """
-        if self.through_tool:
-            return False
-        return "tool" not in self.agreement or self.agreement["tool"].r2[2] >= TRUSTED_R2
-
-    @property
-    def grip_in_words(self) -> str:
-        """How well grip is read under a tool."""
-        if self.through_tool:
-            return f"the gain of {self.new} is of shear alone, which says nothing of grip"
-        r2 = self.agreement["tool"].r2[2]
-        return f"the calibration of {self.new} reads grip under tools with R² {r2:.2f}"
-
-    @property
-    def gain_in_words(self) -> str:
-        """The one gain of a sensor that was weighed or has wiped."""
-        if self.through_tool:
-            return f"gain of shear {self.gain:.2f}"
-        if self.gain != 1:
-            return f"gain {self.gain:.2f}"
-        return f"gain of latents {1 + float(self.map.weight[0, 0]):.2f}"
+    def latent_gain(self) -> float:
+        """By what a weighed sensor's latents are scaled."""
+        return 1 + float(self.map.weight[0, 0])
 
     def worst(self, classes: Sequence[str] = OBJECT_CLASSES) -> tuple[str, float]:
         """Return the class among ``classes`` whose R² of Fz is lowest, and that R²."""
@@ -131,10 +90,7 @@ class Calibration:
             "anchor": self.anchor,
             "ridge": self.ridge,
             "turn_deg": self.turn_deg,
-            "gain": self.gain,
         }
-        if self.through_tool:
-            facts["through_tool"] = True
         if self.choice:
             facts["choice"] = asdict(self.choice)
         facts["agreement"] = {name: asdict(found) for name, found in self.agreement.items()}
@@ -154,7 +110,7 @@ class Calibration:
     def load(cls, path: str | Path, tokenizer_hash: str) -> Calibration:
         """Load a calibration made for the tokenizer with this hash.
 
-        Raises CheckpointError: damaged, or made for another tokenizer.
+        Raises CheckpointError: damaged, made for another tokenizer, or a gain of version 0.1.
         """
         folder = Path(path)
         facts = read_config(folder)
@@ -186,9 +142,8 @@ def _stored(facts: dict[str, Any]) -> dict[str, Any]:
 
     Raises as a damaged one makes it.
     """
-    gain = float(facts.get("gain", 1.0))
-    if not GAINS[0] <= gain <= GAINS[1]:
-        raise ValueError(f"gain {gain}")
+    if facts.get("gain", 1.0) != 1:
+        raise ValueError("a gain of newtons, of version 0.1")
     choice = None
     if "choice" in facts:
         choice = read_choice(facts["choice"])
@@ -199,8 +154,6 @@ def _stored(facts: dict[str, Any]) -> dict[str, Any]:
         "ridge": float(facts["ridge"]),
         "turn_deg": float(facts["turn_deg"]),
         "agreement": {name: _agreement(stored) for name, stored in facts["agreement"].items()},
-        "gain": gain,
-        "through_tool": facts.get("through_tool", False) is True,
         "choice": choice,
     }
 

@@ -1,4 +1,4 @@
-"""Choose no calibration, one gain of the newtons or a map of the latent, by left-out grasps.
+"""Choose no calibration or a map of the latent, by left-out grasps.
 
 A map helps between units of one sensor type. It can do harm where grasps were few, or of other
 objects than those to come.
@@ -19,9 +19,8 @@ from uniforce_vtla.tokenizer.force_head import ForceHead
 from uniforce_vtla.tokenizer.latent import Latent
 from uniforce_vtla.tokenizer.latent_map import LatentMap, fit_map, folds, grasp_numbers
 
-FORMS = ("none", "gain", "map")  # the simpler first
-GAINS = (0.2, 5.0)  # beyond, something else is wrong than the pad's stiffness
-# Standard errors by which a form must be better than none. With three, GelSights 2 and 3 would stay
+FORMS = ("none", "map")
+# Standard errors by which a map must be better than none. With three, GelSights 2 and 3 would stay
 # at .82 and .78 of a held tool's shear; their maps give .90 and .94, and a policy presses by it.
 SURE = 1.0
 # With six or seven real objects the folds chose forms that read other objects worse.
@@ -49,11 +48,10 @@ class Fitted:
 
     map: LatentMap
     ridge: float = 0.0
-    gain: float = 1.0
 
     def newtons(self, head: ForceHead, z: torch.Tensor) -> np.ndarray:
         """Return (n, 3) N that the head reads of latents (n, P, L) of its own tokenizer."""
-        return self.gain * newtons(head, self.map(z))
+        return newtons(head, self.map(z))
 
 
 def newtons(head: ForceHead, z: torch.Tensor) -> np.ndarray:
@@ -65,12 +63,9 @@ def fit_form(
     form: str, z_new: torch.Tensor, z_anchor: torch.Tensor, head: ForceHead, grasps: np.ndarray
 ) -> Fitted:
     """Fit one of ``FORMS`` to paired latents (n, P, L) of the numbered grasps (n,)."""
-    same = LatentMap(*z_new.shape[1:]).eval()
     if form == "map":
         return Fitted(*fit_map(z_new, z_anchor, grasps))
-    if form == "gain":
-        return Fitted(same, gain=_gain_of_sizes(newtons(head, z_anchor), newtons(head, z_new)))
-    return Fitted(same)
+    return Fitted(LatentMap(*z_new.shape[1:]).eval())
 
 
 def left_out_error(
@@ -106,12 +101,11 @@ def choose(
     head: ForceHead,
     grasps: Sequence[int] | np.ndarray | None = None,
     axes: Sequence[int] = AXES,
-    with_gain: bool = True,
 ) -> Choice:
     """Return which of ``FORMS`` reads left-out grasps best; rows of a grasp are left out together.
 
-    Gain and map must be better than none by ``SURE`` standard errors of the difference over grasps.
-    Of these the one with the smaller error is chosen. Fewer than ``FEWEST_GRASPS`` choose none.
+    A map must be better than none by ``SURE`` standard errors of the difference over grasps. Fewer
+    than ``FEWEST_GRASPS`` choose none.
 
     Args:
         z_new: (n, P, latent) of the sensor to calibrate, from the head's tokenizer.
@@ -119,7 +113,6 @@ def choose(
         head: reads both in newtons.
         grasps: (n,) number of the grasp of each row; None where each row is a grasp of its own.
         axes: which of x, y, z are equal on both fingers.
-        with_gain: whether one gain of the newtons may be chosen.
 
     Raises ContractError: a single grasp.
     """
@@ -136,13 +129,9 @@ def choose(
         form: left_out_error(partial(fit, form), z_new, z_anchor, head, of_grasp, axes)
         for form in FORMS
     }
-    better = ["none"]
-    for form in FORMS[1:]:
-        gained = error["none"] - error[form]  # (grasps,)
-        may_be_taken = count >= FEWEST_GRASPS and (form != "gain" or with_gain)
-        if may_be_taken and gained.mean() > SURE * _standard_error(gained):
-            better.append(form)
-    chosen = min(better, key=lambda form: error[form].mean())
+    gained = error["none"] - error["map"]  # (grasps,)
+    is_better = count >= FEWEST_GRASPS and gained.mean() > SURE * _standard_error(gained)
+    chosen = "map" if is_better else "none"
     mean = {form: float(values.mean()) for form, values in error.items()}
     noise = {form: _standard_error(values - error["none"]) for form, values in error.items()}
     return Choice(chosen, mean, noise, count)
@@ -165,14 +154,3 @@ def read_choice(stored: dict[str, Any]) -> Choice:
 
 def _standard_error(values: np.ndarray) -> float:
     return float(values.std(ddof=1) / np.sqrt(len(values)))
-
-
-def _gain_of_sizes(known_N: np.ndarray, read_N: np.ndarray) -> float:
-    """Return the ratio of root mean squares, known over read forces (n, 3), each axis normalised.
-
-    Both are noisy: a regression would shrink the gain (regression dilution).
-    """
-    weight = 1 / np.maximum(known_N.var(axis=0), 1e-12)  # (3,)
-    known = float((weight * known_N**2).sum())
-    read = float((weight * read_N**2).sum())
-    return float(np.clip(np.sqrt(known / max(read, 1e-9)), *GAINS))

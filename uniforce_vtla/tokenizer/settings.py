@@ -159,9 +159,6 @@ class CalibrationConfig:
 
     held_out: Share = 0.2  # share of the grasps that only judge
     min_pairs: Count = 50  # half of them of each class; fewer say nothing about whole maps
-    # whether one gain of the newtons may be chosen. false for a policy that feels whole latents: a
-    # tool on a scale gives one of latents then
-    gain: bool = True
     seed: Seed = 0  # which grasps judge
     # R² of Fz on held-out grasps of the task's class; less is no calibration
     refuse_below: Share = 0.5

@@ -8,9 +8,9 @@ from torch import Tensor
 
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
-from lerobot_policy_pi05_uniforce.touch.sensors import HEIGHT, PolicySensors
 from uniforce_vtla.contracts import FINGERS, Finger
-from uniforce_vtla.errors import ContractError, RolloutError, SensorError, UniForceError, expected
+from uniforce_vtla.errors import RolloutError, SensorError, UniForceError, expected
+from uniforce_vtla.force_sensor import ForceSensor
 from uniforce_vtla.keys import AXES, STATE, latent_key, tactile_key, wrench_key
 from uniforce_vtla.tokenizer.latent_range import FreeAirError
 
@@ -29,39 +29,27 @@ class TouchInput:
 
     Args:
         config: settings of the policy.
-        sensors: those of the slots; none where the input isn't felt by sensors.
+        sensors: slot → its sensor; none where the input isn't felt by sensors.
     """
 
-    def __init__(self, config: PI05UniforceConfig, sensors: PolicySensors) -> None:
+    def __init__(self, config: PI05UniforceConfig, sensors: dict[str, ForceSensor]) -> None:
         self.config = config
-        self.sensors = sensors.by_slot
-        self.notes = sensors.notes
+        self.sensors = sensors
         self.masked = False  # every slot hidden: takes touch away from a trained policy
-        self._comparison = sensors.comparison
-        self._encoded_now: dict[Finger, Tensor] = {}  # finger → calibrated latents of this batch
         # references taken in this episode instead of those given
         self._renewed: dict[str, Tensor] = {}
         self._logged: set[str] = set()
-
-    @property
-    def is_watched(self) -> bool:
-        """Whether the health of any sensor is watched."""
-        return any(sensor.monitor is not None for sensor in self.sensors.values())
 
     def reset(self) -> None:
         """Start an episode: forget references and earlier readings."""
         self._renewed.clear()
         for sensor in self.sensors.values():
             sensor.reset()
-        if self._comparison is not None:
-            self._comparison.reset()
 
     def to(self, device: torch.device) -> None:
         """Move what is no module of the policy: calibrations and health ranges."""
         for sensor in self.sensors.values():
             sensor.to(device)
-        if self._comparison is not None:
-            self._comparison.other.to(device)
 
     def gather(self, batch: Batch, training: bool) -> tuple[Any, Any]:
         """Return (slots, B, rows, numbers) and (slots, B) whether each is there, or None.
@@ -74,9 +62,7 @@ class TouchInput:
                 sensor.monitor.active = not training
         if not self.config.slots:
             return None, None
-        self._encoded_now.clear()
         touches = torch.stack([self._read(batch, slot) for slot in self.config.slots])
-        self._compare_grips(batch)
         masks = touches.isfinite().flatten(2).all(dim=2)
         if self.masked:
             masks = torch.zeros_like(masks)
@@ -114,9 +100,10 @@ class TouchInput:
         """
         if self.config.touch.input == "wrench":
             return taken(batch, wrench_key(slot)).float()[:, None]
+        latent = self._latent(batch, slot)
         if not self.config.reads_newtons:
-            return self._latent(batch, slot)
-        return self._newtons(batch, slot)[:, None]  # (B, 1, 3)
+            return latent
+        return self.sensors[slot].newtons(latent)[:, None]  # (B, 1, 3)
 
     def _latent(self, batch: Batch, slot: str) -> Tensor:
         """Return a slot's (B, K, L) latents; those of a demonstration aren't calibrated."""
@@ -126,54 +113,18 @@ class TouchInput:
         latent = batch[key].float()
         return latent.reshape(len(latent), self.config.tokens_per_slot, -1)
 
-    def _newtons(self, batch: Batch, slot: str) -> Tensor:
-        """Return a slot's (B, 3) N; those of a demonstration are neither scaled nor held."""
-        newtons = self.sensors[slot].newtons
-        assert newtons is not None, "PolicySensors gave it the policy's head"
-        latent = self._latent(batch, slot)
-        if latent_key(slot) in batch:
-            return newtons.head.step(latent, None)[0]
-        height_m = None
-        if newtons.held_N is not None:
-            height_m = taken(batch, MEASURED_STATE)[:, HEIGHT]
-        return newtons(latent, height_m)
-
     def _encoded(self, batch: Batch, slot: str) -> Tensor:
         """Return latents of a slot's marker images; an open hand takes a new reference once."""
         sensor = self.sensors[slot]
         reference, current = marker_images(batch, sensor.finger)
         try:
-            latent = sensor.encode(self._renewed.get(slot, reference), current)
+            return sensor.encode(self._renewed.get(slot, reference), current)
         except FreeAirError as error:
             if slot in self._renewed or not self._hand_is_open(batch):
                 raise
             logger.warning("%s finger: a new reference is taken. %s", sensor.finger, error)
             self._renewed[slot] = current
-            latent = sensor.renew(current)
-        self._encoded_now[sensor.finger] = latent
-        return latent
-
-    def _compare_grips(self, batch: Batch) -> None:
-        """Compare the first slot's grip with the other finger's, where its pictures are there."""
-        comparison = self._comparison
-        if comparison is None:
-            return
-        latent = self._encoded_now.get(comparison.own.finger)
-        monitor = comparison.own.monitor
-        if latent is None or monitor is None or not monitor.active:
-            return
-        other = comparison.other
-        beside = self._encoded_now.get(other.finger)
-        is_felt = other in self.sensors.values()  # encoded with its slot, or lost
-        is_seen = not is_felt and set(PAIR_KEYS[other.finger]) <= batch.keys()
-        if (beside is None and not is_seen) or not comparison.is_due():
-            return
-        if beside is None:
-            try:
-                beside = other.encode(*marker_images(batch, other.finger))
-            except ContractError:  # it shows no markers: the policy does without it
-                return
-        comparison.see(latent, beside)
+            return sensor.renew(current)
 
     def _hand_is_open(self, batch: Batch) -> bool:
         """Return whether the hand is as wide as demonstrations commanded; False where unknown."""
