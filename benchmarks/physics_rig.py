@@ -49,7 +49,10 @@ def grasped(
     **changes: Any,
 ) -> WipeSimulation:
     """Return a simulation that holds the eraser in the air, commanded to ``width_m``."""
-    sim = WipeSimulation(quiet_scene(**changes), "gelsight", "tactip", solver, stiffness)
+    # the servo follows a width at once: physics is asked about pads and tool, not about the hand
+    sim = WipeSimulation(
+        quiet_scene(**changes), "gelsight", "tactip", solver, stiffness, gripper="servo"
+    )
     x, y = sim.scene.level.layout.tray_m
     hold(sim, [x, y, GRASP_m, 0.0, OPEN_m], 25)
     hold(sim, [x, y, GRASP_m, 0.0, width_m], 35)

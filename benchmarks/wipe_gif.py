@@ -31,7 +31,7 @@ class WipeGifConfig:
 
     policy: Policies = "shipped"
     sensors: Text = "tactip,uskin:2"  # of the right finger, comma between them
-    gripper: Gripper = "servo"
+    gripper: Gripper = "hand"
     seed: Seed = 30_006  # the scene, the same for every sensor
     out: OutFile = "outputs/wipe.gif"
 

@@ -108,7 +108,7 @@ class GatesCommand:
     """
 
     level: Level = "touch"
-    gripper: Gripper = "servo"  # of the scene
+    gripper: Gripper = "hand"  # of the scene
     episodes: Count = 100  # scenes, the same for every script
     first_seed: Seed = BLOCKS["gates"].start  # of them
     learn_from: Count = 250  # scenes that lag laws and observers are fitted on

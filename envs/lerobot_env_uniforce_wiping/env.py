@@ -44,7 +44,7 @@ class WipeEnv(gymnasium.Env):
         expose_wrench: add the true pad wrenches to the observation; for ceiling controls only.
         max_steps: cut episodes earlier or later than the level does.
         render_mode: gymnasium's; pictures are always arrays.
-        gripper: "servo", the level's own, or "hand", with the rules of the robot's hand.
+        gripper: "hand", with the rules of the robot's, or "servo", which follows each width.
         touch_in_state: put the right finger's newtons behind the state and leave marker images out,
             for policies that take every image for a camera.
         right_calibration: folder of the right sensor's calibration; only with ``touch_in_state``.
@@ -64,7 +64,7 @@ class WipeEnv(gymnasium.Env):
         expose_wrench: bool = False,
         max_steps: int | None = None,
         render_mode: str | None = "rgb_array",
-        gripper: str = "servo",
+        gripper: str = "hand",
         touch_in_state: bool = False,
         right_calibration: str = "",
     ) -> None:

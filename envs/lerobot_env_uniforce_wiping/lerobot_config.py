@@ -49,7 +49,7 @@ class UniforceWipingConfig(EnvConfig):
     level: str = "easy"
     left_sensor: str = "gelsight"
     right_sensor: str = "tactip"
-    gripper: str = "servo"  # servo, the level's own | hand, under the rules of the robot's
+    gripper: str = "hand"  # hand, under the rules of the robot's | servo, follows each width
     expose_wrench: bool = False  # ceiling control only
     # the right finger's newtons behind the state, no marker images: for any LeRobot policy
     touch_in_state: bool = False

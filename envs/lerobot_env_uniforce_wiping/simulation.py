@@ -60,7 +60,7 @@ class WipeSimulation:
         right_sensor: str,
         solver: SolverSettings | None = None,
         stiffness: tuple[float, float] = (1.0, 1.0),
-        gripper: str = "servo",
+        gripper: str = "hand",
     ) -> None:
         self.scene = scene
         self.solver = solver or SolverSettings()

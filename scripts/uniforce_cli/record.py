@@ -59,9 +59,9 @@ class RecordConfig:
     # another unit in every scene | tactip:drawing = as drawn, no camera, fast. A robot's rig file
     # names its sensors
     right_sensor: Worn = "tactip"
-    # simulation: servo = the scene's usual gripper, which regulates grip finely | hand = holds by
-    # force, as the robot's hand does
-    gripper: Gripper = "servo"
+    # simulation: hand = holds by force, as the robot's hand does | servo = follows every tenth of a
+    # millimetre, as no hand does
+    gripper: Gripper = "hand"
     root: options.OutFolder = "outputs/demos"  # the dataset's folder
     # folder of a dataset to go on with; refused where there is none
     resume: options.Dataset = ""

@@ -31,7 +31,7 @@ class Rig:
     left_calibration: str = ""
     right_calibration: str = ""
     monitor: str = "stop"
-    gripper: str = "servo"
+    gripper: str = "hand"
 
     @property
     def mounted(self) -> dict[Finger, str]:
@@ -84,9 +84,9 @@ class ScoreConfig:
     right_calibration: options.FolderPath = ""
     # stop = abort the episode when a sensor looks unhealthy | off = go on
     monitor: Literal["stop", "off"] = "stop"
-    # servo = the scene's usual gripper, which regulates grip finely | hand = holds by force, as the
-    # robot's hand does
-    gripper: Gripper = "servo"
+    # hand = holds by force, as the robot's hand does | servo = follows every tenth of a
+    # millimetre, as no hand does
+    gripper: Gripper = "hand"
     swap: options.Slots = ""  # which finger fills which touch slot, e.g. touch0:left
     # masked = touch is taken away | shuffled = touch of another scene in the same phase | frozen =
     # touch stays as it was half a second into the wipe | "" = touch as it is
@@ -109,8 +109,8 @@ class ScoreConfig:
         if self.right_sensor:
             words.append(f"right {self.right_sensor}")
         words += [f"{finger} calibrated" for finger in self.rig.calibrations]
-        if self.gripper == "hand":
-            words.append("hand")
+        if self.gripper == "servo":
+            words.append("servo")
         if self.monitor == "off":
             words.append("unwatched")
         words += filter(None, (self.swap, self.control))
@@ -143,8 +143,8 @@ class ScoreConfig:
         arm = re.sub(r"\W+", "-", self.arm.replace("+", "")).strip("-")
         sensors = re.sub("[:=]", "-", "+".join(self.rig.mounted.values()))
         words = [arm, sensors, self.level]
-        if self.gripper == "hand":
-            words.append("hand")
+        if self.gripper == "servo":
+            words.append("servo")
         if self.swap:
             words.append(self.swap.replace(":", "-"))
         words += [f"{finger}-calibrated" for finger in self.rig.calibrations]

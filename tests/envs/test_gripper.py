@@ -78,8 +78,8 @@ def test_a_dropped_tool_is_noticed_by_the_hand_itself(grasping):
         stay(grasping, 0.01, 60)
 
 
-def test_the_servo_stays_the_levels_gripper():
-    assert WipeEnv("touch", drawn=()).gripper == "servo"
+def test_the_hand_is_the_usual_gripper():
+    assert WipeEnv("touch", drawn=()).gripper == "hand"
     with pytest.raises(ContractError, match=r"servo \| hand"):
         WipeEnv("touch", drawn=(), gripper="claw")
 

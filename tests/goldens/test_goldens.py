@@ -67,7 +67,7 @@ def head():
 
 @pytest.fixture(scope="module")
 def calibrated(tokenizer, head, tmp_path_factory):
-    """The folder of a made-up calibration of a GelSight whose grip can't be believed."""
+    """The folder of a made-up calibration of a GelSight."""
     generator = torch.Generator().manual_seed(5)
     latent_map = LatentMap(16, tokenizer.config.latent)
     latent_map.weight.copy_(0.01 * torch.randn(latent_map.weight.shape, generator=generator))
@@ -75,7 +75,7 @@ def calibrated(tokenizer, head, tmp_path_factory):
     agreement = Agreement(20, (0.9, 0.95, 0.8), (0.95, 0.97, 0.9), (0.8, 0.8, 0.6))
     names = ("gelsight:3", "tactip:1", 0.1, 0.0)
     judged = {"small": agreement, "tool": agreement}
-    found = Calibration(latent_map, tokenizer.hash, head.hash, *names, judged, gain=1.1)
+    found = Calibration(latent_map, tokenizer.hash, head.hash, *names, judged)
     return str(found.save(tmp_path_factory.mktemp("goldens") / "calibration"))
 
 
@@ -90,7 +90,7 @@ def observation(observed, scene, moment):
 
 def test_the_goldens_are_of_the_shipped_checkpoints(tokenizer, head):
     config = PI05UniforcePolicy.config_class.from_pretrained(shipped_checkpoint())
-    hashes = [tokenizer.hash, head.hash, config.tokenizer_hash, config.touch.head_hash]
+    hashes = [tokenizer.hash, head.hash, config.tokenizer_hash]
     digits = np.array([[int(digit, 16) for digit in name] for name in hashes])
     same("hashes", digits)
 
