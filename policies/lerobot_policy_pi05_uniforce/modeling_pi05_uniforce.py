@@ -122,6 +122,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
         config = self.config
         if meta is not None:
             training.refuse_force_in_state(meta)
+            training.refuse_unseen_fingers(meta, config)
             training.read_view(meta, config)
             training.read_latent_columns(meta, config)
             training.read_provenance(meta, config)

@@ -16,7 +16,15 @@ from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import ENCODED, PI
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.json_file import read_object
-from uniforce_vtla.keys import ACTION, STATE, VIEW_MARKER, force_axes, latent_key
+from uniforce_vtla.keys import (
+    ACTION,
+    STATE,
+    VIEW_MARKER,
+    force_axes,
+    latent_key,
+    tactile_key,
+    wrench_key,
+)
 
 # random even on a pretrained backbone
 NEW_MODULES = ("force_tokens", "state_token", "touch_gate")
@@ -120,6 +128,23 @@ def refuse_force_in_state(dataset_meta: Any) -> None:
         do = "This policy feels by itself: train on the recorded dataset, or on its training view."
         came = f"also {', '.join(sorted(forces))}"
         raise DatasetError(expected("state of the dataset", "the five axes alone", came, do))
+
+
+def refuse_unseen_fingers(dataset_meta: Any, config: PI05UniforceConfig) -> None:
+    """Raise DatasetError where a dataset shows nothing of a finger that the policy feels with."""
+    features = getattr(dataset_meta, "features", {})
+    if not features:
+        return
+    fingers = config.finger_by_slot()
+    for slot in config.slots:
+        finger = fingers[slot]
+        keys = {latent_key(slot), tactile_key(finger)}
+        if config.touch.input == "wrench":
+            keys = {wrench_key(slot)}
+        if keys.isdisjoint(features):
+            wanted = " or ".join(sorted(keys))
+            do = "Leave that finger out, e.g. policy.touch.slots='{touch0: right}'."
+            raise DatasetError(expected(f"{slot}, {finger} finger", wanted, "neither", do))
 
 
 def read_latent_columns(dataset_meta: Any, config: PI05UniforceConfig) -> None:

@@ -342,8 +342,8 @@ def test_a_calibration_of_another_kind_is_refused(tmp_path, shipped):
 def watch_start(make_controller):
     """Let the shipped policy begin in a scene whose right finger wears this; return what it watches."""
 
-    def begin(words, monitor="stop", drawn=("right",)):
-        env = WipeEnv("touch", right_sensor=words, drawn=drawn)
+    def begin(words, monitor="stop"):
+        env = WipeEnv("touch", right_sensor=words)
         controller = make_controller(monitor=monitor)
         observation, _ = env.reset(seed=20_000)
         controller.reset(env)

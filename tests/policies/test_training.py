@@ -65,7 +65,8 @@ SMALL = "size=tiny device=cpu tiny.width=64 tiny.depth=2 tiny.mlp_dim=32 image_r
 def new(tokenizer_path, monkeypatch):
     """Settings of a small new policy that feels cached latents."""
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
-    touch = ["touch.input=latent", f"touch.tokenizer_path={tokenizer_path}"]
+    one_finger = "touch.slots={touch0: right}"
+    touch = ["touch.input=latent", one_finger, f"touch.tokenizer_path={tokenizer_path}"]
     return ["policy=pi05_uniforce", *(f"policy.{word}" for word in (*SMALL.split(), *touch))]
 
 
@@ -295,3 +296,9 @@ def test_a_sharded_step_is_the_whole_policys_step(make_policy, make_batch, tmp_p
     torch.testing.assert_close(found, wanted, rtol=1e-4, atol=1e-6)
     assert sum(not torch.equal(found[name], before[name]) for name in before) > 10
     PI05UniforcePolicy.from_pretrained(sharded)
+
+
+def test_a_dataset_without_a_finger_that_the_policy_feels_with_is_refused(new, dataset, tmp_path):
+    both = [*new, "policy.touch.slots={touch0: right, touch1: left}"]
+    with pytest.raises(DatasetError, match="touch1, left finger: expected"):
+        lerobot_training.train([*both, *run_settings(dataset, tmp_path / "run", steps=2)])
