@@ -12,6 +12,7 @@ import numpy as np
 from uniforce_vtla.errors import RobotError, RolloutError, SensorError, expected
 from uniforce_vtla.evaluation.episode import EpisodeResult, EpisodeTrace, empty_trace, score_episode
 from uniforce_vtla.keys import tactile_name
+from uniforce_vtla.markers.raster import overlay
 
 
 class Environment(Protocol):
@@ -136,8 +137,7 @@ def _shot(pixels: dict[str, np.ndarray], step: int) -> Shot:
         current = pixels.get(tactile_name(finger))
         if current is not None:
             reference = pixels[tactile_name(finger, reference=True)]
-            channels = [current[..., 0], reference[..., 0], reference[..., 0]]
-            half = np.stack([channel[::2, ::2] for channel in channels], axis=-1)
+            half = overlay(reference[::2, ::2, 0], current[::2, ::2, 0])
             return Shot(step, pixels["front"], half)
     return Shot(step, pixels["front"], None)
 
