@@ -2,7 +2,8 @@
 
 How the policy was chosen stands in docs/experiments/swap.md. All demonstrations wear GelSight 1 on
 the left finger and TacTip 1 on the right one, in the hand's rig. Every policy feels with both
-fingers. The ladder exchanges the right one's sensor, and two rows exchange both.
+fingers. The ladder exchanges the right one's sensor, and two rows exchange both. The arms stand
+beside the paper's: V vision, T TacTip, G GelSight, U uSkin. A finger that an arm lacks is masked.
 
 Checkpoints are folders ``<checkpoints>/<policy>/seed0`` …; all learn from the same demonstrations
 with the same recipe.
@@ -32,7 +33,8 @@ class Row:
     worn: tuple[str, ...] = ("tactip",)  # in words (uniforce_vtla.contact.worn_in_words)
     fit: Fit = ""  # how each of them is calibrated; GelSight 1 and TacTip 1 need none
     left: tuple[str, ...] = ()  # units that the left finger wears meanwhile; () = GelSight 1
-    control: Literal["", "frozen"] = ""  # as ``uniforce score control=``
+    # as ``uniforce score control=``
+    control: Literal["", "frozen", "left_masked", "right_masked"] = ""
     rollouts: int = 204
 
 
@@ -41,6 +43,18 @@ def _both_exchanged(kind: str) -> Row:
     right = units(kind)
     left = right[1:] + right[:1]
     return Row(f"S2 both {kind}", worn=right, fit="grasps", left=left, rollouts=FEWER)
+
+
+def _arms() -> list[Row]:
+    """Return the paper's arms that aren't a rung: V is vision alone, V+T+G is S0."""
+    uskins = units("uskin")
+    tactips = ("tactip",) * len(uskins)
+    return [
+        Row("V+T", control="left_masked", rollouts=FEWER),
+        Row("V+G", control="right_masked", rollouts=FEWER),
+        Row("V+U", worn=uskins, fit="grasps", control="left_masked", rollouts=FEWER),
+        Row("V+T+U", worn=tactips, fit="grasps", left=uskins, rollouts=FEWER),
+    ]
 
 
 def _ladder() -> tuple[Row, ...]:
@@ -54,7 +68,7 @@ def _ladder() -> tuple[Row, ...]:
     rows.append(Row("true wrench", "wrench/seed*", rollouts=FEWER))
     rows.append(_both_exchanged("uskin"))
     rows.append(_both_exchanged("gelsight"))
-    return tuple(rows)
+    return (*rows, *_arms())
 
 
 LADDER = _ladder()
@@ -67,6 +81,8 @@ CLAIMS = (
     AtMostWorse("another kind, weighed", "S2 uskin weighed", "S0", 0.08),
     AtMostWorse("another kind, weighed", "S2 gelsight weighed", "S0", 0.08),
     AtMostWorse("next to the true wrench", "S0", "true wrench", 0.08),
+    AtMostWorse("a second sensor", "S0", "V+T", 0.05),
+    AtMostWorse("a second sensor", "V+T+U", "V+T", 0.05),
 )
 SLACK = 0.05  # of the bound beyond a claim's margin
 BETTER = (

@@ -1,7 +1,8 @@
 """One process of the scorer: builds each arm's environment and controller once, then scores seeds.
 
-Controls ask whether the policy uses touch: masked touch carries nothing, shuffled touch is of
-another scene in the same phase, frozen touch stays as it was early in the wipe.
+Controls ask whether the policy uses touch. Masked touch, of both fingers or one, carries nothing.
+Shuffled touch is of another scene in the same phase, frozen touch stays as it was early in the
+wipe.
 """
 
 import functools
@@ -38,6 +39,13 @@ DONOR_SEED = 50_000  # scenes that are neither trained on nor scored
 DONORS = 6  # expert episodes that lend their touch
 EVERY = 5  # steps between two frames kept of a donor
 FEELS_s = 0.5  # of wiping, before touch freezes
+# control → fingers whose touch it takes away
+HIDES: dict[str, tuple[Finger, ...]] = {
+    "": (),
+    "masked": FINGERS,
+    "left_masked": ("left",),
+    "right_masked": ("right",),
+}
 
 Donated = dict[str, np.ndarray]  # stream → (H, W) bool, packed along the last axis
 
@@ -95,7 +103,7 @@ def _build(policy: str, rig: Rig, control: str, out: Path) -> tuple[WipeEnv, Con
 
 
 def controlled(controller: PolicyController, control: str, env: WipeEnv, rig: Rig) -> Controller:
-    """Return the controller under a control, ``masked``, ``shuffled`` or ``frozen``; "" is none.
+    """Return the controller under a control of ``ScoreConfig``; "" is none.
 
     Scenes that lend their touch have the same ``rig``. Raises ContractError: an unknown control.
     """
@@ -103,11 +111,10 @@ def controlled(controller: PolicyController, control: str, env: WipeEnv, rig: Ri
         return ShuffledTouch(controller, donated_touch(rig, env.drawn))
     if control == "frozen":
         return FrozenTouch(controller)
-    if control not in ("", "masked"):
-        raise ContractError(
-            expected("control", "masked | shuffled | frozen", repr(control), "Name one.")
-        )
-    controller.policy.touch.masked |= control == "masked"
+    if control not in HIDES:
+        wanted = " | ".join([*filter(None, HIDES), "shuffled", "frozen"])
+        raise ContractError(expected("control", wanted, repr(control), "Name one."))
+    controller.policy.touch.hidden.update(HIDES[control])
     return controller
 
 

@@ -13,6 +13,7 @@ from policy_samples import OPEN, alive, calibrate, watched, with_dots
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
 from lerobot_policy_pi05_uniforce.sampler import fast, layers, prefix
 from lerobot_policy_pi05_uniforce.sampler.cuda_graphs import GraphedSampler
+from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.keys import tactile_key
 from uniforce_vtla.tokenizer.latent_map import LatentMap
 from uniforce_vtla.tokenizer.latent_range import FREE_LOOKS
@@ -54,7 +55,8 @@ def make(make_policy, tmp_path):
         if policy.config.encodes:
             # a map that nothing but the monitor holds
             watched(policy, 99.0).touch.sensors["touch0"].monitor._worn = LatentMap(16, 6)
-        policy.touch.masked = path == "masked"
+        if path == "masked":
+            policy.touch.hidden.update(FINGERS)
         return policy
 
     return made

@@ -53,10 +53,14 @@ def test_masked_touch_equals_no_touch(policy, batch):
     given, noise = inputs(policy, batch), start_noise(policy)
     touched = ours(policy, given, noise)
     without = ours(policy, given._replace(felt=Felt(given.felt.state)), noise)
-    policy.touch.masked = True
+    policy.touch.hidden.add("left")
+    half = ours(policy, inputs(policy, batch), noise)
+    policy.touch.hidden.add("right")
     masked = ours(policy, inputs(policy, batch), noise)
     assert torch.allclose(masked, without, atol=1e-6)
-    assert (touched - without).abs().max() > 1e-3
+    for felt in (touched, half):
+        assert (felt - without).abs().max() > 1e-3
+    assert (touched - half).abs().max() > 1e-3
 
 
 @pytest.mark.parametrize("gate", [None, OPEN])

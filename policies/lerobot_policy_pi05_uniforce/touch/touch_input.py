@@ -35,7 +35,7 @@ class TouchInput:
     def __init__(self, config: PI05UniforceConfig, sensors: dict[str, ForceSensor]) -> None:
         self.config = config
         self.sensors = sensors
-        self.masked = False  # every slot hidden: takes touch away from a trained policy
+        self.hidden: set[Finger] = set()  # whose touch is taken away from a trained policy
         # references taken in this episode instead of those given
         self._renewed: dict[str, Tensor] = {}
         self._logged: set[str] = set()
@@ -64,21 +64,22 @@ class TouchInput:
             return None, None
         touches = torch.stack([self._read(batch, slot) for slot in self.config.slots])
         masks = touches.isfinite().flatten(2).all(dim=2)
-        if self.masked:
-            masks = torch.zeros_like(masks)
         if training:
             share = torch.rand_like(masks, dtype=torch.float32)
             masks = masks & (share >= self.config.augment.touch_dropout)
         return touches.nan_to_num(), masks
 
     def _read(self, batch: Batch, slot: str) -> Tensor:
-        """Return a slot's input, NaN where its sensor is lost."""
+        """Return a slot's input, NaN where its sensor is lost or its finger hidden."""
+        state = batch[STATE]
+        nothing = state.new_full((len(state), *self.config.touch_shape), torch.nan)
+        if self.config.finger_by_slot()[slot] in self.hidden:
+            return nothing
         try:
             touch = self.read(batch, slot)
         except (RolloutError, SensorError) as error:
             self._lost(error)
-            state = batch[STATE]
-            return state.new_full((len(state), *self.config.touch_shape), torch.nan)
+            return nothing
         if not touch.isfinite().all():
             do = "Check the sensor or the dataset."
             self._lost(RolloutError(expected(slot, "finite numbers", "NaN or inf", do)))
