@@ -299,6 +299,6 @@ def test_a_sharded_step_is_the_whole_policys_step(make_policy, make_batch, tmp_p
 
 
 def test_a_dataset_without_a_finger_that_the_policy_feels_with_is_refused(new, dataset, tmp_path):
-    both = [*new, "policy.touch.slots={touch0: right, touch1: left}"]
+    both = [word.replace("{touch0: right}", "{touch0: right, touch1: left}") for word in new]
     with pytest.raises(DatasetError, match="touch1, left finger: expected"):
         lerobot_training.train([*both, *run_settings(dataset, tmp_path / "run", steps=2)])
