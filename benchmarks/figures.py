@@ -23,20 +23,22 @@ SENSOR_COLOURS = {"TacTip": "#2a6f97", "uSkin": "#e07b39", "GelSight": "#2a9d8f"
 OTHER = "#444444"  # what feels with no sensor, or with the true force
 ROW_inch = 0.34
 
-# row of wiping.json → words
+# row of swap.json → words
 LADDER = {
     "S0": "its own TacTip",
     "S1": "another TacTip",
-    "S1_calibrated": "TacTips calibrated by grasps",
-    "S2_uskin": "another uSkin",
-    "S2_uskin_calibrated": "uSkins calibrated by grasps",
-    "S2_gelsight": "another GelSight",
-    "S2_gelsight_calibrated": "GelSights calibrated by grasps",
-}
-BLIND = {
-    "V+T frozen": "TacTip, frozen while it wipes",
-    "V": "nothing: vision alone",
-    "best blind": "nothing: the best script",
+    "S1 by grasps": "TacTips calibrated by grasps",
+    "S1 weighed": "TacTips weighed",
+    "S2 uskin": "another uSkin",
+    "S2 uskin by grasps": "uSkins calibrated by grasps",
+    "S2 uskin weighed": "uSkins weighed",
+    "S2 gelsight": "another GelSight",
+    "S2 gelsight by grasps": "GelSights calibrated by grasps",
+    "S2 gelsight weighed": "GelSights weighed",
+    "S2 both uskin": "uSkins on both fingers, calibrated",
+    "S2 both gelsight": "GelSights on both fingers, calibrated",
+    "frozen touch": "TacTip, frozen while it wipes",
+    "vision alone": "nothing: vision alone",
 }
 # operator of stress.json → words with its dose
 FAULTS = {
@@ -115,14 +117,15 @@ def draw_shares(shares: Sequence[Share], path: Path, line: float | None = None) 
     return save_figure(figure, path)
 
 
-def ladder(found: Mapping[str, Any]) -> list[Share]:
-    """Return the lines of the ladder and of what acts without touch."""
+def ladder(found: Mapping[str, Any], scripts: Mapping[str, Any]) -> list[Share]:
+    """Return the lines of the ladder, and of the best of the scripts that act without touch."""
     shares = []
-    for rows, words in ((found["ladder"], LADDER), (found["arms"], BLIND)):
-        for name, label in words.items():
-            row = rows[name]
-            shares.append(Share(label, row["clean"], row.get("n", len(row["by_seed"]))))
-    return shares
+    for name, label in LADDER.items():
+        row = found["rows"].get(name)
+        if row is not None:
+            shares.append(Share(label, row["clean"], row["n"]))
+    best = max(scripts["must_fail"].values(), key=lambda row: row["clean"] / row["n"])
+    return [*shares, Share("nothing: the best script", best["clean"], best["n"])]
 
 
 def faults(found: Mapping[str, Any]) -> list[Share]:
@@ -172,7 +175,7 @@ def main(config: FiguresCommand) -> None:
     usual = next(iter(stress["clean_without_fault"].values()))
     kept = 100 * usual["clean"] / usual["n"]
     made = [
-        draw_shares(ladder(read("wiping")), folder / "wiping.png"),
+        draw_shares(ladder(read("swap"), read("gates_hand")), folder / "wiping.png"),
         draw_shares(faults(stress), folder / "stress.png", kept),
         draw_shares(readers(read("reading_expert")), folder / "reading_expert.png"),
         draw_front(read("chart_policy"), folder / "chart_policy.png"),

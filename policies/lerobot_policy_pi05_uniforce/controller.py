@@ -28,7 +28,7 @@ SHIPPED = Path(__file__).parent / "assets" / "wiping_vt"
 
 
 def shipped_checkpoint() -> Path:
-    """Return the folder of the tiny V+T policy shipped with the package."""
+    """Return the folder of the tiny policy shipped with the package."""
     return weights.find(SHIPPED, weights.WEIGHTS).parent
 
 

@@ -37,7 +37,7 @@ class DemoConfig:
 
 
 # arm → sensor on the right finger; the shipped policy was trained with a TacTip there
-ARMS = {"V+T": "tactip", "V+G": "gelsight", "V+U": "uskin"}
+ARMS = {"TacTip": "tactip", "GelSight": "gelsight", "uSkin": "uskin"}
 SHOWN_AS = {
     "tactip": "TacTip, with which it learnt",
     "gelsight": "GelSight instead",

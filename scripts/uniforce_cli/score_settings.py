@@ -10,7 +10,7 @@ from uniforce_vtla import options
 from uniforce_vtla.contracts import Finger
 
 SCRIPTS = ("expert",)  # the scripted expert; uses the true wrench of both pads
-ArmName = Annotated[str, options.Pattern("a name", r"[^/\\]{1,100}", "V+T")]
+ArmName = Annotated[str, options.Pattern("a name", r"[^/\\]{1,100}", "uSkin")]
 
 
 def checkpoint_of(policy: str) -> Path:
@@ -65,7 +65,7 @@ class ScoreConfig:
 
     # checkpoint folders; several, e.g. of training seeds, take turns scene by scene
     policy: options.Policies = "shipped"
-    # name of this arm in the table; "" = V+T or the script, and how the rig differs from the usual
+    # name of this arm in the table; "" = the policy or script, and how the rig differs from the usual
     arm: ArmName = ""
     level: Level = "touch"  # level of the scene
     # sensor on the left finger; "" = gelsight, if the policy was trained with it. A named sensor
@@ -104,7 +104,7 @@ class ScoreConfig:
 
     def __post_init__(self) -> None:
         """Name the arm after its differences from the usual rig, so that arms' names differ."""
-        words = [self.policy if self.policy in SCRIPTS else "V+T"]
+        words = [self.policy if self.policy in SCRIPTS else "policy"]
         if self.left_sensor:
             words.append(f"left {self.left_sensor}")
         if self.right_sensor:

@@ -57,7 +57,7 @@ def test_the_smallest_demo_prints_less_than_forty_lines(tmp_path, capfd):
     assert demo.main(["episodes=1", "train_steps=1", "rollouts=1", "level=easy", f"out={out}"]) == 0
     said, warned = capfd.readouterr()
     assert len((said + warned).splitlines()) <= 40
-    assert "| V+U |" in said and "Done in" in said and str(out / demo.LOG) in said
+    assert "| uSkin |" in said and "Done in" in said and str(out / demo.LOG) in said
     assert "Creating policy" in (out / demo.LOG).read_text()  # LeRobot's own words
     for page in (out / "show" / "episode_0.html", out / "sensors.html"):
         assert page.is_file()

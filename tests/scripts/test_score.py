@@ -58,7 +58,7 @@ def scored(*arms):
 
 
 def test_a_script_is_not_taken_for_a_policy():
-    assert ScoreConfig().arm == "V+T"
+    assert ScoreConfig().arm == "policy"
     assert ScoreConfig(policy="expert").arm == "expert"
     assert ScoreConfig(policy="expert", arm="me").arm == "me"
 
@@ -66,25 +66,24 @@ def test_a_script_is_not_taken_for_a_policy():
 @pytest.mark.parametrize(
     "options, arm, folder",
     [
-        ({}, "V+T", "VT_gelsight+tactip_touch"),
+        ({}, "policy", "policy_gelsight+tactip_touch"),
         (
             {"right_sensor": "uskin:7+lag=100", "control": "masked"},
-            "V+T, right uskin:7+lag=100, masked",
-            "VT-right-uskin-7lag-100-masked_gelsight+uskin-7+lag-100_touch_masked",
+            "policy, right uskin:7+lag=100, masked",
+            "policy-right-uskin-7lag-100-masked_gelsight+uskin-7+lag-100_touch_masked",
         ),
         (
             {
                 "left_sensor": "tactip",
                 "right_calibration": "map",
-                "gripper": "hand",
-                "grip": "held",
+                "gripper": "servo",
                 "swap": "touch0:left",
                 "monitor": "off",
                 "level": "easy",
             },
-            "V+T, left tactip, right calibrated, grip held, hand, unwatched, touch0:left",
-            "VT-left-tactip-right-calibrated-grip-held-hand-unwatched-touch0-left"
-            "_tactip+tactip_easy_hand_grip-held_touch0-left_right-calibrated_unwatched",
+            "policy, left tactip, right calibrated, servo, unwatched, touch0:left",
+            "policy-left-tactip-right-calibrated-servo-unwatched-touch0-left"
+            "_tactip+tactip_easy_servo_touch0-left_right-calibrated_unwatched",
         ),
     ],
 )
