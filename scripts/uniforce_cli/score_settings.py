@@ -65,7 +65,8 @@ class ScoreConfig:
 
     # checkpoint folders; several, e.g. of training seeds, take turns scene by scene
     policy: options.Policies = "shipped"
-    # name of this arm in the table; "" = the policy or script, and how the rig differs from the usual
+    # name of this arm in the table; "" = the policy or script, and how the rig differs from the
+    # usual one
     arm: ArmName = ""
     level: Level = "touch"  # level of the scene
     # sensor on the left finger; "" = gelsight, if the policy was trained with it. A named sensor
