@@ -151,6 +151,17 @@ def test_readmes_python_runs_and_reads_the_press():
     np.testing.assert_allclose(names["reading"].force_N, [1, 0, 6], atol=0.25)
 
 
+def test_own_datas_python_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    for code in re.findall(
+        r"```python\n(.*?)```", (ROOT / "docs/own_data.md").read_text(), re.DOTALL
+    ):
+        exec(code, names)
+    assert names["recording"].frames.shape[0] == 5
+    assert (tmp_path / "outputs/mine/meta/info.json").is_file()
+
+
 def test_the_site_builds_without_a_warning(tmp_path):
     """Every link and anchor is checked, and that the site lists every page; nothing is fetched."""
     command = [
