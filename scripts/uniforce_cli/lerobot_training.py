@@ -180,6 +180,7 @@ def _check(given: Mapping[str, str], ours: bool) -> None:
         if name in known and (ours or not name.startswith("policy.")):
             check(known[name], read_value(known[name], text))
     _check_config_path(given)
+    _check_resumed(given)
     if "dataset.root" in given:
         root = Path(given["dataset.root"])
         episodes = given.get(EPISODES, "null")
@@ -225,6 +226,15 @@ def _check_config_path(given: Mapping[str, str]) -> None:
         )
     if file.is_file() and file.suffix == ".json":
         read_object(file, CheckpointError)
+
+
+def _check_resumed(given: Mapping[str, str]) -> None:
+    """Raise ContractError where a run that goes on is told anew what its policy feels."""
+    told = [name for name in given if name.startswith("policy.touch.")]
+    if told and given.get("resume", "false").lower() == "true":
+        wanted = "a resumed run with what its policy feels as the checkpoint says"
+        do = "Leave it out, or start a new run without resume."
+        raise ContractError(expected(told[0], wanted, given[told[0]], do))
 
 
 def _with_nearest(error: UniForceError) -> UniForceError:

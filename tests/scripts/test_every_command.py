@@ -203,6 +203,12 @@ def test_a_run_to_go_on_with_names_its_settings(given, tmp_path, last_words):
     assert "config_path: expected a checkpoint's train_config.json" in last_words("train", words)
 
 
+def test_a_run_to_go_on_with_keeps_what_its_policy_feels(tmp_path, last_words):
+    (tmp_path / "train_config.json").write_text("{}")
+    words = ["resume=true", RUN.format(run=tmp_path), "policy.touch.slots={touch0: right}"]
+    assert "with what its policy feels as the checkpoint says" in last_words("train", words)
+
+
 @pytest.mark.parametrize("name", CONTENTS)
 def test_settings_of_a_run_that_are_none_are_a_users_error(name, room, last_words):
     for file in (room.folder / name, room.damaged(name, "config.json") / "config.json"):
