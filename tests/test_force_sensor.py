@@ -96,18 +96,18 @@ def test_several_frames_in_a_row_make_a_reference(raw, make_sensor):
         make_sensor("tactip").tare([free, pressed, pressed])
 
 
-def test_a_calibration_maps_the_latent_and_scales_newtons(
+def test_a_calibration_maps_the_latent_that_newtons_are_read_in(
     raw, make_sensor, tokenizer, head, tmp_path
 ):
     latent_map = LatentMap(16, tokenizer.config.latent)
     latent_map.shift.fill_(0.1)
     names = tokenizer.hash, head.hash, "tactip:3", "tactip:1", 0.0, 0.0
-    folder = Calibration(latent_map, *names, {}, gain=1.5).save(tmp_path)
+    folder = Calibration(latent_map, *names, {}).save(tmp_path)
     before = read(make_sensor("tactip"), raw["tactip"])
     after = read(make_sensor("tactip", calibration=folder), raw["tactip"])
     np.testing.assert_allclose(after.latent, before.latent + 0.1, atol=1e-6)
     shifted = torch.from_numpy(before.latent + 0.1)[None]
-    np.testing.assert_allclose(after.force_N, 1.5 * head.model.step(shifted, None)[0][0], rtol=1e-5)
+    np.testing.assert_allclose(after.force_N, head.model.step(shifted, None)[0][0], rtol=1e-5)
     with pytest.raises(CheckpointError, match="tokenizer"):
         ForceSensor("tactip", tokenizer="small", calibration=folder)
 

@@ -12,7 +12,7 @@ STAGES = {  # the library's folders and what each may import of the others
     "markers": {"sensors"},
     "contact": {"sensors", "markers"},
     "tokenizer": {"sensors", "markers", "contact"},
-    "evaluation": set(),
+    "evaluation": {"markers"},
 }
 ENVS, DATASETS, ROBOTS = "lerobot_env_uniforce_wiping", "uniforce_datasets", "uniforce_robots"
 POLICIES, COMMAND, BENCHMARKS = "lerobot_policy_pi05_uniforce", "uniforce_cli", "benchmarks"

@@ -44,9 +44,10 @@ BY_SIZE: dict[str, tuple[Any, Any]] = {
     "sampler.noise_scale": (0.0, 1.0),
 }
 # of older checkpoints: what they were tried with didn't pay, and the only value that still runs
-REMOVED = {"touch.site": "prefix", "action.previous_steps": 0, "grip": ""}
+REMOVED = {"touch.site": "prefix", "action.previous_steps": 0}
 # run-time settings; checkpoints always store these defaults
 NEVER_STORED = {
+    "grip": "",  # removed, and still named by older checkpoints
     "verify": "full",
     "monitor": "stop",
     "left_calibration": "",

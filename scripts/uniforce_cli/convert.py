@@ -7,7 +7,7 @@ is placed by name or named in an error.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -123,7 +123,7 @@ def _settings(
     from lerobot_policy_pi05_uniforce import PI05UniforceConfig
     from lerobot_policy_pi05_uniforce import configuration_pi05_uniforce as groups
 
-    known = PI05UniforceConfig.__dataclass_fields__.keys() - NOT_TAKEN
+    known = {field.name for field in fields(PI05UniforceConfig) if field.init} - NOT_TAKEN
     taken = {name: value for name, value in source.items() if name in known}
     kinds = {
         "action": groups.ActionSettings,

@@ -94,8 +94,8 @@ def test_true_forces_tell_the_simulators_events(press_N, grip_N, seed):
     assert bool(found.excess_force) == bool(pressed_hard)
     wiping = (trace.phase == WIPING_PHASE) & (trace.slip_mm < 5)
     assert abs(found.in_band_share - truth.metrics["in_band_share"]) < 0.1
-    # the hand is pulled meanwhile
-    assert np.abs(found.press_N - trace.press_N)[wiping].mean() < 0.2
+    # the hand is pulled meanwhile, and holds softly
+    assert np.abs(found.press_N - trace.press_N)[wiping].mean() < 0.25
 
 
 CORNERS = np.array([[20, 30], [300, 40], [310, 200], [10, 190]])

@@ -65,7 +65,7 @@ def trained(tmp_path, tiny):
     torch.manual_seed(0)
     shutil.copytree(FOLDER, tmp_path / "words")
     Tokenizer.random(tiny).save(tmp_path / "tactile")
-    touch = TouchSettings(input="latent", tokenizer_path=str(tmp_path / "tactile"))
+    touch = TouchSettings(slots={"touch0": "right"}, tokenizer_path=str(tmp_path / "tactile"))
     config = small_config(touch=touch, text_tokenizer_name=str(tmp_path / "words"))
     one = {"q01": np.zeros(5), "q99": np.ones(5), "min": np.zeros(5), "max": np.ones(5)}
     stats = {"observation.state": dict(one), "action": dict(one)}
