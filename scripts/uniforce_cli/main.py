@@ -19,7 +19,7 @@ GROUPS = {
     "record": {
         "record": "record demonstrations, in simulation or on a Franka",
         "pairs": "record equilibrium pairs: both fingers hold one object",
-        "show": "show recorded episodes as a page or in rerun",
+        "show": "show recorded episodes as pages",
         "verify": "check a dataset's content against its hashes, or write them anew",
     },
     "train": {

@@ -1,16 +1,12 @@
-"""Look at recorded episodes.
-
-A page with a slider for any browser, or a recording for the rerun viewer.
-"""
+"""Look at recorded episodes: a page with a slider for any browser."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from uniforce_cli.boundary import Verify, command, one_thread
-from uniforce_cli.rerun_viewer import import_rerun, open_viewer
 from uniforce_vtla.arguments import numbers
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, expected
@@ -44,16 +40,12 @@ class ShowDatasetConfig:
 
     Cameras, markers, latents, forces and events on one time line.
 
-    Example: uniforce show root=outputs/demos episode=0,3 out=outputs/show form=sheet
+    Example: uniforce show root=outputs/demos episode=0,3 out=outputs/show
     """
 
     root: Dataset = "outputs/demos"  # recorded dataset, from a robot or from the simulator
     episode: Episodes = "0"  # numbers, comma between them; all = every one
-    # a page, which holds its pictures, or an .rrd file, for each episode
-    out: OutFolder = "outputs/show"
-    # sheet = HTML with a slider, PNG | rerun = .rrd (needs rerun-sdk)
-    form: Literal["sheet", "rerun"] = "sheet"
-    spawn: bool = False  # open the rerun viewer on what was written (it listens on loopback only)
+    out: OutFolder = "outputs/show"  # gets a page for each episode, which holds its pictures
     # left,right: pull slowly until the object slides; empty = slippage isn't judged
     pad_friction: Numbers = ""
     head: Head = ""  # reads newtons from the latents; empty = descriptor heads, as for scores
@@ -63,23 +55,19 @@ class ShowDatasetConfig:
 
 
 def show_dataset(config: ShowDatasetConfig) -> list[Path]:
-    """Write a page or a recording for each chosen episode and return their paths.
+    """Write a page for each chosen episode and return their paths.
 
-    Raises ContractError: unknown form or episode, friction of the wrong form, rerun asked for and
-    not installed; DatasetError: a dataset that can't be read, lacks a finger, or is truncated;
-    CheckpointError: a tokenizer or head that can't be loaded.
+    Raises ContractError: unknown episode, friction of the wrong form; DatasetError: a dataset that
+    can't be read, lacks a finger, or is truncated; CheckpointError: a tokenizer or head that can't
+    be loaded.
     """
     from tqdm import tqdm
 
-    from uniforce_cli.dataset_rerun import write_recording
     from uniforce_cli.dataset_sheet import write_sheet
     from uniforce_cli.episode_films import read_films
     from uniforce_cli.recorded_episode import RecordingForces, summarise_episode
     from uniforce_vtla.tokenizer import Tokenizer
 
-    rerun = None
-    if config.form == "rerun":
-        rerun = import_rerun("form=rerun", "form=sheet")
     friction: tuple[float, float] | None = None
     if config.pad_friction:
         left, right = numbers("pad_friction", config.pad_friction, len(FINGERS)).tolist()
@@ -93,13 +81,8 @@ def show_dataset(config: ShowDatasetConfig) -> list[Path]:
         stem = f"episode_{episode.index}"
         summary = summarise_episode(recording, tokenizer, episode, friction, title)
         facts = _facts(recording.source, episode, config)
-        if rerun is None:
-            films = read_films(summary, recording.source, episode)
-            written.append(write_sheet(summary, films, facts, out, stem))
-        else:
-            written.append(
-                write_recording(rerun, summary, recording.source, episode, out / f"{stem}.rrd")
-            )
+        films = read_films(summary, recording.source, episode)
+        written.append(write_sheet(summary, films, facts, out, stem))
         content = _numbers(summary, facts) | {"tokenizer_hash": tokenizer.hash}
         write_json(out / f"{stem}.json", content | provenance())
     return written
@@ -172,7 +155,3 @@ def main(config: ShowDatasetConfig) -> None:
     one_thread()
     written = show_dataset(config)
     print("\n".join(f"written to {path}" for path in written))
-    if config.form == "rerun" and config.spawn:
-        open_viewer(*map(str, written))
-    elif config.form == "rerun":
-        print(f"look at it: rerun {written[0]}")

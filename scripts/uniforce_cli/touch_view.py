@@ -3,7 +3,9 @@
 And where it is shown.
 """
 
+import importlib
 import math
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -12,7 +14,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from uniforce_cli.rerun_viewer import import_rerun, open_viewer
 from uniforce_robots.sensors.finger import TactileFinger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.force_sensor import ForceSensor
@@ -93,10 +94,20 @@ def _terminal() -> Callable[[TouchView], None]:
 
 
 def _rerun() -> Callable[[TouchView], None]:
-    """Log into the rerun viewer, if the user has it; it isn't among the project's dependencies."""
-    rerun = import_rerun("output=rerun", "output=terminal")
+    """Log into the rerun viewer; ContractError: the extra ``rerun`` isn't installed.
+
+    The viewer outlives this program and listens on loopback: rerun's own ``spawn`` listens on every
+    interface of the machine.
+    """
+    try:
+        rerun = importlib.import_module("rerun")
+    except ImportError as error:
+        do = "Run `pip install '.[rerun]'`, or use output=terminal."
+        wanted = "the package rerun-sdk"
+        raise ContractError(expected("output=rerun", wanted, "none", do)) from error
     rerun.init("uniforce touch")
-    open_viewer()
+    viewer = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1"]
+    subprocess.Popen(viewer, start_new_session=True)
     rerun.connect_grpc()
 
     def show(view: TouchView) -> None:

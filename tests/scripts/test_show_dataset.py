@@ -1,18 +1,15 @@
-"""Looking at a recording: a page that needs nothing, a rerun recording, and what both may claim."""
+"""Looking at a recording: a page that needs nothing, and what it may claim."""
 
 import base64
 import json
-import sys
 import time
 from html.parser import HTMLParser
-from unittest.mock import MagicMock
 
 import cv2
 import numpy as np
 import pytest
 from headless_browser import open_browser
 
-from uniforce_cli.dataset_rerun import traces
 from uniforce_cli.dataset_sheet import write_sheet
 from uniforce_cli.episode_films import Films, encoded
 from uniforce_cli.recorded_episode import (
@@ -101,39 +98,6 @@ def test_unknown_episodes_and_half_a_friction_are_refused(recorded, tmp_path, re
     ):
         refuses(main, [f"root={recorded}", f"out={tmp_path}", *words], said)
     assert not list(tmp_path.iterdir())
-
-
-def test_without_rerun_its_form_is_refused_before_any_work(
-    recorded, tmp_path, monkeypatch, refuses
-):
-    monkeypatch.setitem(sys.modules, "rerun", None)
-    refuses(main, [f"root={recorded}", "form=rerun", f"out={tmp_path}"], "[rerun]")
-
-
-def test_rerun_receives_everything_on_one_time_line(recorded, tmp_path, monkeypatch):
-    rerun = MagicMock()
-    rerun.TimeColumn = lambda name, duration: len(duration)
-    rerun.EncodedImage.columns = lambda blob, media_type: len(blob)
-    rerun.Scalars.columns = lambda scalars: len(scalars)
-    rerun.TextDocument = rerun.TextLog = lambda text, **how: text
-    monkeypatch.setitem(sys.modules, "rerun", rerun)
-    assert main([f"root={recorded}", "form=rerun", f"out={tmp_path}"]) == 0
-    received = rerun.RecordingStream.return_value.__enter__.return_value
-    assert received.save.call_args.args == (tmp_path / "episode_0.rrd",)
-    sent = [call.args for call in received.send_columns.call_args_list]
-    assert all(times == [count] == [FRAMES] for _, times, count in sent)  # one time for each value
-    pictures = "camera/front camera/wrist markers/left markers/right latent/left latent/right"
-    forces = "force_N/left/fz_estimate force_N/right/fx_true"
-    assert {*pictures.split(), *forces.split()} <= {path for path, *_ in sent}
-    assert traces(summary_of()).keys() >= {"press_N/estimate", "friction_used/estimate"}
-    logged = [call.args[1] for call in received.log.call_args_list]
-    assert "start" in logged and any(text.startswith("estimated:") for text in logged)
-
-
-def test_the_real_rerun_writes_a_file(recorded, tmp_path):
-    pytest.importorskip("rerun", reason="rerun-sdk is optional")
-    assert main([f"root={recorded}", "form=rerun", f"out={tmp_path}", "pad_friction=0.6,0.7"]) == 0
-    assert (tmp_path / "episode_0.rrd").read_bytes()[:3] == b"RRF"
 
 
 def summary_of(title="made up"):
