@@ -195,7 +195,7 @@ class PI05UniforceConfig(PI05Config):
     verify: str = "full"
     # rollout: "stop" when a sensor looks unhealthy (tokenizer/latent_range.py) | "off"
     monitor: str = "stop"
-    grip: str = field(default="", init=False)  # REMOVED: older checkpoints name it
+    grip: str = field(default="", init=False)  # removed, see NEVER_STORED
 
     touch: TouchSettings = field(default_factory=TouchSettings)
     action: ActionSettings = field(default_factory=ActionSettings)

@@ -15,7 +15,7 @@ from uniforce_vtla.markers.raster import overlay
 
 MOMENTS = 120  # pictures of each stream on a page: 4 MB of them
 WIDTH_PX = 320  # of the largest of them
-WEBP = (cv2.IMWRITE_WEBP_QUALITY, 75)
+QUALITY = 75  # of WebP, up to 100
 HEAT_PX = 16  # a patch's side in a heat map, so that a viewer has something to show
 
 
@@ -58,15 +58,16 @@ def read_films(summary: EpisodeSummary, source: Source, episode: Episode) -> Fil
     return Films(tuple(sorted(wanted)), pictures)
 
 
-def encoded(picture: np.ndarray, ending: str, *options: int) -> bytes:
-    """Return the bytes of a picture file; ``picture`` is (H, W, 3) uint8 RGB."""
-    return cv2.imencode(ending, cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), options)[1].tobytes()
+def encoded(picture: np.ndarray, quality: int = QUALITY) -> bytes:
+    """Return the bytes of a WebP file; ``picture`` is (H, W, 3) uint8 RGB."""
+    options = (cv2.IMWRITE_WEBP_QUALITY, quality)
+    return cv2.imencode(".webp", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), options)[1].tobytes()
 
 
 def _small(picture: np.ndarray) -> bytes:
     scale = min(1.0, WIDTH_PX / picture.shape[1])
     small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    return encoded(small, ".webp", *WEBP)
+    return encoded(small)
 
 
 def _heat(strength: np.ndarray) -> np.ndarray:

@@ -148,7 +148,6 @@ def felt_forces(tokenizer: Tokenizer, head: ForceHead) -> ForceReader:
 
     def read(source: Source, episode: Episode, finger: Finger) -> np.ndarray:
         sensor = sensors[finger]
-        assert sensor.head is not None
         reference, current = marker_images(episode, source.fps, finger)
         forces_N = []
         for images in batched(current, BATCH):

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import av
-import cv2
 
 from uniforce_cli.dataset_sheet import TEMPLATES
 from uniforce_cli.episode_films import encoded
@@ -14,7 +13,7 @@ from uniforce_vtla.evaluation.arms import EpisodeRow
 from uniforce_vtla.evaluation.episode import ScoreLimits
 from uniforce_vtla.evaluation.film import FILM_HZ
 
-WEBP = (cv2.IMWRITE_WEBP_QUALITY, 70)
+QUALITY = 70  # of WebP, up to 100
 
 
 @dataclass(frozen=True)
@@ -62,6 +61,6 @@ def _frames(video: Path) -> list[str]:
         return found
     with av.open(str(video)) as container:
         for frame in container.decode(video=0):
-            picture = encoded(frame.to_ndarray(format="rgb24"), ".webp", *WEBP)
+            picture = encoded(frame.to_ndarray(format="rgb24"), QUALITY)
             found.append(b64encode(picture).decode())
     return found

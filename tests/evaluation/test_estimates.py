@@ -80,7 +80,9 @@ def test_what_cannot_be_judged_is_refused():
 )
 def test_true_forces_tell_the_simulators_events(press_N, grip_N, seed):
     """A hand too loose, too slippery a handle, too firm a press, and a clean wipe."""
-    env, expert = WipeEnv("touch", drawn=()), WipeExpert(settings=TouchSettings(press_N, grip_N))
+    # the servo, since a hand that holds by its own force doesn't grip as loosely as is asked
+    env = WipeEnv("touch", drawn=(), gripper="servo")
+    expert = WipeExpert(settings=TouchSettings(press_N, grip_N))
     force, place = [], []
     for _ in walk(env, expert, seed):
         wrench = env.true_wrench()
@@ -94,8 +96,8 @@ def test_true_forces_tell_the_simulators_events(press_N, grip_N, seed):
     assert bool(found.excess_force) == bool(pressed_hard)
     wiping = (trace.phase == WIPING_PHASE) & (trace.slip_mm < 5)
     assert abs(found.in_band_share - truth.metrics["in_band_share"]) < 0.1
-    # the hand is pulled meanwhile, and holds softly
-    assert np.abs(found.press_N - trace.press_N)[wiping].mean() < 0.25
+    # the hand is pulled meanwhile
+    assert np.abs(found.press_N - trace.press_N)[wiping].mean() < 0.2
 
 
 CORNERS = np.array([[20, 30], [300, 40], [310, 200], [10, 190]])

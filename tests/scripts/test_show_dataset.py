@@ -139,7 +139,7 @@ def test_key_frames_and_stretches_are_where_things_happen():
 def films_of(frames, name="camera/front"):
     shown = tuple(range(0, frames, 10))
     greys = (np.full((24, 24, 3), 250 * number // frames, np.uint8) for number in shown)
-    return Films(shown, {name: tuple(encoded(grey, ".webp") for grey in greys)})
+    return Films(shown, {name: tuple(encoded(grey) for grey in greys)})
 
 
 def made_up_page(folder, title="made up", camera="camera/front"):

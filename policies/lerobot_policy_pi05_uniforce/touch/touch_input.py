@@ -71,15 +71,13 @@ class TouchInput:
 
     def _read(self, batch: Batch, slot: str) -> Tensor:
         """Return a slot's input, NaN where its sensor is lost or its finger hidden."""
-        state = batch[STATE]
-        nothing = state.new_full((len(state), *self.config.touch_shape), torch.nan)
         if self.config.finger_by_slot()[slot] in self.hidden:
-            return nothing
+            return self._nothing(batch)
         try:
             touch = self.read(batch, slot)
         except (RolloutError, SensorError) as error:
             self._lost(error)
-            return nothing
+            return self._nothing(batch)
         if not touch.isfinite().all():
             do = "Check the sensor or the dataset."
             self._lost(RolloutError(expected(slot, "finite numbers", "NaN or inf", do)))
@@ -105,6 +103,11 @@ class TouchInput:
         if not self.config.reads_newtons:
             return latent
         return self.sensors[slot].newtons(latent)[:, None]  # (B, 1, 3)
+
+    def _nothing(self, batch: Batch) -> Tensor:
+        """Return a slot's input of which no number is known."""
+        state = batch[STATE]
+        return state.new_full((len(state), *self.config.touch_shape), torch.nan)
 
     def _latent(self, batch: Batch, slot: str) -> Tensor:
         """Return a slot's (B, K, L) latents; those of a demonstration aren't calibrated."""
