@@ -16,12 +16,12 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from benchmarks.real.gelsight_grasps import read_grasps
 from benchmarks.real.grasp_readers import encode_in_batches
 from benchmarks.real.grasps import SEALED, SEEN, find_grasps
 from uniforce_cli.boundary import command, one_thread
 from uniforce_cli.calibrate import Unit
 from uniforce_cli.paired_grasps import simulated_grasps
-from uniforce_datasets.readers.gelsight_grasps import read_grasps
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.options import Count, FolderPath, OutFile, Seed, Text, TokenizerFolder, split
 from uniforce_vtla.results_file import provenance, write_json

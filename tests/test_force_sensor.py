@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
+from calibration_samples import save_calibration
 
 from uniforce_vtla import Canonicalizer, ForceHead, ForceSensor, Tokenizer
 from uniforce_vtla.contact import free_air
@@ -15,8 +16,6 @@ from uniforce_vtla.contact.worn_in_words import wear
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import CheckpointError, ContractError, SensorError
 from uniforce_vtla.tokenizer import pool_latent
-from uniforce_vtla.tokenizer.calibration import Calibration
-from uniforce_vtla.tokenizer.latent_map import LatentMap
 from uniforce_vtla.tokenizer.latent_range import (
     FREE_LOOKS,
     FreeAirError,
@@ -99,10 +98,7 @@ def test_several_frames_in_a_row_make_a_reference(raw, make_sensor):
 def test_a_calibration_maps_the_latent_that_newtons_are_read_in(
     raw, make_sensor, tokenizer, head, tmp_path
 ):
-    latent_map = LatentMap(16, tokenizer.config.latent)
-    latent_map.shift.fill_(0.1)
-    names = tokenizer.hash, head.hash, "tactip:3", "tactip:1", 0.0, 0.0
-    folder = Calibration(latent_map, *names, {}).save(tmp_path)
+    folder = save_calibration(tmp_path, tokenizer)
     before = read(make_sensor("tactip"), raw["tactip"])
     after = read(make_sensor("tactip", calibration=folder), raw["tactip"])
     np.testing.assert_allclose(after.latent, before.latent + 0.1, atol=1e-6)
@@ -110,6 +106,8 @@ def test_a_calibration_maps_the_latent_that_newtons_are_read_in(
     np.testing.assert_allclose(after.force_N, head.model.step(shifted, None)[0][0], rtol=1e-5)
     with pytest.raises(CheckpointError, match="tokenizer"):
         ForceSensor("tactip", tokenizer="small", calibration=folder)
+    with pytest.raises(CheckpointError, match="one of a uskin, got one of tactip:3"):
+        make_sensor("uskin", calibration=folder)
 
 
 def test_a_sensor_that_is_not_healthy_stops_and_free_air_is_told_apart(raw, make_sensor):

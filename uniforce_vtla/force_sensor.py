@@ -88,6 +88,8 @@ class ForceSensor:
         beside = shipped_sizes().get(tokenizer.hash, folder)  # where its head and health ranges are
         if isinstance(calibration, str | Path):
             calibration = Calibration.load(calibration, tokenizer.hash)
+        if calibration is not None:
+            calibration.check_fits(kind)
         self.calibration = calibration
         self._map: nn.Module = nn.Identity() if calibration is None else calibration.map
         if isinstance(head, str):

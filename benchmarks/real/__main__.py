@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from benchmarks.real.eflesh import eflesh_lines, eflesh_rows
+from benchmarks.real.gelsight_grasps import read_grasps
 from benchmarks.real.grasp_readers import grasp_readers
 from benchmarks.real.grasps import SEALED, SEEN, by_group, find_grasps, read_grasps_by
 from benchmarks.real.readouts import (
@@ -23,7 +24,6 @@ from benchmarks.real.tactip_shear import TactipSet, read_tactip_shear
 from benchmarks.real.uskin_grasps import SENSOR as USKIN
 from benchmarks.real.uskin_grasps import find_uskin_grasps
 from uniforce_cli.boundary import command
-from uniforce_datasets.readers.gelsight_grasps import read_grasps
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.options import (
     Count,

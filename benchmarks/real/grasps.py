@@ -13,13 +13,13 @@ import cv2
 import numpy as np
 from tqdm import tqdm
 
-from uniforce_datasets.readers.films import film_frames
-from uniforce_datasets.readers.gelsight_grasps import GraspTrial
+from benchmarks.real.film_markers import read_markers
+from benchmarks.real.films import film_frames
+from benchmarks.real.free_frame import Film, FreeFrame, borrowed, pads
+from benchmarks.real.gelsight_grasps import GraspTrial
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import SensorError
 from uniforce_vtla.markers import Canonicalizer
-from uniforce_vtla.markers.film_markers import read_markers
-from uniforce_vtla.markers.free_frame import Film, FreeFrame, borrowed, pads
 
 SENSOR = "gelsight"
 # Objects of base_data_for_validation. A trial of 2026-11-28 looked at them once.

@@ -15,7 +15,6 @@ from benchmarks.trust.injuries import Damage, cut, edit_text, flip_bit
 from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
 from uniforce_vtla.file_hashes import HASHES, write_hashes
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
-from uniforce_vtla.tokenizer.descriptor_head import SCENE, SHIPPED, DescriptorHead
 from uniforce_vtla.tokenizer.weights import ASSETS
 
 CONFIG, WEIGHTS, CARD = "config.json", "model.safetensors", "README.md"
@@ -84,11 +83,6 @@ def _kind(
 _policy = _kind("policy", shipped_checkpoint(), lambda folder: PolicyController(folder, {}))
 _tokenizer = _kind("tokenizer", SMALL / TOKENIZER, Tokenizer.from_pretrained)
 _head = _kind("force head", SMALL / "force_head_tactip", _read_force)
-_descriptor = _kind(
-    "descriptor head",
-    SHIPPED / f"descriptor_heads_{SCENE}" / "tactip",
-    lambda folder: DescriptorHead.from_pretrained(folder.name, folder.parent),
-)
 
 CHECKPOINT_DAMAGES: tuple[Damage, ...] = (
     _policy("one bit of a weight", lambda f: flip_bit(f / WEIGHTS, 0.7)),
@@ -146,5 +140,4 @@ CHECKPOINT_DAMAGES: tuple[Damage, ...] = (
         "the other tokenizer's, whole",
         lambda f: shutil.copytree(NANO / "force_head_tactip", f, dirs_exist_ok=True),
     ),
-    _descriptor("of another sensor, saved so", lambda f: save_config(f, sensor="gelsight")),
 )

@@ -69,11 +69,11 @@ class WipeEnv(gymnasium.Env):
         right_calibration: str = "",
     ) -> None:
         require_gripper(gripper)
-        self.force_sensor = force_sensor(touch_in_state, right_calibration)
         self.level = get_level(level)
         self.gripper = gripper
         self._wear: dict[Finger, Wear] = {"left": wear(left_sensor), "right": wear(right_sensor)}
         self.sensors: dict[str, str] = {finger: worn(0).kind for finger, worn in self._wear.items()}
+        self.force_sensor = force_sensor(self.sensors["right"], touch_in_state, right_calibration)
         self.drawn = drawn
         self.limits = replace(ScoreLimits(), in_band_share=self.level.in_band_share or 0.0)
         self.expose_wrench = expose_wrench
@@ -271,10 +271,11 @@ class WipeEnv(gymnasium.Env):
         return self._painter.render()[0]
 
 
-def force_sensor(wanted: bool, calibration: str) -> ForceSensor | None:
+def force_sensor(kind: str, wanted: bool, calibration: str) -> ForceSensor | None:
     """Return the sensor that reads the right finger's newtons; None where they aren't wanted.
 
-    Raises ContractError: a calibration that nothing is read with.
+    Raises ContractError: a calibration that nothing is read with; CheckpointError: one of another
+    kind of sensor.
     """
     if not wanted:
         if calibration:
@@ -285,7 +286,7 @@ def force_sensor(wanted: bool, calibration: str) -> ForceSensor | None:
         return None
     from uniforce_vtla.force_sensor import ForceSensor
 
-    return ForceSensor("", "right", calibration=calibration or None)
+    return ForceSensor(kind, "right", calibration=calibration or None)
 
 
 def _flat(result: EpisodeResult) -> dict[str, float]:

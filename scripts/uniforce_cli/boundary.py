@@ -24,7 +24,7 @@ from uniforce_vtla.errors import (
     no_room,
     without_credentials,
 )
-from uniforce_vtla.options import Names, Pattern, split
+from uniforce_vtla.options import Existing, Names, Pattern, split
 from uniforce_vtla.sensors import list_sensors
 from uniforce_vtla.terminal import LastingText, stops_like_ctrl_c
 
@@ -52,6 +52,7 @@ Sensor = Annotated[str, Names(list_sensors())]
 # words for the sensor on a simulated finger (uniforce_vtla/contact/worn_in_words.py)
 _WORN = r"\w+(:(any|drawing|\d{1,6}))?(\+\w+=[\d.]+)*"
 Worn = Annotated[str, Pattern("a sensor and which unit of it", _WORN, "tactip:any")]
+Head = Annotated[str, Existing("a force head's folder", "config.json", words=list_sensors())]
 Sensors = Annotated[str, Names(list_sensors(), many=True)]
 
 

@@ -9,11 +9,19 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uniforce_cli.boundary import Verify, command, one_thread
+from uniforce_cli.boundary import Head, Verify, command, one_thread
 from uniforce_vtla.arguments import numbers
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.keys import camera_key
-from uniforce_vtla.options import CountOrZero, Dataset, FileName, FolderPath, Numbers, OutFolder
+from uniforce_vtla.options import (
+    CountOrZero,
+    Dataset,
+    FileName,
+    FolderPath,
+    Numbers,
+    OutFolder,
+    TokenizerFolder,
+)
 from uniforce_vtla.results_file import provenance, write_json
 
 if TYPE_CHECKING:
@@ -39,7 +47,12 @@ class ScoreRecordingConfig:
     board_corners: Numbers = ""
     camera: FileName = "front"  # scene camera that sees the board
     episodes: CountOrZero = 0  # the first so many; 0 = all
-    heads: FolderPath = ""  # of python -m benchmarks.descriptor_heads; empty = the wiping scene's
+    head: Head = "tactip"  # reads newtons: a sensor kind's shipped head, or a folder
+    tokenizer: TokenizerFolder = ""  # of the latents; empty = shipped
+    # folder of uniforce calibrate for the left finger's sensor; empty = none
+    left_calibration: FolderPath = ""
+    # folder of uniforce calibrate for the right finger's sensor; empty = none
+    right_calibration: FolderPath = ""
     verify: Verify = "quick"  # how the dataset is checked first
     out: OutFolder = "outputs/recording_scores"  # estimates.json
 
@@ -52,12 +65,15 @@ def score_recording(config: ScoreRecordingConfig) -> dict[str, Any]:
     """
     from tqdm import tqdm
 
-    from uniforce_cli.recorded_episode import RecordingForces, descriptor_heads
+    from uniforce_cli.recorded_episode import RecordingForces, finger_sensors
     from uniforce_vtla.evaluation.episode import ScoreLimits
 
     left, right = numbers("pad_friction", config.pad_friction, 2)
     corners = numbers("board_corners", config.board_corners, 8) if config.board_corners else None
-    recording = RecordingForces(config.root, descriptor_heads(config.heads), config.verify)
+    sensors = finger_sensors(
+        config.head, config.tokenizer, config.left_calibration, config.right_calibration
+    )
+    recording = RecordingForces(config.root, sensors, config.verify)
     source = recording.source
     rows = []
     for episode in tqdm(
@@ -76,7 +92,7 @@ def score_recording(config: ScoreRecordingConfig) -> dict[str, Any]:
         "what": "estimates from marker images, the robot's own height and a camera; "
         "no truth was used",
         "root": config.root,
-        "heads": config.heads or "shipped",
+        "read_by": {finger: sensor.facts() for finger, sensor in sensors.items()},
         "pad_friction": [left, right],
         "limits": asdict(ScoreLimits()),
         "episodes": rows,

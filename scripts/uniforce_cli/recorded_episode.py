@@ -4,9 +4,8 @@ Read for a page, a viewer or scores.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
 from itertools import batched
 from pathlib import Path
 
@@ -24,7 +23,7 @@ from uniforce_datasets.source import (
     marker_images,
 )
 from uniforce_vtla.contracts import FINGERS, TAXEL_SHAPE, Finger
-from uniforce_vtla.errors import CheckpointError, DatasetError, expected
+from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.evaluation.episode_summary import EpisodeSummary, KeyFrame, find_key_frames
 from uniforce_vtla.evaluation.finger_estimates import FingerEstimate, estimate_events
 from uniforce_vtla.force_sensor import ForceSensor
@@ -39,11 +38,9 @@ from uniforce_vtla.keys import (
 from uniforce_vtla.markers.mirror import to_canonical
 from uniforce_vtla.sensors import list_sensors
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
-from uniforce_vtla.tokenizer.descriptor import UNTOUCHED, descriptors
-from uniforce_vtla.tokenizer.descriptor_head import DescriptorHead
+from uniforce_vtla.tokenizer.force_head import SOURCE
 
 PLACE = [AXES.index(axis) for axis in ("x.pos", "y.pos", "z.pos")]
-FREE_FRAMES = 5  # at an episode's beginning; one alone is as noisy as its markers
 BATCH = 32  # frames encoded at once
 FILM = 12  # pictures in a film strip: square ones fill a line of it
 UNKNOWN_FRICTION = (np.inf, np.inf)  # no pad ever reaches its limit: slippage isn't judged
@@ -74,23 +71,21 @@ class EpisodeForces:
         )
 
 
-# newtons of one finger over an episode: (n, 3) in the canonical frame
-ForceReader = Callable[[Source, Episode, Finger], np.ndarray]
-
-
 class RecordingForces:
-    """A recorded dataset behind a reader of forces; its numbers are read once for all episodes.
+    """A recorded dataset and what feels it; its numbers are read once for all episodes.
 
     It is checked as ``verify`` says. Raises DatasetError: a dataset that can't be read, or lacks a
     finger.
     """
 
-    def __init__(self, root: str | Path, forces: ForceReader, verify: str = "quick") -> None:
+    def __init__(
+        self, root: str | Path, sensors: dict[Finger, ForceSensor], verify: str = "quick"
+    ) -> None:
         self.source = check_dataset(root, verify)
         if self.source.fingers != FINGERS:
             do = "Record marker images of both fingers."
             raise DatasetError(expected(str(root), f"fingers {FINGERS}", self.source.fingers, do))
-        self._forces = forces
+        self.sensors = sensors
         state = self.source.columns((STATE,))[STATE]
         self._places_m = state[:, PLACE].astype(np.float64)  # (N, 3)
         self._true_N: np.ndarray | None = None  # (N, 2, 3); a robot's recording has none
@@ -103,7 +98,7 @@ class RecordingForces:
     def read(self, episode: Episode) -> EpisodeForces:
         """Return an episode's forces; raise DatasetError where its videos can't be read."""
         rows = slice(episode.start, episode.start + episode.length)
-        forces_N = [self._forces(self.source, episode, finger) for finger in FINGERS]
+        forces_N = [self._read_finger(episode, finger) for finger in FINGERS]
         return EpisodeForces(
             time_s=np.arange(episode.length) / self.source.fps,
             tool_m=self._places_m[rows],
@@ -111,51 +106,41 @@ class RecordingForces:
             true_force_N=None if self._true_N is None else self._true_N[rows],
         )
 
-
-def descriptor_heads(folder: str = "") -> ForceReader:
-    """Return a reader of hand descriptors, never through the tokenizer a policy may have acted on.
-
-    For scores.
-
-    An episode begins in free air: what its first frames differ in from their reference is no touch,
-    and is taken away. Undone, a GelSight drawn without its camera reads 7 N there.
-
-    ``folder`` is of python -m benchmarks.descriptor_heads; empty for the shipped ones, of the
-    wiping scene.
-
-    Raises CheckpointError: no heads in it.
-    """
-    if folder and not any(Path(folder).glob("*/config.json")):
-        do = "Make them with python -m benchmarks.descriptor_heads."
-        raise CheckpointError(expected(folder, "descriptor heads, a folder per sensor", "none", do))
-    load = cache(lambda sensor: DescriptorHead.from_pretrained(sensor, folder or None))
-
-    def read(source: Source, episode: Episode, finger: Finger) -> np.ndarray:
-        reference, current = marker_images(episode, source.fps, finger)
-        described = np.stack([descriptors(reference, image[None], finger)[0] for image in current])
-        tared = described - described[:FREE_FRAMES].mean(axis=0) + UNTOUCHED
-        return load(worn(source, episode, finger)).read(tared)
-
-    return read
-
-
-def felt_forces(tokenizer: Tokenizer, head: ForceHead) -> ForceReader:
-    """Return a reader of the latents: each frame as a policy feels it.
-
-    Raises CheckpointError: a head that was trained on another tokenizer's latents.
-    """
-    sensors = {f: ForceSensor("", f, tokenizer=tokenizer, head=head) for f in FINGERS}
-
-    def read(source: Source, episode: Episode, finger: Finger) -> np.ndarray:
-        sensor = sensors[finger]
-        reference, current = marker_images(episode, source.fps, finger)
+    def _read_finger(self, episode: Episode, finger: Finger) -> np.ndarray:
+        """Return (n, 3) N of one finger over an episode, canonical frame."""
+        sensor = self.sensors[finger]
+        if sensor.calibration is not None:
+            sensor.calibration.check_fits(worn(self.source, episode, finger))
+        reference, current = marker_images(episode, self.source.fps, finger)
         forces_N = []
         for images in batched(current, BATCH):
             latent = sensor.encode(reference, np.stack(images))  # (B, K, L)
             forces_N.append(sensor.newtons(latent).double().numpy())
         return np.concatenate(forces_N)
 
-    return read
+
+def finger_sensors(
+    head: str = SOURCE, tokenizer: str = "", left_calibration: str = "", right_calibration: str = ""
+) -> dict[Finger, ForceSensor]:
+    """Return what reads recorded marker images: as a policy feels them.
+
+    Args:
+        head: sensor kind whose force head reads newtons, or the folder of a head.
+        tokenizer: a shipped size, or a folder; "" for the shipped one.
+        left_calibration: folder of `uniforce calibrate` for the left finger's sensor; "" for none.
+        right_calibration: the same for the right finger's.
+
+    Raises CheckpointError: a tokenizer, head or calibration that isn't there or doesn't fit.
+    """
+    reads = ForceHead.from_pretrained(path=head) if Path(head).is_dir() else head
+    shared = Tokenizer.from_pretrained(tokenizer or None)
+    calibrations: dict[Finger, str] = {"left": left_calibration, "right": right_calibration}
+    sensors: dict[Finger, ForceSensor] = {}
+    for finger, calibration in calibrations.items():
+        sensors[finger] = ForceSensor(
+            "", finger, calibration=calibration or None, tokenizer=shared, head=reads
+        )
+    return sensors
 
 
 def latent_change(
@@ -231,7 +216,6 @@ def raw_touch(source: Source, episode: Episode, finger: Finger) -> Iterator[np.n
 
 def summarise_episode(
     recording: RecordingForces,
-    tokenizer: Tokenizer,
     episode: Episode,
     friction: tuple[float, float] | None,
     title: str,
@@ -241,6 +225,7 @@ def summarise_episode(
     Raises DatasetError: a video that is missing or truncated.
     """
     source = recording.source
+    tokenizer = recording.sensors["left"].tokenizer
     forces = recording.read(episode)
     note = ""
     found: FingerEstimate | None = None

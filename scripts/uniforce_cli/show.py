@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from uniforce_cli.boundary import Verify, command, one_thread
+from uniforce_cli.boundary import Head, Verify, command, one_thread
 from uniforce_vtla.arguments import numbers
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import OUTCOME, OUTCOME_NAMES, SEED, sensor_key
 from uniforce_vtla.options import (
     Dataset,
-    Existing,
     FolderPath,
     Numbers,
     OutFolder,
@@ -22,16 +21,12 @@ from uniforce_vtla.options import (
     split,
 )
 from uniforce_vtla.results_file import provenance, write_json
-from uniforce_vtla.sensors import list_sensors
 
 if TYPE_CHECKING:
-    from uniforce_cli.recorded_episode import ForceReader
     from uniforce_datasets.source import Episode, Source
     from uniforce_vtla.evaluation.episode_summary import EpisodeSummary
-    from uniforce_vtla.tokenizer import Tokenizer
 
 Episodes = Annotated[str, Pattern("all, or numbers", r"all|\d{1,9}(\s*,\s*\d{1,9})*", "0,3")]
-Head = Annotated[str, Existing("a force head's folder", "config.json", words=list_sensors())]
 
 
 @dataclass
@@ -48,9 +43,12 @@ class ShowDatasetConfig:
     out: OutFolder = "outputs/show"  # gets a page for each episode, which holds its pictures
     # left,right: pull slowly until the object slides; empty = slippage isn't judged
     pad_friction: Numbers = ""
-    head: Head = ""  # reads newtons from the latents; empty = descriptor heads, as for scores
-    heads: FolderPath = ""  # of python -m benchmarks.descriptor_heads; empty = the wiping scene's
-    tokenizer: TokenizerFolder = ""  # empty = shipped
+    head: Head = "tactip"  # reads newtons: a sensor kind's shipped head, or a folder
+    tokenizer: TokenizerFolder = ""  # of the latents; empty = shipped
+    # folder of uniforce calibrate for the left finger's sensor; empty = none
+    left_calibration: FolderPath = ""
+    # folder of uniforce calibrate for the right finger's sensor; empty = none
+    right_calibration: FolderPath = ""
     verify: Verify = "quick"  # how the dataset is checked first
 
 
@@ -65,38 +63,29 @@ def show_dataset(config: ShowDatasetConfig) -> list[Path]:
 
     from uniforce_cli.dataset_sheet import write_sheet
     from uniforce_cli.episode_films import read_films
-    from uniforce_cli.recorded_episode import RecordingForces, summarise_episode
-    from uniforce_vtla.tokenizer import Tokenizer
+    from uniforce_cli.recorded_episode import RecordingForces, finger_sensors, summarise_episode
 
     friction: tuple[float, float] | None = None
     if config.pad_friction:
         left, right = numbers("pad_friction", config.pad_friction, len(FINGERS)).tolist()
         friction = left, right
-    tokenizer = Tokenizer.from_pretrained(config.tokenizer or None)
-    recording = RecordingForces(config.root, _forces(config, tokenizer), config.verify)
+    sensors = finger_sensors(
+        config.head, config.tokenizer, config.left_calibration, config.right_calibration
+    )
+    recording = RecordingForces(config.root, sensors, config.verify)
     out = Path(config.out)
     written = []
     for episode in tqdm(_chosen(recording.source, config.episode), desc="episodes", unit="episode"):
         title = f"{Path(config.root).name}, episode {episode.index}"
         stem = f"episode_{episode.index}"
-        summary = summarise_episode(recording, tokenizer, episode, friction, title)
+        summary = summarise_episode(recording, episode, friction, title)
         facts = _facts(recording.source, episode, config)
         films = read_films(summary, recording.source, episode)
         written.append(write_sheet(summary, films, facts, out, stem))
-        content = _numbers(summary, facts) | {"tokenizer_hash": tokenizer.hash}
+        read_by = {finger: sensor.facts() for finger, sensor in sensors.items()}
+        content = _numbers(summary, facts) | {"read_by": read_by}
         write_json(out / f"{stem}.json", content | provenance())
     return written
-
-
-def _forces(config: ShowDatasetConfig, tokenizer: Tokenizer) -> ForceReader:
-    from uniforce_cli.recorded_episode import descriptor_heads, felt_forces
-    from uniforce_vtla.tokenizer import ForceHead
-
-    if not config.head:
-        return descriptor_heads(config.heads)
-    if Path(config.head).is_dir():
-        return felt_forces(tokenizer, ForceHead.from_pretrained(path=config.head))
-    return felt_forces(tokenizer, ForceHead.from_pretrained(config.head))
 
 
 def _chosen(source: Source, text: str) -> list[Episode]:
@@ -126,9 +115,7 @@ def _facts(source: Source, episode: Episode, config: ShowDatasetConfig) -> dict[
             name = OUTCOME_NAMES[outcome].replace("_", " ")
         facts["recorded outcome"] = name
         facts["seed"] = str(int(columns[SEED][episode.start]))
-    facts["forces read by"] = "heads, from hand descriptors"
-    if config.head:
-        facts["forces read by"] = f"force head {config.head}, from latents"
+    facts["forces read by"] = f"force head {config.head}, from latents"
     return facts
 
 

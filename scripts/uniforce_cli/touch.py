@@ -16,7 +16,6 @@ from uniforce_cli.boundary import Sensor, command, one_thread
 from uniforce_vtla.contracts import QUARTERS
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import (
-    FolderPath,
     Names,
     NotNegative,
     OutFile,
@@ -44,14 +43,9 @@ class TouchConfig:
 
     Or check its rate, which way up it is, or its angle.
 
-    check=reference needs no device: it finds the free-air frame of each film of a session, by the
-    marker pattern that the films of three objects or more share, and fails where a film has none.
-
     Example: uniforce touch sensor=tactip finger=right source=/dev/v4l/by-path/…-video-index0
     uSkin: uniforce touch sensor=uskin source=/dev/serial/by-id/usb-VScom_USB-CAN check=rate
     No hardware: uniforce touch sensor=uskin source=standin seconds=5
-    Films, as SESSION/OBJECT/….avi (.mp4, .npy):
-    uniforce touch sensor=gelsight check=reference films=SESSION
     """
 
     sensor: Sensor = "uskin"  # what it is
@@ -60,12 +54,9 @@ class TouchConfig:
     # that wears it; forces are in that finger's own frame
     finger: Literal["left", "right"] = "left"
     output: Literal["terminal", "rerun"] = "terminal"  # rerun needs rerun-sdk
-    # rate, ages, losses | press where asked | drag the skin: the angle on its mount | free frames
-    # of films; empty = live view
-    check: Literal["", "rate", "orientation", "angle", "reference"] = ""
-    films: FolderPath = ""  # reference: one session of a sensor, in it a folder for each object
-    # reference: a film without a free frame takes that of another film of its pad
-    borrow: bool = False
+    # rate, ages, losses | press where asked | drag the skin: the angle on its mount; empty = live
+    # view
+    check: Literal["", "rate", "orientation", "angle"] = ""
     seconds: NotNegative = 0.0  # how long; 0 = until Ctrl-C (a rate check then takes 5 s)
     refresh_hz: Positive = 10.0  # pictures per second
     # how the sensor is turned on its finger, counter-clockwise; taxels by quarters
@@ -79,7 +70,7 @@ class TouchConfig:
     tokenizer: TokenizerFolder = "nano"  # makes the latents
     # the sensor whose shipped force head reads the latents; none = no newtons
     head: NewtonsHead = "tactip"
-    # write the last picture of the live view, or the references found (JSON), to this file
+    # write the last picture of the live view to this file
     save: OutFile = ""
 
 
@@ -153,29 +144,8 @@ def show(config: TouchConfig) -> None:
             print(f"picture in {save_panel(view, config.save)}")
 
 
-def check_films(config: TouchConfig) -> int:
-    """Find the free frames of a session's films.
-
-    Raises ContractError: films without that check, or the check without them.
-    """
-    if config.check != "reference" or not config.films or config.source:
-        came = f"check={config.check} films={config.films} source={config.source}"
-        do = "Films are looked at without a device."
-        raise ContractError(
-            expected("check of films", "check=reference films=FOLDER alone", came, do)
-        )
-    from uniforce_cli.touch_checks import check_references
-    from uniforce_datasets.film_references import film_references
-
-    return check_references(
-        film_references(config.films, config.sensor, config.borrow), config.save
-    )
-
-
 def run(config: TouchConfig) -> int:
     """Do what ``config`` asks; return the exit code: 1 when a check failed."""
-    if config.check == "reference" or config.films:
-        return check_films(config)
     if not config.source:
         do = "Set source=DEVICE, or source=standin to try without hardware."
         raise ContractError(expected("source", "a device", "nothing", do))

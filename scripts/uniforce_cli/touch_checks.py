@@ -8,18 +8,14 @@ they free of touch?
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
 from itertools import product
-from pathlib import Path
 
 import cv2
 import numpy as np
 
-from uniforce_datasets.film_references import FilmReference
 from uniforce_robots.sensors.config_uniforce import TURNS, Orientation
 from uniforce_robots.sensors.finger import TactileFinger
 from uniforce_vtla.contracts import QUARTERS
-from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.sensors import get_sensor
 from uniforce_vtla.tokenizer.descriptor import describe
 
@@ -116,39 +112,6 @@ def check_angle(finger: TactileFinger, seconds: float) -> int:
         f"angle does not agree: set rotation_deg={round((now_deg - off_deg) / step) * step % 360}"
     )
     return 1
-
-
-def check_references(found: Sequence[FilmReference], save: str = "") -> int:
-    """Print each film's reference, and write all to the JSON file ``save``.
-
-    0 if every film has one.
-    """
-    for film in found:
-        print(_reference_line(film))
-    borrowed = sum(film.is_borrowed for film in found)
-    missing = sum(bool(film.why) for film in found)
-    own = len(found) - borrowed - missing
-    print(
-        f"{len(found)} films: {own} with a free frame, {borrowed} borrow one, {missing} have none"
-    )
-    if save:
-        content = {"films": [asdict(film) | {"borrowed": film.is_borrowed} for film in found]}
-        print(f"references in {write_json(Path(save), content | provenance())}")
-    return int(missing > 0)
-
-
-def _reference_line(film: FilmReference) -> str:
-    if film.why:
-        return film.why
-    off = f"{film.off_px:.2f} px off"
-    whose = ""
-    if film.is_borrowed:
-        whose = f"BORROWED from {film.of}, "
-    unread = ""
-    if film.refused:
-        frames = film.read + len(film.refused)
-        unread = f"; {len(film.refused)} of {frames} frames unread"
-    return f"{film.film}: {whose}frame {film.frame}, pad {film.pad}, {off}{unread}"
 
 
 def off_upwards_deg(moved_px: np.ndarray) -> float:

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.real.free_frame import FreeFrame
 from benchmarks.real.grasps import (
     SEALED,
     SEEN,
@@ -21,7 +22,6 @@ from benchmarks.real.grasps import (
     shading,
     summary,
 )
-from uniforce_vtla.markers.free_frame import FreeFrame
 
 OTHERS = """
     artificial_strawberry avocado_real bag_of_peanuts bag_straws ball_white_thread baseball

@@ -4,6 +4,7 @@ from itertools import islice
 
 import numpy as np
 import pytest
+from calibration_samples import save_calibration
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.aborted import make_scene
@@ -12,6 +13,7 @@ from lerobot_env_uniforce_wiping.lerobot_config import UniforceWipingConfig
 from uniforce_vtla.errors import CheckpointError, ContractError
 from uniforce_vtla.keys import AXES, CAMERAS, STATE, TACTILE_KEYS
 from uniforce_vtla.markers import to_finger_frame
+from uniforce_vtla.tokenizer import Tokenizer
 
 
 def test_the_state_ends_with_what_the_right_finger_feels():
@@ -41,3 +43,9 @@ def test_a_calibration_that_nothing_is_read_with_is_refused(tmp_path):
         WipeEnv(right_calibration=str(tmp_path))
     with pytest.raises(CheckpointError):
         WipeEnv(right_calibration=str(tmp_path), touch_in_state=True)
+
+
+def test_a_calibration_of_another_kind_is_refused(tmp_path):
+    folder = save_calibration(tmp_path, Tokenizer.from_pretrained(), new="uskin:2")
+    with pytest.raises(CheckpointError, match="one of a tactip"):
+        WipeEnv(right_sensor="tactip", right_calibration=folder, touch_in_state=True)

@@ -22,8 +22,6 @@ from uniforce_vtla.file_hashes import HASHES, check_hashes, write_hashes
 from uniforce_vtla.keys import ACTION, STATE
 from uniforce_vtla.tokenizer import ForceHead, Latent, Tokenizer, TokenizerConfig
 from uniforce_vtla.tokenizer.calibration import Agreement, Calibration
-from uniforce_vtla.tokenizer.descriptor import DESCRIPTOR_NAMES
-from uniforce_vtla.tokenizer.descriptor_head import DescriptorHead
 from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig
 from uniforce_vtla.tokenizer.latent_map import LatentMap
 from uniforce_vtla.tokenizer.weights import load_state, save_state
@@ -93,13 +91,6 @@ def force_head(root):
     return lambda: ForceHead.from_pretrained(path=root)
 
 
-def descriptor_head(root):
-    config = HeadConfig(channels=len(DESCRIPTOR_NAMES), grid=1, hidden=4, mlp=8)
-    DescriptorHead(ForceRegressor(config), "tactip").save(root)
-    seen = np.zeros((2, len(DESCRIPTOR_NAMES)))
-    return lambda: DescriptorHead.from_pretrained("tactip", root).read(seen)
-
-
 def adapter(root):
     judged = {"small": Agreement(9, (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))}
     names = HASH, HASH, "new", "anchor"
@@ -156,7 +147,6 @@ FILE_TARGETS = {  # the quick ones first
     "hashes_of_checkpoint": hashes_of_checkpoint,
     "training_state": training_state,
     "adapter": adapter,
-    "descriptor_head": descriptor_head,
     "force_head": force_head,
     "tokenizer": tokenizer,
     "view": view,

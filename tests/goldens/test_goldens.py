@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks.real.films import film_frames
 from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
 from lerobot_policy_pi05_uniforce.modeling_pi05_uniforce import PI05UniforcePolicy, made_up_batch
 from uniforce_datasets.lossless import check_dataset
-from uniforce_datasets.readers.films import film_frames
 from uniforce_datasets.source import episode_frames
 from uniforce_datasets.synthetic import record_synthetic
 from uniforce_vtla.contracts import FINGERS

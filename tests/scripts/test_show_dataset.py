@@ -4,10 +4,12 @@ import base64
 import json
 import time
 from html.parser import HTMLParser
+from itertools import combinations
 
 import cv2
 import numpy as np
 import pytest
+from calibration_samples import save_calibration
 from headless_browser import open_browser
 
 from uniforce_cli.dataset_sheet import write_sheet
@@ -15,7 +17,7 @@ from uniforce_cli.episode_films import Films, encoded
 from uniforce_cli.recorded_episode import (
     EpisodeForces,
     RecordingForces,
-    descriptor_heads,
+    finger_sensors,
     latent_change,
     raw_touch,
     summarise_episode,
@@ -78,16 +80,19 @@ def test_latents_are_zero_in_free_air_and_seen_from_the_sensor(recorded):
     assert not np.allclose(left, right, atol=1e-3)
 
 
-def test_a_force_head_reads_the_latents_instead_of_the_descriptors(recorded, tmp_path):
-    assert main([f"root={recorded}", f"out={tmp_path}", "head=tactip"]) == 0
-    page, content = (tmp_path / f"episode_0.{kind}" for kind in ("html", "json"))
-    assert "force head tactip, from latents" in page.read_text()
-    recording = RecordingForces(recorded, descriptor_heads())
-    by_descriptor = recording.read(recording.source.episodes[0]).force_N
-    assert (
-        json.loads(content.read_text())["strongest_N"]["left"]
-        != np.abs(by_descriptor).max(axis=0)[0].tolist()
-    )
+def test_a_head_a_tokenizer_and_a_calibration_may_be_named(recorded, tmp_path, refuses):
+    words = [f"root={recorded}", f"out={tmp_path}"]
+    strongest_N = []
+    nano = ["tokenizer=nano"]
+    folder = save_calibration(tmp_path / "map", Tokenizer.from_pretrained("nano"))
+    for more in ([], nano, [*nano, "head=uskin"], [*nano, f"right_calibration={folder}"]):
+        assert main([*words, *more]) == 0
+        content = json.loads((tmp_path / "episode_0.json").read_text())
+        strongest_N.append(content["strongest_N"]["right"])
+    for first, second in combinations(strongest_N, 2):
+        assert first != second
+    # the left finger wears a GelSight
+    refuses(main, [*words, *nano, f"left_calibration={folder}"], "one of a gelsight")
 
 
 def test_unknown_episodes_and_half_a_friction_are_refused(recorded, tmp_path, refuses):
@@ -231,15 +236,15 @@ def test_a_browser_complains_of_a_page_that_is_wrong(tmp_path, browser):
 
 
 def test_an_episode_too_short_to_judge_is_shown_all_the_same(recorded, tmp_path, monkeypatch):
-    recording = RecordingForces(recorded, descriptor_heads())
-    episode, tokenizer = recording.source.episodes[0], Tokenizer.from_pretrained()
+    recording = RecordingForces(recorded, finger_sensors())
+    episode = recording.source.episodes[0]
     grip = np.tile([0.0, 0.0, 9.0], (FRAMES, 2, 1))
     # lifted for two frames: too short to weigh anything
     height = np.where(np.arange(FRAMES) > 5, 0.2, 0.1)
     place = np.stack([0 * height, 0 * height, height], axis=1)
     forces = EpisodeForces(np.arange(FRAMES) / RATE, place, grip, None)
     monkeypatch.setattr(recording, "read", lambda _: forces)
-    summary = summarise_episode(recording, tokenizer, episode, None, "short")
+    summary = summarise_episode(recording, episode, None, "short")
     assert summary.found is None and "time after the lift" in summary.verdict[0]
     page = write_sheet(summary, films_of(FRAMES), {}, tmp_path, "e")
     assert "time after the lift" in page.read_text()
@@ -299,10 +304,10 @@ def test_the_page_shows_what_was_kept(raw_recorded, tmp_path):
 
 
 def test_a_demo_as_a_newcomer_records_it_reads_no_force_in_free_air(drawn_demo):
-    """In a drawn GelSight the reference differs from free air; a head that takes it for touch reads 7 N."""
-    recording = RecordingForces(drawn_demo, descriptor_heads())
+    """Sensors as they are drawn, without a camera: their grip is read worse than a worn one's."""
+    recording = RecordingForces(drawn_demo, finger_sensors())
     forces = recording.read(recording.source.episodes[0])
     is_free = np.linalg.norm(forces.true_force_N, axis=2) < 0.05
     assert np.linalg.norm(forces.force_N, axis=2)[is_free].max() < 1.5
     error_N = abs(forces.force_N - forces.true_force_N)[~is_free]
-    assert (error_N.mean(axis=0) < (0.5, 0.5, 1.5)).all()
+    assert (error_N.mean(axis=0) < (0.5, 0.5, 3.0)).all()

@@ -1,6 +1,5 @@
 """``uniforce touch``: the live view, its outputs, and its checks, against stand-ins."""
 
-import json
 import re
 import subprocess
 import sys
@@ -14,9 +13,8 @@ import pytest
 from contact_samples import StillFinger, faces
 
 from uniforce_cli.touch import TouchConfig, main, make_finger
-from uniforce_cli.touch_checks import advice, check_angle, check_references, quarter_response
+from uniforce_cli.touch_checks import advice, check_angle, quarter_response
 from uniforce_cli.touch_view import OUTPUTS, TouchView, as_text, panel, save_panel
-from uniforce_datasets.film_references import FilmReference
 from uniforce_robots.sensors import UniforceUskin, UniforceUskinConfig
 from uniforce_robots.sensors.config_uniforce import TURNS, Orientation
 from uniforce_robots.standins.process import StandIn
@@ -189,35 +187,3 @@ def test_a_finger_without_a_stand_in_name_is_made_from_its_source():
         assert finger.config.link == link
     camera = make_finger(TouchConfig(sensor="tactip", lock_camera=False), "http://127.0.0.1:1/")
     assert camera.config.capture_width is None and camera.config.exposure_100us is None
-
-
-def reference(film, **where):
-    return FilmReference(film, film.partition("/")[0], 4, {}, **where)
-
-
-def test_references_of_films_are_listed_and_a_film_without_one_fails(tmp_path, capsys):
-    own = reference("mug/1.avi", of="mug/1.avi", frame=10, off_px=0.21, pad=0)
-    lent = reference("ball/1.avi", of="mug/1.avi", frame=10, off_px=0.21, pad=0)
-    assert check_references([own, lent], str(tmp_path / "found.json")) == 0
-    assert capsys.readouterr().out.splitlines()[:2] == [
-        "mug/1.avi: frame 10, pad 0, 0.21 px off",
-        "ball/1.avi: BORROWED from mug/1.avi, frame 10, pad 0, 0.21 px off",
-    ]
-    stored = json.loads((tmp_path / "found.json").read_text())["films"]
-    assert [one["borrowed"] for one in stored] == [False, True] and stored[1]["of"] == "mug/1.avi"
-    none = reference("lemon/1.avi", why="lemon/1.avi: expected a free frame, got none.")
-    assert check_references([own, none]) == 1
-    assert "1 with a free frame, 0 borrow one, 1 have none" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    "words", [["films={0}"], ["check=reference"], ["check=reference", "films={0}", "source=x"]]
-)
-def test_films_are_looked_at_without_a_device(words, tmp_path, refuses):
-    given = [word.format(tmp_path) for word in words]
-    refuses(main, ["sensor=gelsight", *given], "check=reference films=FOLDER alone")
-
-
-def test_films_lie_in_the_folder_of_one_session(tmp_path, refuses):
-    words = ["sensor=gelsight", "check=reference", f"films={tmp_path}"]
-    refuses(main, words, "folder of one session")

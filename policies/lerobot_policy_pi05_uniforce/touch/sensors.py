@@ -9,7 +9,6 @@ from lerobot_policy_pi05_uniforce.touch.encoder import FrozenTouch
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import CheckpointError, expected
 from uniforce_vtla.force_sensor import HALF_SECOND, ForceSensor, monitor_of
-from uniforce_vtla.sensors import list_sensors
 from uniforce_vtla.tokenizer.api import shipped_sizes
 from uniforce_vtla.tokenizer.calibration import Calibration
 from uniforce_vtla.tokenizer.latent_range import FREE_LOOKS, HealthMonitor
@@ -60,24 +59,13 @@ def load_calibrations(config: PI05UniforceConfig) -> dict[Finger, Calibration]:
         if came != shape:
             do = "Calibrate with this version."
             raise CheckpointError(expected(f"latents of {folder}", shape, came, do))
-        _check_fits(config, finger, calibration)
+        calibration.check_fits(getattr(config, f"{finger}_sensor"))
         logger.info(
             "%s finger: calibration of %s against %s", finger, calibration.new, calibration.anchor
         )
         calibration.map.to(config.device)
         found[finger] = calibration
     return found
-
-
-def _check_fits(config: PI05UniforceConfig, finger: Finger, calibration: Calibration) -> None:
-    """Refuse a calibration of another sensor type."""
-    name = f"{finger}_calibration"
-    made_of = calibration.new.partition("+")[0].partition(":")[0]
-    kind = getattr(config, f"{finger}_sensor")
-    if kind and made_of in list_sensors() and made_of != kind:
-        do = "Calibrate the sensor that the finger wears."
-        came = f"one of {calibration.new}"
-        raise CheckpointError(expected(name, f"one of a {kind}", came, do))
 
 
 def make_monitor(

@@ -112,8 +112,9 @@ class UniforceFranka(Robot):
                 do = "Name it, or leave touch_in_state out."
                 raise ContractError(expected("cameras", wanted, sorted(config.cameras), do))
 
+            kind = config.fingers[config.right_finger].sensor
             calibration = config.right_calibration or None
-            self._force_sensor = ForceSensor("", "right", calibration=calibration)
+            self._force_sensor = ForceSensor(kind, "right", calibration=calibration)
 
     @property
     def observation_features(self) -> dict[str, Any]:

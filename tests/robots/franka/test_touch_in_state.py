@@ -4,6 +4,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from calibration_samples import save_calibration
 from robot_fakes import refused
 
 from uniforce_datasets.synthetic import dots
@@ -11,9 +12,10 @@ from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka import robot as module
 from uniforce_robots.recorder.build import read_devices
 from uniforce_robots.sensors import UniforceTactileCameraConfig, UniforceUskinConfig
-from uniforce_vtla.errors import ContractError
+from uniforce_vtla.errors import CheckpointError, ContractError
 from uniforce_vtla.force_sensor import ForceSensor
 from uniforce_vtla.keys import AXES, force_axes
+from uniforce_vtla.tokenizer import Tokenizer
 
 
 def finger():
@@ -60,6 +62,15 @@ def test_a_finger_that_cannot_be_read_stops_the_robot(robot):
         robot.get_observation()
     with refused("sensor"):
         robot.send_action(dict.fromkeys(AXES, 0.1))
+
+
+def test_a_calibration_of_another_kind_is_refused(tmp_path):
+    folder = save_calibration(tmp_path, Tokenizer.from_pretrained(), new="uskin:2")
+    settings = UniforceFrankaConfig(
+        cameras=fingers(), touch_in_state=True, right_calibration=folder
+    )
+    with pytest.raises(CheckpointError, match="one of a tactip"):
+        UniforceFranka(settings)
 
 
 def test_settings_that_read_nothing_are_refused(tmp_path):

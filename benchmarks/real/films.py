@@ -7,29 +7,9 @@ from pathlib import Path
 import av
 import numpy as np
 
-from uniforce_datasets.readers.files import existing_folder, find
 from uniforce_datasets.source import opened_video
 from uniforce_vtla.array_file import read_array
 from uniforce_vtla.errors import DatasetError, expected
-
-ENDINGS = (".avi", ".mp4", ".npy")
-
-
-def find_films(folder: str | Path) -> dict[Path, str]:
-    """Return path → object of every film at or up to three levels below ``folder``, sorted.
-
-    The first folder below ``folder`` names the object; a film outside any is an object of its own.
-
-    Raises DatasetError: no folder, no film in it, or a path that leads outside.
-    """
-    root = existing_folder(folder)
-    paths: list[Path] = []
-    for ending in ENDINGS:
-        paths += find(root, f"*{ending}")
-    if not paths:
-        wanted = f"films ({', '.join(ENDINGS)}), each in a folder named after the object"
-        raise DatasetError(expected(str(root), wanted, "none", "Name the folder of one session."))
-    return {path: path.relative_to(root).with_suffix("").parts[0] for path in sorted(paths)}
 
 
 def film_frames(path: Path) -> Iterator[np.ndarray]:

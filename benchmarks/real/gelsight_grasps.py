@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from benchmarks.real.films import opened_film
 from uniforce_datasets.dataset_info import inside
 from uniforce_datasets.readers.files import existing_folder, find, read_bytes
-from uniforce_datasets.readers.films import opened_film
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import DatasetError, expected
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from benchmarks.real.free_frame import Film, SAME_px, borrowed, pads
 from uniforce_vtla.errors import ContractError
-from uniforce_vtla.markers.free_frame import Film, SAME_px, borrowed, pads
 from uniforce_vtla.markers.raster import CENTRE_PX
 from uniforce_vtla.sensors.layouts import rectangular, turned
 

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from uniforce_datasets.readers.films import film_frames
-from uniforce_datasets.readers.gelsight_grasps import FILMS, WIDE_FRAMES, read_grasps
+from benchmarks.real.films import film_frames
+from benchmarks.real.gelsight_grasps import FILMS, WIDE_FRAMES, read_grasps
 from uniforce_vtla.errors import DatasetError
 
 SIDE_PX = 64
