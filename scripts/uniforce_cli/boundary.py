@@ -7,6 +7,7 @@ Also the types of options that several commands share; their rules are in
 import argparse
 import json
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -93,6 +94,7 @@ class Command:
         with stops_like_ctrl_c():
             if DEBUG in argv:
                 return run()
+            warnings.formatwarning = _one_line
             return guarded(self._name, run)
 
     def _run(self, words: list[str]) -> int:
@@ -111,6 +113,11 @@ class Command:
         if self.others:
             return self._main(config, flags, list(split_words(own))) or 0
         return self._main(config) or 0
+
+
+def _one_line(message: object, *_: object, **__: object) -> str:
+    """Return a warning without the file and line that it comes from."""
+    return f"warning: {message}\n"
 
 
 def command(

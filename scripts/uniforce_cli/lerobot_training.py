@@ -149,6 +149,11 @@ def read_settings(flags: Sequence[str]) -> TrainPipelineConfig:
         raise _with_nearest(error) from error
     except SystemExit as error:  # LeRobot's way to end after a wrong type; it printed why
         raise ContractError(f"settings: {_said(said.getvalue())} See --help.") from error
+    except FileExistsError as error:
+        do = "Name another or remove it; a checkpoint in it goes on with resume=true config_path=…."
+        raise ContractError(
+            expected("output_dir", "a folder that isn't there yet", settings.output_dir, do)
+        ) from error
     except (*LEROBOTS_ERRORS, DraccusException) as error:
         reason: BaseException = error
         if isinstance(error, DraccusException):

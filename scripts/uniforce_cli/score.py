@@ -208,5 +208,5 @@ def main(config: ScoreConfig) -> None:
     score(config)
     print(table(write_report(config)))
     duration_s = time.perf_counter() - start
-    print(f"{config.rollouts} scenes in {duration_s:.0f} s; columns: docs/definitions.md")
+    print(f"scenes: {config.rollouts}, in {duration_s:.0f} s; columns: docs/definitions.md")
     print(f"films and episodes: {config.folder}; all that was scored: {config.out}/wiping.png")

@@ -23,6 +23,7 @@ class SensorFilm:
     sensor: str  # in words
     video: Path  # of ``uniforce score``; absent where the sensor was refused at its first frame
     row: EpisodeRow
+    tally: str  # how often all its rollouts ended well, in words
 
     @property
     def ending(self) -> str:
@@ -30,8 +31,8 @@ class SensorFilm:
         if not self.video.exists():
             return "stopped before it began; the demo's log says why"
         words = [self.row.outcome.replace("_", " ")]
-        if self.row.clean:
-            words = ["clean wipe"]
+        if self.row.outcome == "success":
+            words = ["clean wipe" if self.row.clean else "wiped, not clean"]
         if self.row.slippage:
             words.append("slip")
         if self.row.excess_force:

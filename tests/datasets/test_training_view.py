@@ -290,6 +290,7 @@ def samples_per_s(dataset):
     return 8 * calls / spent_s
 
 
+@pytest.mark.thorough
 def test_two_datasets_make_one_view_however_many_processes_build_it(demos, tmp_path):
     one, two = (
         built([demos, demos], tmp_path / str(n), keep=lambda facts: facts.episode != 1, workers=n)

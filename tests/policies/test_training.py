@@ -203,6 +203,7 @@ AS_BASE = [
 @pytest.mark.skipif(
     importlib.util.find_spec("peft") is None, reason="peft isn't installed (an extra)"
 )
+@pytest.mark.thorough
 def test_ten_steps_of_lora_are_saved_loaded_merged_and_rolled_out(
     dataset, new, tmp_path, monkeypatch
 ):
@@ -254,6 +255,7 @@ def run_twice(folder, *words):
     return said
 
 
+@pytest.mark.thorough
 def test_two_processes_train_without_a_search_for_unused_parameters(dataset, new, tmp_path):
     """The second step would stop with an error, had any weight of any process been left without a gradient."""
     words = [*new, "policy.augment.touch_dropout=0.5", *run_settings(dataset, tmp_path / "run")]
@@ -277,6 +279,7 @@ def test_the_process_group_outlives_the_trainer(monkeypatch):
     assert [group] == lerobot_training.KEPT_GROUPS and not dist.is_initialized()
 
 
+@pytest.mark.thorough
 def test_a_sharded_step_is_the_whole_policys_step(make_policy, make_batch, tmp_path):
     still = {"augment__touch_dropout": 0.0, "augment__camera_variation": 0.0}
     policy = make_policy(**still)

@@ -25,6 +25,7 @@ def test_the_same_over_the_stand_in(address, caplog):
         assert explore(1, lambda: StandInWorld(address), steps=22)["violations"] == 0
 
 
+@pytest.mark.thorough
 def test_a_broken_stop_is_noticed():
     assert len(MUTATIONS) >= 12
     name = "hand: goes on at the end of a stream"

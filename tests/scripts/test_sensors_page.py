@@ -23,14 +23,14 @@ def page_path(tmp_path):
         shades = np.linspace(0, 255, length).astype(np.uint8)
         frames = [np.full((64, 96, 3), shade) for shade in shades]
         write_video(video, frames, fps=FILM_HZ)
-        films.append(SensorFilm(name, video, row))
-    films.append(SensorFilm("GelSight", tmp_path / "none.mp4", REFUSED))
+        films.append(SensorFilm(name, video, row, "3 of 4 scenes clean"))
+    films.append(SensorFilm("GelSight", tmp_path / "none.mp4", REFUSED, "0 of 4 scenes clean"))
     return write_sensors_page(films, tmp_path / "sensors.html")
 
 
 def test_it_says_how_each_rollout_ended(page_path):
     text = page_path.read_text()
-    assert "<b>TacTip</b>: clean wipe, 90% of the way within the band" in text
+    assert "<b>TacTip</b>: clean wipe, 90% of the way within the band. 3 of 4 scenes clean." in text
     assert "<b>GelSight</b>: stopped before it began" in text
     assert "residual, slip, too much force, 40% of the way within the band" in text
 

@@ -11,6 +11,7 @@ QUICK = ["teleop=recording_test", "level=easy", "operator=unattended"]
 QUICK += ["episode_s=0.2", "real_time=false"]
 
 
+@pytest.mark.thorough
 def test_a_scene_by_hand_and_its_resume(tmp_path, capsys, refuses):
     root = tmp_path / "data"
     own = [*QUICK, f"teleop.calibration_dir={tmp_path}", "teleop.id=a", "teleop.width_m=0.07"]
