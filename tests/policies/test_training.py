@@ -305,3 +305,8 @@ def test_a_dataset_without_a_finger_that_the_policy_feels_with_is_refused(new, d
     both = [word.replace("{touch0: right}", "{touch0: right, touch1: left}") for word in new]
     with pytest.raises(DatasetError, match="touch1, left finger: expected"):
         lerobot_training.train([*both, *run_settings(dataset, tmp_path / "run", steps=2)])
+
+
+def test_a_run_in_a_folder_that_is_there_says_how_to_go_on(new, dataset, tmp_path):
+    with pytest.raises(ContractError, match=r"output_dir: expected .*resume=true"):
+        lerobot_training.train([*new, *run_settings(dataset, tmp_path, steps=2)])

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import warnings
 from contextlib import redirect_stderr
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -229,6 +230,12 @@ def test_an_error_is_one_line(error, code, line, capsys):
     assert guarded("uniforce-x", Mock(side_effect=error)) == code
     out, err = capsys.readouterr()
     assert not out and err.startswith(line) and err.count("\n") == 1
+
+
+def test_a_warning_is_one_line(monkeypatch):
+    monkeypatch.setattr(warnings, "formatwarning", warnings.formatwarning)  # put back afterwards
+    assert command(None)(lambda words: None)([]) == 0
+    assert warnings.formatwarning("dim light", UserWarning, "x.py", 7) == "warning: dim light\n"
 
 
 @pytest.mark.parametrize("come", ["INT", "TERM", "HUP", "TERM HUP"])
