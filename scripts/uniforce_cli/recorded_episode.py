@@ -3,7 +3,6 @@
 Read for a page, a viewer or scores.
 """
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import batched
@@ -54,6 +53,8 @@ class EpisodeForces:
     tool_m: np.ndarray  # (n, 3) measured x, y, z
     force_N: np.ndarray  # (n, 2, 3) left, right, canonical frame: estimates
     true_force_N: np.ndarray | None  # the same from the simulator; None for a robot's recording
+    # by finger (n, g, g, L): latents as a policy feels them minus free air's, as the sensor sees it
+    change: dict[str, np.ndarray]
 
     def judge(
         self, pad_friction: tuple[float, float]
@@ -98,25 +99,34 @@ class RecordingForces:
     def read(self, episode: Episode) -> EpisodeForces:
         """Return an episode's forces; raise DatasetError where its videos can't be read."""
         rows = slice(episode.start, episode.start + episode.length)
-        forces_N = [self._read_finger(episode, finger) for finger in FINGERS]
+        forces_N = []
+        change: dict[str, np.ndarray] = {}
+        for finger in FINGERS:
+            force_N, change[finger] = self._read_finger(episode, finger)
+            forces_N.append(force_N)
         return EpisodeForces(
             time_s=np.arange(episode.length) / self.source.fps,
             tool_m=self._places_m[rows],
             force_N=np.stack(forces_N, axis=1),
             true_force_N=None if self._true_N is None else self._true_N[rows],
+            change=change,
         )
 
-    def _read_finger(self, episode: Episode, finger: Finger) -> np.ndarray:
-        """Return (n, 3) N of one finger over an episode, canonical frame."""
+    def _read_finger(self, episode: Episode, finger: Finger) -> tuple[np.ndarray, np.ndarray]:
+        """Return (n, 3) N of one finger, canonical frame, and (n, g, g, L) change of latents."""
         sensor = self.sensors[finger]
         if sensor.calibration is not None:
             sensor.calibration.check_fits(worn(self.source, episode, finger))
         reference, current = marker_images(episode, self.source.fps, finger)
-        forces_N = []
+        latents = []
         for images in batched(current, BATCH):
-            latent = sensor.encode(reference, np.stack(images))  # (B, K, L)
-            forces_N.append(sensor.newtons(latent).double().numpy())
-        return np.concatenate(forces_N)
+            latents.append(sensor.encode(reference, np.stack(images)))  # (B, K, L)
+        latent = torch.cat(latents)  # (n, K, L)
+        force_N = sensor.newtons(latent).double().numpy()
+        change = latent - sensor.encode(reference, reference[None])
+        maps = change.unflatten(1, (sensor.grid, sensor.grid)).movedim(-1, 1)  # (n, L, g, g)
+        # undoes the encoder's mirror: its own inverse
+        return force_N, to_canonical(maps, finger).movedim(1, -1).numpy()
 
 
 def finger_sensors(
@@ -141,24 +151,6 @@ def finger_sensors(
             "", finger, calibration=calibration or None, tokenizer=shared, head=reads
         )
     return sensors
-
-
-def latent_change(
-    tokenizer: Tokenizer, source: Source, episode: Episode, finger: Finger
-) -> np.ndarray:
-    """Return (n, g, g, L) float32.
-
-    Each patch's latent minus its free-air latent, as the sensor sees it.
-    """
-    reference, current = marker_images(episode, source.fps, finger)
-    rest = tokenizer.encode(reference, reference, finger)
-    latents = []
-    for images in batched(current, BATCH):
-        latents.append(tokenizer.encode(reference, np.stack(images), finger))  # (B, P, L)
-    side = math.isqrt(tokenizer.num_patches)
-    maps = (torch.cat(latents) - rest).unflatten(1, (side, side)).movedim(-1, 1)  # (n, L, g, g)
-    # undoes the encoder's mirror: its own inverse
-    return to_canonical(maps, finger).movedim(1, -1).numpy()
 
 
 def frames(source: Source, episode: Episode, key: str) -> Iterator[np.ndarray]:
@@ -225,7 +217,6 @@ def summarise_episode(
     Raises DatasetError: a video that is missing or truncated.
     """
     source = recording.source
-    tokenizer = recording.sensors["left"].tokenizer
     forces = recording.read(episode)
     note = ""
     found: FingerEstimate | None = None
@@ -248,7 +239,7 @@ def summarise_episode(
         films=films,
         force_N=forces.force_N,
         true_force_N=forces.true_force_N,
-        change={f: latent_change(tokenizer, source, episode, f) for f in FINGERS},
+        change=forces.change,
         key_frames=tuple(KeyFrame(name, frame) for name, frame in named.items()),
         found=found,
         truth=truth,

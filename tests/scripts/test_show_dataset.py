@@ -18,7 +18,6 @@ from uniforce_cli.recorded_episode import (
     EpisodeForces,
     RecordingForces,
     finger_sensors,
-    latent_change,
     raw_touch,
     summarise_episode,
 )
@@ -69,10 +68,9 @@ def test_a_page_holds_its_pictures(recorded, tmp_path):
 
 
 def test_latents_are_zero_in_free_air_and_seen_from_the_sensor(recorded):
-    source, tokenizer = read_source(recorded), Tokenizer.from_pretrained()
-    left, right = (
-        latent_change(tokenizer, source, source.episodes[0], finger) for finger in FINGERS
-    )
+    recording = RecordingForces(recorded, finger_sensors())
+    change = recording.read(recording.source.episodes[0]).change
+    left, right = (change[finger] for finger in FINGERS)
     strength = np.linalg.norm(left, axis=-1)  # (n, g, g)
     assert len(left) == FRAMES and strength[0].max() < 1e-5  # the dots start at rest
     assert strength[-1].max() > 0.05
@@ -242,7 +240,9 @@ def test_an_episode_too_short_to_judge_is_shown_all_the_same(recorded, tmp_path,
     # lifted for two frames: too short to weigh anything
     height = np.where(np.arange(FRAMES) > 5, 0.2, 0.1)
     place = np.stack([0 * height, 0 * height, height], axis=1)
-    forces = EpisodeForces(np.arange(FRAMES) / RATE, place, grip, None)
+    forces = EpisodeForces(
+        np.arange(FRAMES) / RATE, place, grip, None, recording.read(episode).change
+    )
     monkeypatch.setattr(recording, "read", lambda _: forces)
     summary = summarise_episode(recording, episode, None, "short")
     assert summary.found is None and "time after the lift" in summary.verdict[0]
