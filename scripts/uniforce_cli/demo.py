@@ -25,13 +25,13 @@ TAIL = 15  # of its lines are shown where a step fails
 class DemoConfig:
     """Run every stage once, small: no robot, no GPU, three to five minutes on two cores.
 
-    Example: uniforce demo rollouts=3 out=outputs/demo
+    Example: uniforce demo rollouts=2 out=outputs/demo
     """
 
     episodes: Count = 2  # demos to record; enough to see every stage, too few to learn from
     # training steps on those demos; they show that training runs, not what it can reach
     train_steps: Count = 20
-    rollouts: Count = 3  # scenes per sensor, with the shipped policy; a smoke test, no claim
+    rollouts: Count = 2  # scenes per sensor, with the shipped policy; a smoke test, no claim
     level: Level = "touch"  # level of the scene; the shipped policy was trained at touch
     out: OutFolder = "outputs/demo"  # everything goes here; an earlier demo there is replaced
 
