@@ -16,7 +16,7 @@ help:
 	@echo "make faults  31 faults of the stand-in arm, ten times each, and 2,100 sessions of stops (40 minutes)"
 	@echo "make rollout-faults  15 kinds of fault in LeRobot's own rollout over the stand-in, ten times each (30 minutes)"
 	@echo "make canary  LEROBOT=/path: the tests that meet LeRobot, against a checkout of its source (25 minutes)"
-	@echo "make thorough  the tests that repeat or take long, 12 minutes on one core"
+	@echo "make thorough  the tests that repeat or take long, 20 minutes"
 	@echo "make ci      make test and make thorough, then the wheel in a fresh environment"
 
 setup: $(STAMP)

@@ -68,6 +68,7 @@ def test_the_wheel_holds_every_file_of_its_packages_and_nothing_else(wheel):
 
 
 @pytest.mark.timeout(900)
+@pytest.mark.thorough
 def test_it_runs_from_an_empty_environment_elsewhere(wheel, tmp_path):
     said(sys.executable, "-m", "venv", "env", folder=tmp_path)
     python = tmp_path / "env" / "bin" / "python"

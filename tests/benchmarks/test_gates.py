@@ -71,6 +71,7 @@ def test_the_lag_of_a_steady_motion_is_found_and_says_the_stiffness():
     assert law.stiffness(800.0, 0.2) == pytest.approx(400.0)
 
 
+@pytest.mark.thorough
 def test_an_observer_learns_a_press_that_its_inputs_hold_and_no_other():
     rng = np.random.default_rng(0)
     seen = rng.standard_normal((40, 60, 11)).astype(np.float32)

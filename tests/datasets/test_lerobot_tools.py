@@ -43,6 +43,7 @@ def test_what_delete_and_split_leave_is_whole(recording, run, tmp_path):
         assert episode.length == 4
 
 
+@pytest.mark.thorough
 def test_merge_feature_removal_and_new_tasks_keep_it_whole(recording, run, tmp_path):
     both, fewer = tmp_path / "both", tmp_path / "fewer"
     merge = ["--operation.type=merge", '--operation.repo_ids=["local/a", "local/b"]']

@@ -223,7 +223,10 @@ def session(root):
         save_one(recorder)
 
 
-@pytest.mark.parametrize("turn", range(3))
+@pytest.mark.parametrize(
+    "turn",
+    [0, pytest.param(1, marks=pytest.mark.thorough), pytest.param(2, marks=pytest.mark.thorough)],
+)
 def test_a_disk_that_fills_up_at_any_moment_is_one_error_and_costs_no_saved_episode(
     demos, tmp_path, monkeypatch, turn
 ):

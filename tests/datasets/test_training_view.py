@@ -267,6 +267,7 @@ def test_a_damaged_view_is_built_anew(demos, tmp_path):
     assert len(TrainingView(out)) == EPISODES * FRAMES
 
 
+@pytest.mark.thorough
 def test_view_feeds_the_trainer_fast_enough(tmp_path):
     """The whole chunk of the tiny policy, 16 actions, and episodes of 3 s, so that random access is real."""
     data = record_synthetic(tmp_path / "data", episodes=3, frames=90)

@@ -140,6 +140,7 @@ def test_expert_wipes_clean_with_smooth_and_slow_targets(seed):
     assert speed[:, 2].max() <= 0.080 and np.hypot(speed[:, 0], speed[:, 1]).max() <= 0.120
 
 
+@pytest.mark.thorough
 def test_runs_without_gl_and_loads_mujoco_with_the_first_scene_only():
     code = "import sys, lerobot_env_uniforce_wiping as w; assert 'mujoco' not in sys.modules; "
     code += "print(w.WipeEnv().reset(seed=1)[0]['pixels']['front'].std())"

@@ -205,6 +205,7 @@ def test_tensors_lie_where_new_ones_would(tmp_path):
 @pytest.mark.skipif(
     not Path("/proc/self/status").exists(), reason="peak memory is read from Linux's /proc"
 )
+@pytest.mark.thorough
 def test_a_checkpoint_is_never_held_twice(tmp_path):
     """200 MB of weights in a process of their own: memory grows by the weights and little else."""
     wide = TinySettings(width=1024, depth=3, mlp_dim=2048)

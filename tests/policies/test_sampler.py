@@ -144,6 +144,7 @@ def test_compiled_code_gives_lerobots_actions(policy, make_batch, caplog):
     assert not [r for r in caplog.records if r.name == cuda_graphs.__name__]
 
 
+@pytest.mark.thorough
 def test_without_a_compiler_one_line_says_so_and_the_actions_are_the_same(
     policy, given, monkeypatch, tmp_path, caplog
 ):

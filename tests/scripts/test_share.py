@@ -100,6 +100,7 @@ def scores(tmp_path):
     return tmp_path / "wiping.json"
 
 
+@pytest.mark.thorough
 def test_another_machine_gets_the_same_action(share_trained, scores, shared, tmp_path):
     assert share_trained([f"scores={scores}"]) == 0
     elsewhere = tmp_path / "elsewhere"

@@ -70,6 +70,7 @@ def test_the_judge_reads_poses_by_itself():
     np.testing.assert_allclose(axes_of(target.ee_to_base()), axes(target), atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_a_broken_guard_is_noticed_on_the_copy_that_was_broken():
     """In a process of its own, as in ``benchmarks.trust.mutations``: not this process's copy."""
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:

@@ -216,6 +216,7 @@ def test_offsets_come_out_of_an_inexactly_held_posture(quarters, signs, slack):
     assert np.allclose(offsets(motors, signs, HOME_q_rad), mounted)
 
 
+@pytest.mark.thorough
 def test_without_its_sdk_everything_else_is_there():
     absent = "import sys; sys.modules['dynamixel_sdk'] = None; "
     absent += "import uniforce_robots.teleop, lerobot_policy_pi05_uniforce"
