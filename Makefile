@@ -8,7 +8,7 @@ export TOKENIZERS_PARALLELISM ?= false
 
 help:
 	@echo "make setup   fill .venv (Python 3.12, locked dependencies)"
-	@echo "make demo    record, train, roll out, score: a page that plays three sensors side by side, 3 to 5 minutes on a laptop"
+	@echo "make demo    record, train, roll out, score: a page that plays three sensors side by side, 4 minutes on a laptop"
 	@echo "make test    lint, types and the test suite, 15 minutes on 2 cores"
 	@echo "make docs    the pages of docs/ as a site in site/, every link checked, in seconds and without the network"
 	@echo "make properties  property tests with ten times as many examples, random ones"

@@ -46,7 +46,7 @@ class EstimatesConfig:
 
     level: Level = "touch"  # locked level
     scenes: Count = 32  # episodes, half of them with each left sensor
-    first_seed: Seed = 71_000  # not used elsewhere
+    first_seed: Seed = 71_000  # spent: heads that left were scored on these scenes too
     out: OutFile = "outputs/estimates.json"  # error per sensor, verdict per episode
 
 
@@ -137,8 +137,8 @@ def measure(config: EstimatesConfig) -> dict[str, Any]:
         seed = config.first_seed + number
         wipes.append(felt_wipe(envs[number % len(envs)], sensors, seed))
     return {
-        "what": "simulated; newtons as a policy feels them, on scenes, grips and presses that "
-        "nothing was chosen on",
+        "what": "simulated, contact by finite elements, a hand that follows each width; "
+        "newtons as a policy feels them",
         "level": config.level,
         "level_hash": level_hash(LEVELS[config.level]),
         "read_by": sensors["left"].facts(),

@@ -3,6 +3,7 @@
 from unittest.mock import patch
 
 import torch
+from calibration_samples import save_shift
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.policies.pi05 import modeling_pi05 as stock
 from lerobot.utils.constants import OBS_LANGUAGE_ATTENTION_MASK, OBS_LANGUAGE_TOKENS
@@ -11,7 +12,7 @@ from lerobot_policy_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings
 from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs
 from uniforce_vtla.keys import tactile_key
-from uniforce_vtla.tokenizer.calibration import Agreement, Calibration
+from uniforce_vtla.tokenizer.calibration import Agreement
 from uniforce_vtla.tokenizer.latent_map import LatentMap
 from uniforce_vtla.tokenizer.latent_range import FREE_LOOKS, HealthMonitor, LatentRange
 
@@ -93,8 +94,7 @@ JUDGED = {"tool": Agreement(9, (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 def calibrate(folder, config, shift=0.0, new="tactip:7", anchor="tactip:7", **hashes):
     """Save a calibration for a policy whose map adds ``shift``; return its folder."""
     found = LatentMap(config.tokens_per_slot, config.latent_size)
-    found.shift.fill_(shift)
     tokenizer_hash = hashes.get("tokenizer_hash", config.tokenizer_hash)
     head_hash = hashes.get("head_hash", config.touch.head_hash)
     names = (tokenizer_hash, head_hash, new, anchor)
-    return str(Calibration(found, *names, 1.0, 0.0, JUDGED).save(folder))
+    return save_shift(folder, found, shift, *names, judged=JUDGED)

@@ -89,7 +89,7 @@ class ForceSensor:
         if isinstance(calibration, str | Path):
             calibration = Calibration.load(calibration, tokenizer.hash)
         if calibration is not None:
-            calibration.check_fits(kind)
+            calibration.check_fits(kind, self.finger)
         self.calibration = calibration
         self._map: nn.Module = nn.Identity() if calibration is None else calibration.map
         if isinstance(head, str):

@@ -17,7 +17,6 @@ STEP = 5  # frames between two that are read; a fifth of a second at 25 Hz
 class FilmMarkers:
     """Markers of those frames of a film that could be read, of every fifth once exposure holds."""
 
-    shape: tuple[int, ...]  # of a frame, (H, W, 3); empty where the film is too short
     numbers: tuple[int, ...]  # of the frames read, counted from the film's first
     centres_px: tuple[np.ndarray, ...]  # of each (M, 2), in px of the canonical image
     refused: dict[int, str]  # frame → why it couldn't be read
@@ -31,15 +30,13 @@ def read_markers(frames: Iterable[np.ndarray], sensor: str) -> FilmMarkers:
     Raises ContractError: frames of a wrong form, or an unknown sensor.
     """
     canonicalizer = Canonicalizer(sensor, register=False)
-    shape: tuple[int, ...] = ()
     centres_px: dict[int, np.ndarray] = {}
     refused: dict[int, str] = {}
     for number, frame in islice(enumerate(frames), SETTLE, None, STEP):
-        shape = frame.shape
         try:
             if not centres_px:
                 canonicalizer.set_reference(frame)  # how markers appear; not where they are
             centres_px[number] = canonicalizer.markers(frame)
         except SensorError as error:
             refused[number] = str(error)
-    return FilmMarkers(shape, tuple(centres_px), tuple(centres_px.values()), refused)
+    return FilmMarkers(tuple(centres_px), tuple(centres_px.values()), refused)

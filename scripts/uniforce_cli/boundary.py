@@ -94,8 +94,8 @@ class Command:
         with stops_like_ctrl_c():
             if DEBUG in argv:
                 return run()
-            warnings.formatwarning = _one_line
-            return guarded(self._name, run)
+            with _warnings_in_one_line():
+                return guarded(self._name, run)
 
     def _run(self, words: list[str]) -> int:
         if self.config_class is None:
@@ -115,9 +115,15 @@ class Command:
         return self._main(config) or 0
 
 
-def _one_line(message: object, *_: object, **__: object) -> str:
-    """Return a warning without the file and line that it comes from."""
-    return f"warning: {message}\n"
+@contextmanager
+def _warnings_in_one_line() -> Iterator[None]:
+    """Print warnings without the file and line that they come from."""
+    usual = warnings.formatwarning
+    warnings.formatwarning = lambda message, *_, **__: f"warning: {message}\n"
+    try:
+        yield
+    finally:
+        warnings.formatwarning = usual
 
 
 def command(

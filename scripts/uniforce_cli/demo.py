@@ -23,7 +23,7 @@ TAIL = 15  # of its lines are shown where a step fails
 
 @dataclass
 class DemoConfig:
-    """Run every stage once, small: no robot, no GPU, three to five minutes on two cores.
+    """Run every stage once, small: no robot, no GPU, four minutes on two cores.
 
     Example: uniforce demo rollouts=2 out=outputs/demo
     """

@@ -151,8 +151,9 @@ def read_settings(flags: Sequence[str]) -> TrainPipelineConfig:
         raise ContractError(f"settings: {_said(said.getvalue())} See --help.") from error
     except FileExistsError as error:
         do = "Name another or remove it; a checkpoint in it goes on with resume=true config_path=…."
+        came = shortened(str(error), 200)
         raise ContractError(
-            expected("output_dir", "a folder that isn't there yet", settings.output_dir, do)
+            expected("output_dir", "a folder that isn't there yet", came, do)
         ) from error
     except (*LEROBOTS_ERRORS, DraccusException) as error:
         reason: BaseException = error

@@ -10,7 +10,7 @@ from importlib.metadata import version
 GROUPS = {
     "begin": {
         "doctor": "list what this machine has, what it lacks and what to do",
-        "demo": "record, train, score and show in 3 to 5 minutes",
+        "demo": "record, train, score and show in 4 minutes",
     },
     "see a sensor": {
         "touch": "show a tactile sensor live, or check its rate and orientation",

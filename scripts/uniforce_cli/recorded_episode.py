@@ -36,7 +36,7 @@ from uniforce_vtla.keys import (
 )
 from uniforce_vtla.markers.mirror import to_canonical
 from uniforce_vtla.sensors import list_sensors
-from uniforce_vtla.tokenizer import ForceHead, Tokenizer
+from uniforce_vtla.tokenizer import ForceHead
 from uniforce_vtla.tokenizer.force_head import SOURCE
 
 PLACE = [AXES.index(axis) for axis in ("x.pos", "y.pos", "z.pos")]
@@ -116,7 +116,7 @@ class RecordingForces:
         """Return (n, 3) N of one finger, canonical frame, and (n, g, g, L) change of latents."""
         sensor = self.sensors[finger]
         if sensor.calibration is not None:
-            sensor.calibration.check_fits(worn(self.source, episode, finger))
+            sensor.calibration.check_fits(worn(self.source, episode, finger), finger)
         reference, current = marker_images(episode, self.source.fps, finger)
         latents = []
         for images in batched(current, BATCH):
@@ -143,12 +143,11 @@ def finger_sensors(
     Raises CheckpointError: a tokenizer, head or calibration that isn't there or doesn't fit.
     """
     reads = ForceHead.from_pretrained(path=head) if Path(head).is_dir() else head
-    shared = Tokenizer.from_pretrained(tokenizer or None)
     calibrations: dict[Finger, str] = {"left": left_calibration, "right": right_calibration}
     sensors: dict[Finger, ForceSensor] = {}
     for finger, calibration in calibrations.items():
         sensors[finger] = ForceSensor(
-            "", finger, calibration=calibration or None, tokenizer=shared, head=reads
+            "", finger, calibration=calibration or None, tokenizer=tokenizer or None, head=reads
         )
     return sensors
 

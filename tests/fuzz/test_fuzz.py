@@ -30,11 +30,10 @@ EVERY = {"bytes": tuple(BYTE_TARGETS), "files": tuple(FILE_TARGETS)}
 TARGETS = {
     group: [name for name in names if not ASKED or name in ASKED] for group, names in EVERY.items()
 }
-THOROUGH = pytest.mark.thorough
 MOST_MB = {"bytes": 64, "files": 512}  # of resident memory beyond what the sound inputs took
 
 
-@pytest.fixture(scope="module", params=["bytes", pytest.param("files", marks=THOROUGH)])
+@pytest.fixture(scope="module", params=["bytes", pytest.param("files", marks=pytest.mark.thorough)])
 def campaign(request, tmp_path_factory):
     """(group, counts by target) of a process that went through every target of a group."""
     group, folder = request.param, tmp_path_factory.mktemp("input")

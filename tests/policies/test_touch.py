@@ -337,7 +337,7 @@ def test_a_calibrated_sensor_is_watched_as_the_one_that_it_was_calibrated_to(
 def test_a_calibration_of_another_kind_is_refused(tmp_path, shipped):
     shipped.right_sensor = "tactip"
     shipped.right_calibration = calibrate(tmp_path, shipped, new="uskin:2")
-    says = "calibration: expected one of a tactip, got one of uskin:2"
+    says = "right_calibration: expected one of a tactip, got one of uskin:2"
     with pytest.raises(CheckpointError, match=says):
         load_calibrations(shipped)
 

@@ -232,10 +232,16 @@ def test_an_error_is_one_line(error, code, line, capsys):
     assert not out and err.startswith(line) and err.count("\n") == 1
 
 
-def test_a_warning_is_one_line(monkeypatch):
-    monkeypatch.setattr(warnings, "formatwarning", warnings.formatwarning)  # put back afterwards
-    assert command(None)(lambda words: None)([]) == 0
-    assert warnings.formatwarning("dim light", UserWarning, "x.py", 7) == "warning: dim light\n"
+def test_a_warning_is_one_line():
+    usual = warnings.formatwarning
+    said = []
+
+    def main(words):
+        said.append(warnings.formatwarning("dim light", UserWarning, "x.py", 7))
+
+    assert command(None)(main)([]) == 0
+    assert said == ["warning: dim light\n"]
+    assert warnings.formatwarning is usual
 
 
 @pytest.mark.parametrize("come", ["INT", "TERM", "HUP", "TERM HUP"])

@@ -15,7 +15,7 @@ from typing import Any
 
 import torch
 
-from uniforce_vtla.contracts import check_count
+from uniforce_vtla.contracts import Finger, check_count
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.sensors import list_sensors
 from uniforce_vtla.tokenizer.calibration_choice import Choice, read_choice
@@ -69,13 +69,13 @@ class Calibration:
             )
         return Latent.of(self.map(own), self.tokenizer_hash)
 
-    def check_fits(self, kind: str) -> None:
-        """Raise CheckpointError where it was made of another kind of sensor; "" isn't compared."""
+    def check_fits(self, kind: str, finger: Finger) -> None:
+        """Raise CheckpointError: made of another kind than the finger wears; "" isn't compared."""
         made_of = self.new.partition("+")[0].partition(":")[0]
         if kind and made_of in list_sensors() and made_of != kind:
             do = "Calibrate the sensor that the finger wears."
             came = f"one of {self.new}"
-            raise CheckpointError(expected("calibration", f"one of a {kind}", came, do))
+            raise CheckpointError(expected(f"{finger}_calibration", f"one of a {kind}", came, do))
 
     @property
     def hash(self) -> str:

@@ -17,7 +17,6 @@ from uniforce_vtla.markers.mirror import to_canonical
 DESCRIPTOR_NAMES = ("dx", "dy", "divergence", "curl", "area_change", "count")
 # of the above: what is worth telling apart, px or ratios
 NATURAL_UNITS = (1.0, 1.0, 0.01, 0.01, 0.05, 0.05)
-UNTOUCHED = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0)  # nothing has moved, every marker is there
 MIN_BLOB_PX = 4  # smaller specks are no markers
 MIN_MATCHES = 3  # an affine fit needs as many
 

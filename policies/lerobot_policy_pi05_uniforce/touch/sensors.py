@@ -59,7 +59,7 @@ def load_calibrations(config: PI05UniforceConfig) -> dict[Finger, Calibration]:
         if came != shape:
             do = "Calibrate with this version."
             raise CheckpointError(expected(f"latents of {folder}", shape, came, do))
-        calibration.check_fits(getattr(config, f"{finger}_sensor"))
+        calibration.check_fits(getattr(config, f"{finger}_sensor"), finger)
         logger.info(
             "%s finger: calibration of %s against %s", finger, calibration.new, calibration.anchor
         )
