@@ -137,7 +137,7 @@ def test_a_folder_without_the_sealed_runs_says_which(recorded):
         read_runs(recorded / NORMAL, 1000, sealed=False)
 
 
-@pytest.mark.parametrize("sealed", [False, pytest.param(True, marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("sealed", [False, True])
 def test_every_row_has_every_way_of_reading(recorded, tiny, sealed):
     found = eflesh_rows(recorded, Tokenizer.random(tiny), 1, 400, sealed)
     mae = found["mae_N"]

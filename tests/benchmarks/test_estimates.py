@@ -54,7 +54,6 @@ def test_errors_are_those_of_the_finger_that_wore_the_sensor():
     assert found["tactip"]["mae_N"] == pytest.approx([0.5, 0.5, 0.5])
 
 
-@pytest.mark.thorough
 def test_a_wipe_is_read_whole_by_both_fingers():
     env = WipeEnv("touch", "gelsight:any", "tactip:any")
     wipe = felt_wipe(env, {finger: ForceSensor("", finger) for finger in FINGERS}, 70_500)

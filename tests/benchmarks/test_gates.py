@@ -42,7 +42,6 @@ def test_without_touch_the_press_depends_on_the_hidden_stiffness(style, monkeypa
     assert presses[1] > 1.4 * presses[0] > 0
 
 
-@pytest.mark.thorough
 def test_touch_that_stops_changing_or_misreads_does_not_wipe_this_board():
     env = WipeEnv(level="touch")
 
@@ -71,7 +70,6 @@ def test_the_lag_of_a_steady_motion_is_found_and_says_the_stiffness():
     assert law.stiffness(800.0, 0.2) == pytest.approx(400.0)
 
 
-@pytest.mark.thorough
 def test_an_observer_learns_a_press_that_its_inputs_hold_and_no_other():
     rng = np.random.default_rng(0)
     seen = rng.standard_normal((40, 60, 11)).astype(np.float32)
@@ -88,7 +86,6 @@ def test_a_gate_holds_on_its_own_side_of_its_bar():
     assert fails.holds(0.2) and not fails.holds(0.21)
 
 
-@pytest.mark.thorough
 def test_a_run_scores_every_script_and_a_second_one_goes_on(tmp_path, capsys):
     small = ["level=easy", "learn_from=3", "sweep_on=1", "learn_seed=30000", "workers=2"]
     given = [*small, f"work={tmp_path / 'work'}", f"out={tmp_path / 'gates.json'}"]

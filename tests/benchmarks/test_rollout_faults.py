@@ -8,7 +8,6 @@ from benchmarks.trust.rollout_trials import KINDS, Trial
 
 
 @pytest.mark.realtime
-@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["finger_unplugged", "policy_nan"])
 def test_a_rollout_is_held_and_told_why(kind, tmp_path):
     (row,) = attempt(kind, 1, tmp_path)

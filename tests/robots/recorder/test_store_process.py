@@ -93,6 +93,7 @@ def test_it_stores_what_the_recorder_itself_would(store, tmp_path):
         assert np.array_equal(a[STATE], row(index % 4)[STATE])
 
 
+@pytest.mark.thorough
 def test_a_killed_process_is_an_error_and_loses_the_running_episode_only(store, tmp_path):
     record(store)
     store.add(row(0), "wipe")
