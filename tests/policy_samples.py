@@ -10,7 +10,7 @@ from lerobot.utils.constants import OBS_LANGUAGE_ATTENTION_MASK, OBS_LANGUAGE_TO
 
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings
-from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs
+from lerobot_policy_pi05_uniforce.network import Inputs
 from uniforce_vtla.keys import tactile_key
 from uniforce_vtla.tokenizer.calibration import Agreement
 from uniforce_vtla.tokenizer.latent_map import LatentMap

@@ -1,6 +1,7 @@
 """Data flows one way: a package, and in the library a stage, imports only from those below it."""
 
 import ast
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -89,6 +90,35 @@ def test_every_package_has_its_place():
 )
 def test_arrows_point_down(folder, names):
     assert folder.is_dir() and not foreign_imports(folder, names)
+
+
+def dotted(file, folder):
+    """Return a module's name, and a package's for its ``__init__.py``."""
+    parts = file.relative_to(folder.parent).with_suffix("").parts
+    return ".".join(parts).removesuffix(".__init__")
+
+
+def imported_by(file, modules):
+    """Return the project's modules that a file imports, for types too; ``from package import module`` is one."""
+    found = set()
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.ImportFrom):
+            for alias in node.names:
+                module = f"{node.module}.{alias.name}"
+                found.add(module if module in modules else node.module)
+        elif isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+    return found & modules
+
+
+def test_no_modules_import_each_other():
+    """Nor in a longer circle, nor for types alone: each can be read after those it imports."""
+    files = {}
+    for folder, _ in PACKAGES.values():
+        files |= {dotted(file, folder): file for file in folder.rglob("*.py")}
+    TopologicalSorter(
+        {name: imported_by(file, set(files)) for name, file in files.items()}
+    ).prepare()
 
 
 def test_the_arms_stand_in_shares_the_arms_published_numbers_alone():

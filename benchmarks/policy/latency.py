@@ -92,7 +92,7 @@ def measure(config: LatencyConfig) -> dict[str, Any]:
     apart = float((stock - calls["fast"]()).abs().max())
     eager = mock.patch.object(policy.config.sampler, "kind", "eager")
     # a replay asks the dispatcher for nothing
-    with eager, mock.patch.object(sampler, "graphed", None):
+    with eager, mock.patch.object(sampler, "recordings", None):
         operations = {name: count_operations(call) for name, call in calls.items()}
         with FlopCounterMode(display=False) as counter:
             calls["fast"]()

@@ -18,10 +18,9 @@ from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import (
     TouchSettings,
 )
 from lerobot_policy_pi05_uniforce.modeling_pi05_uniforce import made_up_batch
-from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
+from lerobot_policy_pi05_uniforce.network import Inputs, PI05UniforcePytorch
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import FOLDER
 from lerobot_policy_pi05_uniforce.sampler.fast import FastSampler
-from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import ACTION, AXES, STATE
 from uniforce_vtla.options import Names, Pattern

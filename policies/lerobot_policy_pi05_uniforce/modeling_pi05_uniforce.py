@@ -23,10 +23,9 @@ from lerobot_policy_pi05_uniforce import action, checkpoint, training, weights
 from lerobot_policy_pi05_uniforce.augment import vary
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
-from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
+from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch, drop_padding
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE, floor_quantiles
-from lerobot_policy_pi05_uniforce.sampler.cuda_graphs import BUCKETS
-from lerobot_policy_pi05_uniforce.sampler.prefix import drop_padding
+from lerobot_policy_pi05_uniforce.sampler.fast import BUCKETS, FastSampler
 from lerobot_policy_pi05_uniforce.touch.encoder import ENCODER, check_hash, is_packaged
 from lerobot_policy_pi05_uniforce.touch.sensors import policy_sensors
 from lerobot_policy_pi05_uniforce.touch.tokens import Felt
@@ -75,6 +74,8 @@ class PI05UniforcePolicy(stock.PI05Policy):
         config.touch.marker_images = MARKER_IMAGES  # a checkpoint's was compared with it
         self.init_rtc_processor()
         self.model = PI05UniforcePytorch(config, self.rtc_processor, empty)
+        if config.sampler.kind != "stock":
+            self.model.fast = FastSampler(self.model)
         self.touch = TouchInput(config, policy_sensors(config, self.model.tactile_encoder))
         self._take_dataset_facts(dataset_stats, dataset_meta)
         if config.gradient_checkpointing:

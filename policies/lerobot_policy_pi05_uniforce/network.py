@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from lerobot.policies.pi05 import modeling_pi05 as stock
@@ -11,8 +11,6 @@ from torch.nn import functional as F  # noqa: N812
 
 from lerobot_policy_pi05_uniforce.backbone import make_backbone
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
-from lerobot_policy_pi05_uniforce.sampler.fast import FastSampler
-from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, drop_padding
 from lerobot_policy_pi05_uniforce.touch.encoder import build_frozen_touch
 from lerobot_policy_pi05_uniforce.touch.tokens import (
     NOTHING,
@@ -23,6 +21,16 @@ from lerobot_policy_pi05_uniforce.touch.tokens import (
 )
 from lerobot_policy_pi05_uniforce.training import freeze_unread
 from lerobot_policy_pi05_uniforce.weights import no_weights
+
+
+class Inputs(NamedTuple):
+    """An observation: cameras, text, state and touch."""
+
+    images: list[Tensor]  # (B, 3, H, W) each
+    img_masks: list[Tensor]  # (B,) bool each
+    tokens: Tensor  # (B, L) text
+    masks: Tensor  # (B, L) bool
+    felt: Felt = NOTHING
 
 
 class StateToken(nn.Module):
@@ -68,9 +76,7 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
             self.state_token = StateToken(config.state_size, vlm_width)
         freeze_unread(self.vlm)
         self.adapted = False  # PEFT's adapters are in: sampled by LeRobot's loop, which runs them
-        self.fast = None
-        if config.sampler.kind != "stock":
-            self.fast = FastSampler(self)
+        self.fast: Any = None  # the fast sampler, given by the policy; None: LeRobot's loop
         if config.compile_model:  # as LeRobot's own constructor
             torch.set_float32_matmul_precision("high")
             for name in ("sample_actions", "forward"):
@@ -202,3 +208,11 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
                 parts.append(self.force_tokens(touch, slot).to(embs.dtype))
             reals.append(real_touch)
         return torch.cat(parts, dim=1), torch.cat(reals, dim=1), gated
+
+
+def drop_padding(tokens: Tensor, masks: Tensor) -> tuple[Tensor, Tensor]:
+    """Return text (B, L) and its mask without the columns that no prompt of the batch uses."""
+    used = masks.any(dim=0).cpu().tolist()
+    while used and not used[-1]:
+        used.pop()
+    return tokens[:, : len(used)], masks[:, : len(used)]

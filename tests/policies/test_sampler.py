@@ -12,9 +12,9 @@ import torch
 from lerobot.policies.rtc.configuration_rtc import RTCConfig
 from policy_samples import OPEN, alive, inputs, lerobots_own, ours, start_noise
 
-from lerobot_policy_pi05_uniforce.sampler import cuda_graphs, fast, layers
-from lerobot_policy_pi05_uniforce.sampler.cuda_graphs import BUCKETS, KEPT, GraphedSampler, bucketed
-from lerobot_policy_pi05_uniforce.sampler.fast import FastSampler, velocity
+from lerobot_policy_pi05_uniforce.cuda_graphs import KEPT, Recordings
+from lerobot_policy_pi05_uniforce.sampler import fast, layers
+from lerobot_policy_pi05_uniforce.sampler.fast import BUCKETS, FastSampler, bucketed, velocity
 from lerobot_policy_pi05_uniforce.sampler.prefix import drop_dead, encode
 
 TOLERANCE = 1e-4  # on actions in network units, of order 1
@@ -40,7 +40,7 @@ def acts_alike(policy, given, steps=4):
 def policy(make_policy):
     """A policy with touch behind a half-open gate, whose norms do something, and uncaptured graphs."""
     policy = gated_policy(make_policy, OPEN)
-    policy.model.fast.graphed = GraphedSampler(policy.model.fast, capture=False)
+    policy.model.fast.recordings = Recordings(capture=False)
     return policy
 
 
@@ -83,7 +83,7 @@ def test_rows_with_other_prompts_and_a_lost_finger_stay_apart(size, gate, make_p
 def test_changed_weights_are_noticed(graphs, make_policy, make_batch):
     policy = alive(make_policy(touch__input="none"))
     if graphs:
-        policy.model.fast.graphed = GraphedSampler(policy.model.fast, capture=False)
+        policy.model.fast.recordings = Recordings(capture=False)
     given = inputs(policy, make_batch(policy))
     acts_alike(policy, given)
     with torch.no_grad():
@@ -133,15 +133,15 @@ def test_torch_compile_traces_step_and_prefix_whole(make_policy, make_batch):
 
 def test_compiled_code_gives_lerobots_actions(policy, make_batch, caplog):
     """As traced and made functional for a compiler; inductor itself takes two minutes on a CPU."""
-    graphed = policy.model.fast.graphed
-    graphed._compiled = functools.cache(
+    sampler = policy.model.fast
+    sampler._compiled = functools.cache(
         functools.partial(torch.compile, dynamic=False, backend="aot_eager")
     )
-    policy.model.fast.compiles = True
+    sampler.compiles = True
     for _ in range(2):
         acts_alike(policy, inputs(policy, make_batch(policy)))
-    assert policy.model.fast.compiles and len(graphed.recordings.kept) == 1
-    assert not [r for r in caplog.records if r.name == cuda_graphs.__name__]
+    assert sampler.compiles and len(sampler.recordings.kept) == 1
+    assert not [r for r in caplog.records if r.name == fast.__name__]
 
 
 @pytest.mark.thorough
@@ -154,7 +154,7 @@ def test_without_a_compiler_one_line_says_so_and_the_actions_are_the_same(
     policy.model.fast.compiles = True
     for steps in (2, 3):
         acts_alike(policy, given, steps)
-    (said,) = [r.message for r in caplog.records if r.name == cuda_graphs.__name__]
+    (said,) = [r.message for r in caplog.records if r.name == fast.__name__]
     assert "compile" in said and "\n" not in said
 
 
@@ -188,12 +188,11 @@ def test_cameras_are_encoded_in_the_policys_dtype(make_policy):
 
 
 def test_replays_give_lerobots_actions_for_every_new_observation(policy, make_batch):
-    graphed = policy.model.fast.graphed
     returned = []
     for _ in range(3):
-        fast = acts_alike(policy, inputs(policy, make_batch(policy)))
-        returned.append((fast, fast.clone()))
-    assert len(graphed.recordings.kept) == 1  # recorded once
+        chunk = acts_alike(policy, inputs(policy, make_batch(policy)))
+        returned.append((chunk, chunk.clone()))
+    assert len(policy.model.fast.recordings.kept) == 1  # recorded once
     assert all(torch.equal(now, then) for now, then in returned)  # a later call overwrites no chunk
 
 
@@ -210,19 +209,19 @@ def test_prompts_cameras_and_lost_fingers_change_and_the_actions_are_still_lerob
     ):
         acts_alike(policy, changed)
     # with and without the camera; the rest are values
-    assert len(policy.model.fast.graphed.recordings.kept) == 2
+    assert len(policy.model.fast.recordings.kept) == 2
 
 
 def test_recordings_are_not_kept_for_ever(policy, given):
     for steps in range(1, KEPT + 3):
         ours(policy, given, start_noise(policy), steps)
-    assert len(policy.model.fast.graphed.recordings.kept) == KEPT
+    assert len(policy.model.fast.recordings.kept) == KEPT
 
 
 def test_nothing_recorded_waits_for_the_device(policy, given):
     """A value read by the host, or a shape that depends on values, can't be captured."""
     ours(policy, given, start_noise(policy))
-    (recording,) = policy.model.fast.graphed.recordings.kept.values()
+    (recording,) = policy.model.fast.recordings.kept.values()
     with torch.no_grad(), torch.profiler.profile() as profile:
         recording(recording.buffers)
     names = {event.name.removeprefix("aten::") for event in profile.events()}
@@ -242,7 +241,7 @@ def test_prompts_go_to_the_next_bucket():
 def test_graphs_are_for_cuda_alone_and_can_be_turned_off(kind, made, make_policy, make_batch):
     policy = make_policy(sampler__kind=kind)
     policy.predict_action_chunk(make_batch(policy))
-    assert policy.model.fast.graphed is None  # a CPU
+    assert policy.model.fast.recordings is None  # a CPU
     assert policy.model.fast.is_graphed_on(torch.device("cuda")) == made
 
 
@@ -255,7 +254,7 @@ def test_a_gpu_captures_them(make_policy, make_batch):
     given, noise = inputs(policy, batch), start_noise(policy).cuda()
     for _ in range(2):
         fast = ours(policy, given, noise)
-    assert policy.model.fast.graphed is not None
+    assert policy.model.fast.recordings is not None
     assert (lerobots_own(policy, given, noise) - fast).abs().max() < 1e-3
 
 
@@ -265,11 +264,11 @@ def test_warm_up_records_each_length_of_text_and_compiles_the_usual_one(
     compiled = []
     monkeypatch.setattr(torch, "compile", lambda f, **_: compiled.append(f.__name__) or f)
     monkeypatch.setattr(FastSampler, "is_graphed_on", lambda self, device: True)
-    monkeypatch.setattr(fast, "GraphedSampler", functools.partial(GraphedSampler, capture=False))
+    monkeypatch.setattr(fast, "Recordings", functools.partial(Recordings, capture=False))
     policy = make_policy(touch__input="none", tokenizer_max_length=BUCKETS[-1])
     policy.warm_up()
     assert compiled == ["encode", "velocity"] and not policy.model.fast.compiles
-    assert len(policy.model.fast.graphed.recordings.kept) == len(BUCKETS)
+    assert len(policy.model.fast.recordings.kept) == len(BUCKETS)
     assert "compiling" in capsys.readouterr().err  # the bar
 
 

@@ -10,9 +10,9 @@ import torch
 from far_device import NAME, far_device
 from policy_samples import OPEN, alive, calibrate, watched, with_dots
 
+from lerobot_policy_pi05_uniforce.cuda_graphs import Recordings
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
 from lerobot_policy_pi05_uniforce.sampler import fast, layers, prefix
-from lerobot_policy_pi05_uniforce.sampler.cuda_graphs import GraphedSampler
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.keys import tactile_key
 from uniforce_vtla.tokenizer.latent_map import LatentMap
@@ -67,7 +67,7 @@ def moved(policy, device):
     """Move a policy; on the fake device the functions that a GPU replays run on buffers of their own."""
     with far_device() if device == NAME else contextlib.nullcontext() as crossings:
         if device == NAME and policy.model.fast is not None:
-            policy.model.fast.graphed = GraphedSampler(policy.model.fast, capture=False)
+            policy.model.fast.recordings = Recordings(capture=False)
             if policy.model.tactile_encoder is not None:
                 policy.model.tactile_encoder.replayed.device = NAME
                 policy.model.tactile_encoder.replayed.recordings.capture = False
@@ -121,7 +121,7 @@ def test_the_host_reads_masks_and_verdicts_and_nothing_else(make, make_batch):
             crossings.crossed.clear()
             policy.predict_action_chunk(on(batch, NAME))
     recorded = policy.model.tactile_encoder.replayed.recordings.kept
-    assert len(recorded) == len(policy.model.fast.graphed.recordings.kept) == 1
+    assert len(recorded) == len(policy.model.fast.recordings.kept) == 1
     assert max(crossings.crossed) <= policy.config.tokenizer_max_length
     assert sum(count == 1 for count in crossings.crossed) < 20
 

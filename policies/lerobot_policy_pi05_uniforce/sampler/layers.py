@@ -1,17 +1,14 @@
 """Arithmetic of the fast sampler, and tensors that are prepared once per weights."""
 
-from __future__ import annotations
-
 import copy
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from lerobot.policies.pi05 import modeling_pi05 as stock
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
-if TYPE_CHECKING:
-    from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
+from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
 
 # cos, and sin with the sign rotate_half would give; (B, heads, L, head) each
 Rotary = tuple[Tensor, Tensor]

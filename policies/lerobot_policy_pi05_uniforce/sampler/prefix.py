@@ -1,31 +1,16 @@
 """Once per observation: cameras, text and felt tokens through the VLM, kept as keys and values."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import compress
-from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
+from lerobot_policy_pi05_uniforce.network import Inputs, PI05UniforcePytorch, drop_padding
 from lerobot_policy_pi05_uniforce.sampler import layers as ops
 from lerobot_policy_pi05_uniforce.sampler.layers import Prepared
-from lerobot_policy_pi05_uniforce.touch.tokens import NOTHING, Felt, GatedColumns
-
-if TYPE_CHECKING:
-    from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
-
-
-class Inputs(NamedTuple):
-    """An observation: cameras, text, state and touch."""
-
-    images: list[Tensor]  # (B, 3, H, W) each
-    img_masks: list[Tensor]  # (B,) bool each
-    tokens: Tensor  # (B, L) text
-    masks: Tensor  # (B, L) bool
-    felt: Felt = NOTHING
+from lerobot_policy_pi05_uniforce.touch.tokens import GatedColumns
 
 
 @dataclass(frozen=True)
@@ -116,11 +101,3 @@ def drop_dead(inputs: Inputs) -> Inputs:
     images = list(compress(inputs.images, there))
     img_masks = list(compress(inputs.img_masks, there))
     return Inputs(images, img_masks, *drop_padding(inputs.tokens, inputs.masks), inputs.felt)
-
-
-def drop_padding(tokens: Tensor, masks: Tensor) -> tuple[Tensor, Tensor]:
-    """Return text (B, L) and its mask without the columns that no prompt of the batch uses."""
-    used = masks.any(dim=0).cpu().tolist()
-    while used and not used[-1]:
-        used.pop()
-    return tokens[:, : len(used)], masks[:, : len(used)]

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
-from lerobot_policy_pi05_uniforce.sampler.cuda_graphs import Recording, Recordings
+from lerobot_policy_pi05_uniforce.cuda_graphs import Recording, Recordings
 from lerobot_policy_pi05_uniforce.weights import no_weights
 from uniforce_vtla.errors import CheckpointError, expected
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
