@@ -338,9 +338,8 @@ class PI05UniforcePolicy(stock.PI05Policy):
             self._refuse_rtc(", ".join(chunking) or "rtc_config")
         self._notice_adapters()
         tokens = batch[OBS_LANGUAGE_TOKENS]
-        if (
-            self.config.size == "tiny"
-        ):  # base keeps one length, so that a compiled graph stays valid
+        # base keeps one length, so that a compiled graph stays valid
+        if self.config.size == "tiny":
             tokens, mask = drop_padding(tokens, batch[OBS_LANGUAGE_ATTENTION_MASK])
             batch = {**batch, OBS_LANGUAGE_TOKENS: tokens, OBS_LANGUAGE_ATTENTION_MASK: mask}
         shape = (len(tokens), self.config.chunk_size, self.config.max_action_dim)
