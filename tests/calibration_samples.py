@@ -12,6 +12,7 @@ def save_calibration(folder, tokenizer, new="tactip:3", shift=0.1):
 
 
 def save_shift(folder, latent_map, shift, *names, judged=None):
-    """Save a calibration whose map adds ``shift``; names: hashes of tokenizer and head, new, anchor."""
+    """Save a calibration whose map adds ``shift``; names: hashes of tokenizer and head, new,
+    anchor."""
     latent_map.shift.fill_(shift)
     return str(Calibration(latent_map, *names, 1.0, 0.0, judged or {}).save(folder))

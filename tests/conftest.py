@@ -82,7 +82,8 @@ def pytest_configure(config):
 
 
 def pytest_collection_modifyitems(config, items):
-    """Mark what runs against a clock; with several processes begin with the files that would end last."""
+    """Mark what runs against a clock; with several processes begin with the files that would end
+    last."""
     for item in items:
         if (
             item.path.parent.parent.name == "robots"

@@ -8,7 +8,8 @@ from uniforce_vtla.markers import Canonicalizer
 
 
 class StillFinger:
-    """A finger that has its reference, as far as checks need one; a subclass has its next frames."""
+    """A finger that has its reference, as far as checks need one; a subclass has its next
+    frames."""
 
     def __init__(self, sensor, reference):
         canonicalizer = Canonicalizer(sensor, stream=True)

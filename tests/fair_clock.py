@@ -1,10 +1,11 @@
 """Judge a test that runs against a clock only on time the machine gave us.
 
-A shared machine may take both cores away for tenths of a second: a camera then looks stale and a rate too high, though
-no line of ours is wrong. Two witnesses, processes that only sleep, one on each core, tell how long each core was away
-in one piece; the kernel's count of stolen time (Linux) tells of smaller pieces too. A real-time test that fails while
-they were starved runs again, a few times: a test that fails each time has failed, so that no defect hides behind a busy
-machine. On a machine that is calm nothing changes: a failure is a failure the first time.
+A shared machine may take both cores away for tenths of a second: a camera then looks stale and a
+rate too high, though no line of ours is wrong. Two witnesses, processes that only sleep, one on
+each core, tell how long each core was away in one piece; the kernel's count of stolen time (Linux)
+tells of smaller pieces too. A real-time test that fails while they were starved runs again, a few
+times: a test that fails each time has failed, so that no defect hides behind a busy machine. On a
+machine that is calm nothing changes: a failure is a failure the first time.
 """
 
 import mmap
@@ -27,10 +28,13 @@ TRIES = 4
 CALM_S = 1.0  # wait for so long without theft before another try …
 PATIENCE_S = 15.0  # … but not longer than this
 
-# Runs with the standard library alone, so that it costs 10 MB: sleeps, and adds up by how much it woke too late.
+# Runs with the standard library alone, so that it costs 10 MB: sleeps, and adds up by how much it
+# woke too late.
 WITNESS = """
 import mmap, os, struct, sys, time
-path, (place, core), (nap_s, late_s) = sys.argv[1], map(int, sys.argv[2:4]), map(float, sys.argv[4:])
+path = sys.argv[1]
+place, core = map(int, sys.argv[2:4])
+nap_s, late_s = map(float, sys.argv[4:])
 if core >= 0: os.sched_setaffinity(0, {core})
 parent = os.getppid()
 with open(path, "r+b") as file:
@@ -47,7 +51,8 @@ while os.getppid() == parent:
 
 
 def stolen_s():
-    """Return for how long a hypervisor ran others on our cores, all added up, as the kernel counts (Linux)."""
+    """Return for how long a hypervisor ran others on our cores, all added up, as the kernel counts
+    (Linux)."""
     return float(getattr(psutil.cpu_times(), "steal", 0.0))
 
 

@@ -1,7 +1,9 @@
-"""A second device for tests on a CPU: tensors that say ``meta`` and compute, and that refuse to meet those of the CPU.
+"""A second device for tests on a CPU: tensors that say ``meta`` and compute, and that refuse to
+meet those of the CPU.
 
-A tensor made without ``device=``, or brought to the CPU on the way, meets one of the device sooner or later and fails
-as on a GPU. Transfers to the host are counted: reading a number makes a GPU's queue run dry.
+A tensor made without ``device=``, or brought to the CPU on the way, meets one of the device sooner
+or later and fails as on a GPU. Transfers to the host are counted: reading a number makes a GPU's
+queue run dry.
 """
 
 import contextlib
@@ -36,7 +38,8 @@ class Far(torch.Tensor):
 
 
 class FarDevice(TorchDispatchMode):
-    """Makes tensors of the device while it is entered; counts the numbers that cross to the host."""
+    """Makes tensors of the device while it is entered; counts the numbers that cross to the
+    host."""
 
     def __init__(self):
         super().__init__()
@@ -68,7 +71,8 @@ def _is_host(device):
 
 
 def _run(func, args, kwargs):
-    """Run an operation on the numbers; its results are on the device if its tensors are, or if it was asked for."""
+    """Run an operation on the numbers; its results are on the device if its tensors are, or if it
+    was asked for."""
     name = func._schema.name
     tensors = [x for x in tree_flatten((args, kwargs))[0] if isinstance(x, torch.Tensor)]
     is_far = any(isinstance(x, Far) for x in tensors)

@@ -1,4 +1,5 @@
-"""A client of the stand-in arm and hand in plain sockets, so that the wire is tested without a vendor's wheel."""
+"""A client of the stand-in arm and hand in plain sockets, so that the wire is tested without a
+vendor's wheel."""
 
 import socket
 import struct

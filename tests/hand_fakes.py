@@ -11,7 +11,8 @@ from uniforce_vtla.hand import HandReading
 class FakeHand:
     """Takes a while for each command; keeps what it was asked, and whether two ever overlapped.
 
-    ``moves``: its fingers go at their speed and close on an object of ``object_m``; else they are there at the end.
+    ``moves``: its fingers go at their speed and close on an object of ``object_m``; else they are
+    there at the end.
     """
 
     def __init__(self, takes_s=0.1, clock=time.monotonic, moves=False):

@@ -1,4 +1,5 @@
-"""A Chromium without a window, driven through its own debugging protocol: no driver and no further package."""
+"""A Chromium without a window, driven through its own debugging protocol: no driver and no further
+package."""
 
 import itertools
 import json
@@ -24,8 +25,8 @@ class Page:
     """One open page.
 
     Attributes:
-        complaints: messages of the console since the page was opened: errors, warnings, exceptions, loads that
-            failed or were refused.
+        complaints: messages of the console since the page was opened: errors, warnings,
+            exceptions, loads that failed or were refused.
     """
 
     def __init__(self, socket):

@@ -1,4 +1,5 @@
-"""Sensors outside the procedural family: proof that held-out sensors could not have been drawn in pretraining."""
+"""Sensors outside the procedural family: proof that held-out sensors could not have been drawn in
+pretraining."""
 
 import numpy as np
 
@@ -11,7 +12,8 @@ def half_extent_px(sensor):
 
 
 def outside(sensor, bounds=None):
-    """Return in which ways a camera sensor differs from everything the family can draw; empty if it could be one.
+    """Return in which ways a camera sensor differs from everything the family can draw; empty if it
+    could be one.
 
     ``visible: …`` entries show in a reference image, ``hidden: …`` do not.
     """
@@ -55,7 +57,8 @@ def _of_dome(sensor, family):
 
 
 def _is_lattice(points_mm):
-    """Tell rectangular or hexagonal lattices: every marker's offset is a whole number of two basis steps."""
+    """Tell rectangular or hexagonal lattices: every marker's offset is a whole number of two basis
+    steps."""
     steps = points_mm[None] - points_mm[:, None]  # (M, M, 2)
     length = np.linalg.norm(steps, axis=-1)
     np.fill_diagonal(length, np.inf)

@@ -1,4 +1,5 @@
-"""Shared by tests of the policy's network: its inputs, norms that do something, LeRobot's own loop beside ours."""
+"""Shared by tests of the policy's network: its inputs, norms that do something, LeRobot's own loop
+beside ours."""
 
 from unittest.mock import patch
 
@@ -45,7 +46,8 @@ def start_noise(policy, size=2):
 
 
 def alive(policy, gate=None, std=0.3):
-    """Let the adaptive norms do something (they start as zeros, which shut the expert); open the gate if asked."""
+    """Let the adaptive norms do something (they start as zeros, which shut the expert); open the
+    gate if asked."""
     generator = torch.Generator().manual_seed(1)
     for name, p in policy.named_parameters():
         if "norm.dense.weight" in name:
@@ -56,7 +58,8 @@ def alive(policy, gate=None, std=0.3):
 
 
 def lerobots_own(policy, given, noise, steps=4, **rtc):
-    """Sample with LeRobot's loop and LeRobot's layers: nothing of ours but the weights and the extra tokens."""
+    """Sample with LeRobot's loop and LeRobot's layers: nothing of ours but the weights and the
+    extra tokens."""
     *seen, felt = given
     network, how = policy.model, {"noise": noise, "num_steps": steps, **rtc}
     # the training path of the tiny network is ours
@@ -76,7 +79,8 @@ def watched(policy, limit=1e-3):
 
 
 def with_dots(batch):
-    """Marker images that show markers: a grid per finger, moved by a pixel or two in the current frame."""
+    """Marker images that show markers: a grid per finger, moved by a pixel or two in the current
+    frame."""
     shown = dict(batch)
     for index, finger in enumerate(("left", "right")):
         grid = torch.zeros(len(batch[tactile_key(finger)]), 3, 48, 64)

@@ -1,4 +1,5 @@
-"""Property tests draw fixed examples in `make test`, and ten times as many random ones in `make properties`."""
+"""Property tests draw fixed examples in `make test`, and ten times as many random ones in `make
+properties`."""
 
 from hypothesis import settings
 

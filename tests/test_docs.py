@@ -42,7 +42,8 @@ def fenced(page):
 
 
 def command_lines(page):
-    """Return the words of every `uniforce …` in fenced code and between back ticks, but for those with an ellipsis."""
+    """Return the words of every `uniforce …` in fenced code and between back ticks, but for those
+    with an ellipsis."""
     lines = [line for line in fenced(page).splitlines() if line.startswith("uniforce ")]
     lines += [f"{code} " for code in re.findall(r"(?<!`)`(uniforce [^`]+)`(?!`)", page.read_text())]
     split = [shlex.split(line.replace("VERB", "record"), comments=True)[1:] for line in lines]
@@ -51,7 +52,8 @@ def command_lines(page):
 
 @cache
 def fields(*folders):
-    """Return the names of all fields of classes in folders; nothing is imported, LeRobot takes seconds."""
+    """Return the names of all fields of classes in folders; nothing is imported, LeRobot takes
+    seconds."""
     found = set()
     for file in chain.from_iterable(folder.rglob("*.py") for folder in folders):
         for node in ast.walk(ast.parse(file.read_text())):

@@ -1,4 +1,5 @@
-"""The whole line in miniature: record, view, train, evaluate with LeRobot's command, score with a swap."""
+"""The whole line in miniature: record, view, train, evaluate with LeRobot's command, score with a
+swap."""
 
 import json
 import shutil
@@ -33,7 +34,8 @@ EVALUATE = """
 
 @pytest.fixture(scope="module")
 def checkpoint(drawn_demo, tmp_path_factory):
-    """A policy trained for two steps on one recorded demo, through the same commands a user types."""
+    """A policy trained for two steps on one recorded demo, through the same commands a user
+    types."""
     folder = tmp_path_factory.mktemp("line")
     make_view(ViewConfig(roots=str(drawn_demo), out=str(folder / "view"), keep_failures=True))
     data = ["dataset.repo_id=local/view", f"dataset.root={folder / 'view'}"]
@@ -77,7 +79,8 @@ def test_a_dataset_that_is_full_says_that_nothing_was_recorded(drawn_demo, tmp_p
 
 
 def test_a_recording_is_scored_from_its_fingers_alone(drawn_demo, tmp_path):
-    """Marker images → newtons → events, and true forces beside them because this recording is simulated."""
+    """Marker images → newtons → events, and true forces beside them because this recording is
+    simulated."""
     friction = draw_scene(3, "easy").pad_friction
     config = ScoreRecordingConfig(
         root=str(drawn_demo),

@@ -132,7 +132,8 @@ def test_a_grip_that_wanders_by_more_than_the_hysteresis_stays_a_grasp(moving):
 
 @pytest.mark.parametrize("says", [False, True])
 def test_what_slips_out_is_known_though_the_wish_went_on_after_the_grasp_began(says, moving):
-    """Guards raise a wish step by step: the grasp was asked for at another width than is wished when it is lost."""
+    """Guards raise a wish step by step: the grasp was asked for at another width than is wished
+    when it is lost."""
     moving.object_m = 0.035
     moving.wish(0.07, 0.05)
     moving.wish(0.02, 1.5)

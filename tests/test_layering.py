@@ -99,7 +99,8 @@ def dotted(file, folder):
 
 
 def imported_by(file, modules):
-    """Return the project's modules that a file imports, for types too; ``from package import module`` is one."""
+    """Return the project's modules that a file imports, for types too; ``from package import
+    module`` is one."""
     found = set()
     for node in ast.walk(ast.parse(file.read_text())):
         if isinstance(node, ast.ImportFrom):

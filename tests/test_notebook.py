@@ -1,4 +1,5 @@
-"""The notebook of docs/ runs as a notebook does: in a kernel of its own, from the first cell to the last."""
+"""The notebook of docs/ runs as a notebook does: in a kernel of its own, from the first cell to the
+last."""
 
 import base64
 from pathlib import Path

@@ -1,4 +1,5 @@
-"""A sensor is one file and its place in the registry: docs/own_sensor.md's example does all that a known one does."""
+"""A sensor is one file and its place in the registry: docs/own_sensor.md's example does all that a
+known one does."""
 
 from pathlib import Path
 

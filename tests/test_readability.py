@@ -1,4 +1,5 @@
-"""The shipped code reads line by line: what a reader has to unpack, per 1,000 code tokens, stays low."""
+"""The shipped code reads line by line: what a reader has to unpack, per 1,000 code tokens, stays
+low."""
 
 import ast
 import tokenize

@@ -12,7 +12,11 @@ import torch
 from uniforce_vtla import results_file
 from uniforce_vtla.results_file import provenance, write_json
 
-PRINTS = "import json\nfrom uniforce_vtla.results_file import provenance\nprint(json.dumps(provenance()))\n"
+PRINTS = """
+import json
+from uniforce_vtla.results_file import provenance
+print(json.dumps(provenance()))
+"""
 
 
 def test_a_module_is_named_as_it_is_run_and_a_script_by_its_file(tmp_path):

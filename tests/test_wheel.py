@@ -1,4 +1,5 @@
-"""The installed package: the sdist makes the wheel, which works in an empty environment; nothing is downloaded."""
+"""The installed package: the sdist makes the wheel, which works in an empty environment; nothing is
+downloaded."""
 
 import os
 import subprocess
@@ -21,7 +22,8 @@ from uniforce_vtla import ForceHead, Tokenizer
 from uniforce_vtla.contracts import MarkerPair
 assert Path(uniforce_vtla.__file__).is_relative_to(sys.prefix), uniforce_vtla.__file__
 dots = np.kron(np.tile(np.eye(2, dtype=np.uint8), (10, 10)), np.full((24, 32), 255, np.uint8))
-latent = Tokenizer.from_pretrained().encode(MarkerPair(dots, np.roll(dots, 9, axis=1), "right", "tactip"))
+pair = MarkerPair(dots, np.roll(dots, 9, axis=1), "right", "tactip")
+latent = Tokenizer.from_pretrained().encode(pair)
 force_N = ForceHead.from_pretrained("tactip")(latent)
 print(tuple(latent.shape), tuple(force_N.shape))
 """
@@ -76,7 +78,8 @@ def test_it_runs_from_an_empty_environment_elsewhere(wheel, tmp_path):
     said(*install, folder=tmp_path)
     where = "import sysconfig; print(sysconfig.get_path('purelib'))"
     ours = Path(said(python, "-c", where, folder=tmp_path).strip())
-    # the dependencies that are installed already; a .pth in there, as of an editable install, isn't followed from here
+    # the dependencies that are installed already; a .pth in there, as of an editable install, isn't
+    # followed from here
     (ours / "dependencies.pth").write_text(sysconfig.get_path("purelib"))
     help_text = said(python.parent / "uniforce", "--help", folder=tmp_path)
     assert "uniforce VERB key=value" in help_text and "share" in help_text

@@ -1,4 +1,5 @@
-"""Files and folders of a wrong kind, for whatever option of a command names one: a new option is tried, too."""
+"""Files and folders of a wrong kind, for whatever option of a command names one: a new option is
+tried, too."""
 
 from dataclasses import dataclass
 from pathlib import Path

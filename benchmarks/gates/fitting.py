@@ -1,4 +1,4 @@
-"""Fits of the cleverest scripts, made on other scenes: stiffness, press from height, an observer."""
+"""Fit the cleverest scripts on other scenes: stiffness, press from height, an observer."""
 
 import itertools
 import json

@@ -1,1 +1,1 @@
-"""Stage: probes. Worth of a tokenizer: labelled sets, baselines, tables, figures, real recordings."""
+"""Worth of a tokenizer: labelled sets, baselines, tables, figures, real recordings."""

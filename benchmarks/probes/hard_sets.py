@@ -1,9 +1,10 @@
 """Frozen labelled sets that are hard on purpose: what goes wrong on a bench goes wrong here too.
 
-``hetero_hard_v2``: GelSight-D (a pattern pretraining never saw), TacTip and uSkin; every few sequences another unit
-with another camera pose, light, marker size and missing markers; camera images go through raw frames and the real
-canonicalizer; rubber creeps, so pictures lag behind their labels; six unseen indenters. The recipe is that of v1, which
-was scored at 0.1.0; only the contact model is another.
+``hetero_hard_v2``: GelSight-D, whose pattern pretraining never saw, TacTip and uSkin. Every few
+sequences wear another unit with another camera pose, light, marker size and missing markers. Camera
+images go through raw frames and the real canonicalizer. Rubber creeps, so pictures lag behind their
+labels. Six indenters are unseen. The recipe is that of v1, which was scored at 0.1.0; only the
+contact model is another.
 """
 
 import hashlib
@@ -58,7 +59,7 @@ def hetero_sensors() -> dict[str, VirtualSensor]:
 
 
 def draw_hard(settings: HardSettings, sensor: VirtualSensor, side: int) -> LabelledSet:
-    """Return one sensor's sequences.  Contacts and forces are the same for every sensor of a recipe.
+    """Return one sensor's sequences; contacts and forces are the same for every sensor of a recipe.
 
     The digest is that of the sensor's own images; what is read are those at nominal scale.
 

@@ -1,4 +1,4 @@
-"""Force-labelled sequences for heads and for the frozen zero-shot set; every sensor gets the same contacts."""
+"""Force-labelled sequences for heads and the zero-shot set; all sensors get the same contacts."""
 
 import hashlib
 import json
@@ -44,8 +44,9 @@ def force_sequences(
 ) -> SequenceBatch:
     """Return ``n`` sequences of ``length`` frames of a registered sensor.
 
-    ``units`` of it take turns, which differ as much as ``unit_strength`` says, 0 for the drawing; ``flat_share`` of the
-    objects are flat faces. ``transform`` is applied to (B, 480, 640) images before they are kept.
+    ``units`` of it take turns, which differ as much as ``unit_strength`` says, 0 for the drawing;
+    ``flat_share`` of the objects are flat faces. ``transform`` is applied to (B, 480, 640) images
+    before they are kept.
     """
     objects = sample_objects(rng, n, indenters, flat_share)
     force = np.stack([press_shear_release(rng, length, force_range) for _ in range(n)])
@@ -101,7 +102,7 @@ class LabelledSet:
 
 
 def draw_labelled(config: SetConfig, sensor: str, side: int) -> LabelledSet:
-    """Return ``sensor``'s sequences, at the model's size, with descriptors of the full-size images."""
+    """Return a sensor's sequences, at the model's size, with descriptors of full-size images."""
     rng = np.random.default_rng(config.seed)
     drawn = config.indenters, config.force_range, 1.0, config.flat_share
     batch = force_sequences(rng, sensor, config.sequences, config.length, *drawn)
@@ -123,7 +124,7 @@ def draw_labelled(config: SetConfig, sensor: str, side: int) -> LabelledSet:
 
 
 def set_facts(config: Any, drawn: dict[str, LabelledSet]) -> dict[str, Any]:
-    """Return what is committed before training: the set's recipe, its sensors' digests and one hash over them."""
+    """Return what is committed before training: recipe, sensors' digests and one hash over them."""
     digests = {sensor: labelled.digest for sensor, labelled in drawn.items()}
     return {
         "recipe": asdict(config),
@@ -155,10 +156,10 @@ def cached(
     draw: Callable[[], LabelledSet],
     zoom: tuple[float, float] = (1.0, 1.0),
 ) -> LabelledSet:
-    """Return ``draw()``'s set from ``folder`` if an equal recipe was drawn before, else draw and keep it.
+    """Return the set that was kept in ``folder`` for an equal recipe, else draw and keep it.
 
-    Only the recipe and the zoom to nominal scale are compared: after a change of the contact model or the
-    canonicalizer use another folder.
+    Only the recipe and the zoom to nominal scale are compared: after a change of the contact model
+    or the canonicalizer use another folder.
     """
     zoomed = [] if zoom == (1.0, 1.0) else [zoom]
     recipe = json.dumps([asdict(settings), sensor, side, *zoomed], sort_keys=True)
@@ -168,7 +169,8 @@ def cached(
         drawn = draw()
         folder.mkdir(parents=True, exist_ok=True)
         scratch = path.with_suffix(".tmp.npz")
-        np.savez(scratch, digest=np.array(drawn.digest), **{a: getattr(drawn, a) for a in ARRAYS})  # type: ignore
+        arrays = {name: getattr(drawn, name) for name in ARRAYS}
+        np.savez(scratch, digest=np.array(drawn.digest), **arrays)  # type: ignore
         scratch.replace(path)
     stored = read_arrays(path, (*ARRAYS, "digest"))
     return LabelledSet(**{a: stored[a] for a in ARRAYS}, digest=str(stored["digest"]))

@@ -1,4 +1,4 @@
-"""Users' recordings → what the force table takes, windows at the model's size, and the table on them."""
+"""Users' recordings → windows at the model's size → the force table on them."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ MIN_SHEAR_N = 0.2  # frames with less say nothing about the direction of shear
 def to_labelled_set(
     recordings: Iterable[LabelledRecording], side: int, length: int = LENGTH
 ) -> LabelledSet:
-    """Return one sensor's recordings as a labelled set: n windows of T frames, end to end, at the model's size.
+    """Return one sensor's recordings as n windows of T frames, end to end, at the model's size.
 
-    Full-size images are dropped recording by recording; what stays is (T + 1) · side² bytes per window, where
-    ``length`` is T and ``side`` that of the model.
+    Full-size images are dropped recording by recording; (T + 1) · side² bytes stay per window, T
+    being ``length``.
 
-    Raises DatasetError: recordings of several sensors, no window at all, or a reference with too few markers.
+    Raises DatasetError: several sensors, no window at all, or a reference with too few markers.
     """
     digest, sensor, too_short = hashlib.sha256(), "", 0
     rows: list[tuple[np.ndarray, ...]] = []
@@ -72,7 +72,7 @@ def to_labelled_set(
 def _windows(
     recording: LabelledRecording, side: int, length: int, digest: hashlib._Hash
 ) -> Iterator[tuple[np.ndarray, ...]]:
-    """Yield reference, frames, descriptors and forces of each window that fits; the digest is of full-size images."""
+    """Yield each window's reference, frames, descriptors, forces; digest the full-size images."""
     small = shrink(recording.reference[None], side)[0]
     packed = np.packbits(recording.reference > 0).tobytes()
     for start in range(0, len(recording.frames) - length + 1, length):
@@ -102,9 +102,10 @@ def of_indenters(
 def shear_agreement(labelled: LabelledSet) -> np.ndarray:
     """Return (2,) correlations of the markers' mean motion with shear force, x and y.
 
-    A flat pad's markers are dragged the way the object pushes. So both must be clearly positive; a negative one says
-    that this axis needs the other sign in ``ForceAxes``, two near zero that x and y may be swapped. A dome says
-    little: where it is pressed moves its pins more than shear does (0.0 to 0.4, real TacTips alike).
+    A flat pad's markers are dragged the way the object pushes. So both must be clearly positive; a
+    negative one says that this axis needs the other sign in ``ForceAxes``, two near zero that x and
+    y may be swapped. A dome says little: where it is pressed moves its pins more than shear does
+    (0.0 to 0.4, real TacTips alike).
     NaN where there is no shear.
     """
     motion = labelled.descriptor[..., :2].reshape(-1, 2)
@@ -119,7 +120,7 @@ def shear_agreement(labelled: LabelledSet) -> np.ndarray:
 
 
 def user_data(tokenizer: Tokenizer, folder: str, seeds: int, results: Path) -> str:
-    """Write the force table on a user's force-labelled recordings (GenForce layout: seen → unseen indenters).
+    """Write the force table on a user's GenForce recordings, from seen to unseen indenters.
 
     Raises DatasetError: an unknown format, or fewer than two sensors with both kinds of indenters.
     """
@@ -135,7 +136,7 @@ def user_data(tokenizer: Tokenizer, folder: str, seeds: int, results: Path) -> s
 
     table = Table(sets(SEEN), sets(UNSEEN))
     content: dict[str, Any] = {
-        "what": f"GenForce recordings in {folder}; heads trained on seen, scored on unseen indenters",
+        "what": f"GenForce recordings in {folder}; heads: seen → unseen indenters",
         "tokenizer_hash": tokenizer.hash,
         "seeds": seeds,
         "shear_agreement": {s: shear_agreement(table.training[s]).tolist() for s in sensors},

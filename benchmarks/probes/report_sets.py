@@ -1,4 +1,4 @@
-"""The frozen sets a tokenizer is reported on: which sensors, drawn how, with heads trained on what."""
+"""Frozen sets a tokenizer is reported on: sensors, how they are drawn, what heads learn from."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Zero-shot force on frozen sets: train a head on one sensor, read another through the same tokenizer."""
+"""Zero-shot force on frozen sets: a head learns from one sensor and reads another."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -33,7 +33,7 @@ def transfer_name(source: str, target: str) -> str:
 
 @dataclass(frozen=True)
 class Table:
-    """Labelled sets by sensor: ``training`` for heads (seen indenters), ``frozen`` for scores (unseen)."""
+    """Labelled sets by sensor: ``training`` of seen indenters, ``frozen`` of unseen ones."""
 
     training: dict[str, LabelledSet]
     frozen: dict[str, LabelledSet]
@@ -75,7 +75,7 @@ def descriptor_features(labelled: LabelledSet) -> torch.Tensor:
 
 
 def descriptor_row(table: Table, seeds: int) -> Cells:
-    """Return the hand descriptor's row: the same head, no spread below one natural unit taken for signal."""
+    """Return the hand descriptor's row: the same head; spread below a natural unit is no signal."""
     head = replace(table.head, smallest_spread=1.0)
     return learnt_row(replace(table, head=head), descriptor_features, seeds, grid=1)
 
@@ -114,7 +114,7 @@ def predict(head: ForceRegressor, z: torch.Tensor) -> np.ndarray:
 
 
 def score(truth_N: np.ndarray, said_N: np.ndarray) -> dict[str, list[float]]:
-    """Return R², |r| and MAE per axis over all frames, and R² and MAE over those within the paper's range."""
+    """Return R², |r| and MAE per axis over all frames; R² and MAE within the paper's range, too."""
     small = within(truth_N)
     return {
         "abs_r": abs_r(truth_N.reshape(-1, 3), said_N.reshape(-1, 3)),
@@ -131,7 +131,7 @@ def across(row: Cells, key: str) -> np.ndarray:
 
 
 def summary(row: Cells) -> dict[str, float]:
-    """Return what the bars ask of a row: means and worst cells over transfers between different sensors."""
+    """Return a row's means and worst cells over transfers between different sensors."""
     r2, mae = across(row, "r2"), across(row, "mae_N_paper_range").mean(axis=0)
     return {
         "fz_mean": float(r2[:, 2].mean()),
@@ -153,7 +153,7 @@ def shipped_cell(
 
 
 def sized_head(config: HeadTrainingConfig, z: torch.Tensor, grid: int) -> HeadTrainingConfig:
-    """Return ``config`` with the head's input sized for features (n, T, P, L) on grid × grid regions."""
+    """Return ``config`` with the head's input sized for features (n, T, P, L) on a square grid."""
     return replace(config, head=replace(config.head, channels=z.shape[-1], grid=grid))
 
 
@@ -175,7 +175,7 @@ def _mae(truth: np.ndarray, said: np.ndarray) -> list[float]:
 
 
 def mean_cells(scores: dict[str, list[dict[str, list[float]]]]) -> Cells:
-    """Return the mean over seeds of every number: transfer → one score per seed in, one cell out."""
+    """Return the mean over seeds of every number: one score per seed in, one cell out."""
     return {
         name: {
             key: [float(v) for v in np.mean([one[key] for one in seeds], axis=0)]

@@ -1,4 +1,4 @@
-"""Where it breaks, as curves: clean wipes against the dose of a fault, three actors, same scenes."""
+"""Find where it breaks: curves of clean wipes against a fault's dose, three actors, same scenes."""
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence

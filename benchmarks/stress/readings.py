@@ -1,4 +1,4 @@
-"""Readings of a frozen head on a finger of the scene while the expert wipes, by the true wrench or by that head."""
+"""Readings of a frozen head on a finger while the expert wipes, by the true wrench or that head."""
 
 from contextlib import suppress
 from functools import cache
@@ -17,7 +17,8 @@ from uniforce_vtla.tokenizer.latent import Latent
 def shipped_reader() -> tuple[Tokenizer, ForceHead]:
     """Return the shipped tokenizer and the head of the demonstrations' sensor.
 
-    Workers find it by name: a cached function of a program that runs as ``__main__`` can't be sent to them.
+    Workers find it by name: a cached function of a program that runs as ``__main__`` can't be sent
+    to them.
     """
     return Tokenizer.from_pretrained(), ForceHead.from_pretrained()
 
@@ -35,9 +36,9 @@ def encode_pair(
 
 
 class ReadsWorn(WipeExpert):
-    """The expert's law on what the head reads of one worn finger; a refused frame repeats the reading before it.
+    """The expert's law on the head's readings of one worn finger.
 
-    Where the finger wears a ``calibration``, of what the head reads after it.
+    A refused frame repeats the reading before it. A finger's ``calibration`` comes before the head.
     """
 
     def __init__(

@@ -1,4 +1,5 @@
-"""The chosen calibration is judged on grasps that had no part in its choice; only development objects are read."""
+"""The chosen calibration is judged on grasps that had no part in its choice; only development
+objects are read."""
 
 from dataclasses import replace
 
@@ -38,7 +39,8 @@ def test_a_weaker_finger_is_calibrated_and_an_equal_one_is_not():
 
 
 def test_a_choice_that_does_harm_where_it_is_judged_is_called_worse():
-    """The grasps that choose are of a weak finger; in those that judge, the same finger answers fully."""
+    """The grasps that choose are of a weak finger; in those that judge, the same finger answers
+    fully."""
     anchor = latents(0)
     weak = case(0.6 * anchor, anchor)
     parts = np.where(np.arange(100) < 60, -1, 0)

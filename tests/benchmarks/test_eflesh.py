@@ -1,4 +1,5 @@
-"""Runs of a magnetic skin in their authors' form: what is read, what is fitted to what, what stays sealed."""
+"""Runs of a magnetic skin in their authors' form: what is read, what is fitted to what, what stays
+sealed."""
 
 import shutil
 from pathlib import Path
@@ -30,7 +31,8 @@ FIELD = np.random.default_rng(0).normal(size=15)  # µT of one unit per gram
 
 
 def write_run(folder, units, rows=120):
-    """Press from 0 to 1,800 g and back, three times; the second unit answers by .7; every sixth force is missing."""
+    """Press from 0 to 1,800 g and back, three times; the second unit answers by .7; every sixth
+    force is missing."""
     folder.mkdir(parents=True)
     gram = 900 - 900 * np.cos(6 * np.pi * np.arange(rows) / (rows - 1))
     time_s = np.arange(rows) / 15
@@ -91,7 +93,8 @@ def test_open_halves_of_a_run_do_not_overlap(recorded):
 
 
 def test_chips_are_turned_to_the_pads_axes():
-    """A field to the right, as each chip says it, comes out to the right; a normal field's sign is left out."""
+    """A field to the right, as each chip says it, comes out to the right; a normal field's sign is
+    left out."""
     said = np.array([[[0, 3, -2], [0, 3, 2], [-3, 0, -2], [0, -3, 2], [3, 0, 2]]], float)
     assert np.allclose(on_the_pad(said), np.tile([3.0, 0.0, 2.0], (1, 5, 1)))
 

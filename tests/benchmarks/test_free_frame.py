@@ -1,4 +1,5 @@
-"""Sessions made here: a pad that objects bend, clipped on anew between them; which frame of a film is free air."""
+"""Sessions made here: a pad that objects bend, clipped on anew between them; which frame of a film
+is free air."""
 
 import numpy as np
 import pytest
@@ -13,7 +14,8 @@ WIDTH_px = 60.0  # of a dent
 
 
 def pattern(seed):
-    """A printed grid (M, 2) px whose markers stand where the printer put them: a pad is known by that."""
+    """A printed grid (M, 2) px whose markers stand where the printer put them: a pad is known by
+    that."""
     grid = CENTRE_PX + rectangular(7, 9, (PITCH_px, PITCH_px))
     return grid + np.random.default_rng(seed).normal(0, 3, grid.shape)
 
@@ -26,7 +28,8 @@ def pressed(centres_px, place, by_px):
 
 
 def film(pad, held, number, free_at=0, frames=6):
-    """A film of an object pressed at its own place; its pad sits a little differently, and markers jitter."""
+    """A film of an object pressed at its own place; its pad sits a little differently, and markers
+    jitter."""
     rng = np.random.default_rng(number)
     place = np.random.default_rng(len(held) * 7 + ord(held[0])).uniform(150, 400, 2)
     turn_rad = rng.uniform(-0.02, 0.02)

@@ -1,4 +1,5 @@
-"""Gates of a level: what each script believes, that a run goes on where it stopped, and what is said of the level."""
+"""Gates of a level: what each script believes, that a run goes on where it stopped, and what is
+said of the level."""
 
 import json
 from dataclasses import replace

@@ -1,4 +1,5 @@
-"""Films of grasps in their authors' form, made here: each trial once, by name and campaign; broken ones by name."""
+"""Films of grasps in their authors' form, made here: each trial once, by name and campaign; broken
+ones by name."""
 
 import shutil
 

@@ -1,4 +1,5 @@
-"""Agreement of two fingers: the sealed objects are drawn by hash, contact is shading, the formula is as fixed."""
+"""Agreement of two fingers: the sealed objects are drawn by hash, contact is shading, the formula
+is as fixed."""
 
 import hashlib
 
@@ -60,7 +61,8 @@ def test_the_error_is_the_mean_difference_over_the_mean_of_both():
 
 
 def test_objects_are_drawn_anew_and_not_trials():
-    """Twenty trials of one object and one of another: the interval reaches from one object's error to the other's."""
+    """Twenty trials of one object and one of another: the interval reaches from one object's error
+    to the other's."""
     mug, ball = Score("mug", "close", 9, 0.1, 0.9, 0.2), Score("ball", "close", 9, 0.7, 0.2, 0.2)
     found = summary([mug] * 20 + [ball])
     assert (found["objects"], found["trials"], found["relative_error"]) == (2, 21, 0.1)

@@ -1,4 +1,5 @@
-"""The plan of the swap ladder: names fit together, rows wait for what is missing, claims get verdicts."""
+"""The plan of the swap ladder: names fit together, rows wait for what is missing, claims get
+verdicts."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,5 @@
-"""Recordings in their authors' form, made here: what is read, what a turned sensor's angle is, what is refused."""
+"""Recordings in their authors' form, made here: what is read, what a turned sensor's angle is, what
+is refused."""
 
 import json
 import shutil

@@ -1,4 +1,5 @@
-"""LeRobot's own rollout, over the stand-ins, holds what fails; ``make faults`` tries every kind ten times."""
+"""LeRobot's own rollout, over the stand-ins, holds what fails; ``make faults`` tries every kind ten
+times."""
 
 import pytest
 

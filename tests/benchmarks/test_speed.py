@@ -1,4 +1,5 @@
-"""The programs for a GPU box, at a small size on a CPU: what they count is exact, what they time is there."""
+"""The programs for a GPU box, at a small size on a CPU: what they count is exact, what they time is
+there."""
 
 import json
 from itertools import product

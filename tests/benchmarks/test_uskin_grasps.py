@@ -1,4 +1,5 @@
-"""Grasps of two uSkins: where the object falls is free air, the other trials borrow it, a damaged log is named."""
+"""Grasps of two uSkins: where the object falls is free air, the other trials borrow it, a damaged
+log is named."""
 
 from pathlib import Path
 

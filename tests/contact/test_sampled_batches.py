@@ -89,7 +89,8 @@ def test_loads_are_balanced_and_within_friction():
 
 
 def test_flat_faces_alone_may_be_twisted_further():
-    """A held tool twists a flat pad by 9 mm of arm; the same draw without that option is what it always was."""
+    """A held tool twists a flat pad by 9 mm of arm; the same draw without that option is what it
+    always was."""
 
     def drawn(names=(FLAT, "ball") * 500, **limits):
         return sample_loads(np.random.default_rng(5), 1000, ForceRange(**limits), names)
@@ -118,7 +119,8 @@ def test_large_flat_faces_cover_the_pad():
 
 
 def test_faces_lean_as_far_as_asked():
-    """The gap of a face over the whole grid differs by its lean times the grid between two opposite edges."""
+    """The gap of a face over the whole grid differs by its lean times the grid between two opposite
+    edges."""
     across_mm = np.ptp(cell_positions_mm()[:, 0])
     for lean in (0.0, 0.01, 0.03):
         gap = face_gaps(200, flat_side_mm=(60.0, 70.0), flat_tilt_rad=lean)

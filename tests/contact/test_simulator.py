@@ -119,8 +119,9 @@ def test_symmetric_press_gives_a_symmetric_image(sensor):
     np.testing.assert_array_equal(image, image[::-1])
 
 
-# The pressure of a batch is iterated until its slowest contact has converged, so the others take more
-# steps than alone: a cone two more. On one processor shear then differs by up to half a cell's own
+# The pressure of a batch is iterated until its slowest contact has converged, so the others take
+# more steps than alone: a cone two more. On one processor shear then differs by up to half a cell's
+# own
 UNEVEN = pytest.mark.xfail(reason="a batch's contacts converge together", strict=False)
 
 
@@ -197,7 +198,8 @@ def test_raw_counts_stand_on_a_baseline():
 
 
 def test_strong_grasp_reaches_counts_of_real_grasps():
-    """Real uSkins: median 1,007, 99 % 7,071, 99.9 % 10,277 counts of z in contact (facts, section C)."""
+    """Real uSkins: median 1,007, 99 % 7,071, 99.9 % 10,277 counts of z in contact (facts, section
+    C)."""
     on_taxel = contact((0, 0, 12), name="sphere_s", center=(3.07, 2.83))
     assert 4_000 < quiet("uskin").counts(on_taxel)[0, :, 2].max() < 10_300
     on_all = faces(on_taxel.force_N, side_mm=40.0)

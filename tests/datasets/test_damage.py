@@ -1,4 +1,5 @@
-"""Every named kind of damage to a dataset or view is refused, and the error says where; each file has its hash."""
+"""Every named kind of damage to a dataset or view is refused, and the error says where; each file
+has its hash."""
 
 import hashlib
 import json

@@ -51,7 +51,8 @@ def open_recorder(root, **options):
 
 
 def add_frames(recorder, count=SHORT, seed=0, raw=None):
-    """Add frames from memory that is filled over and over, as a camera's driver does; return what was passed."""
+    """Add frames from memory that is filled over and over, as a camera's driver does; return what
+    was passed."""
     rng = np.random.default_rng(seed)
     frames = [synthetic_frame(step, rng) for step in range(count)]
     memory = {key: np.empty_like(value) for key, value in frames[0].items()}
@@ -199,7 +200,8 @@ WRITES = (
 
 @contextmanager
 def full_disk(monkeypatch, number, writes):
-    """Let all but the first ``writes`` of a recorder's writes fail; yield the names of those that came."""
+    """Let all but the first ``writes`` of a recorder's writes fail; yield the names of those that
+    came."""
     came = []
 
     def counted(name, write):
@@ -248,7 +250,8 @@ def test_a_disk_that_fills_up_at_any_moment_is_one_error_and_costs_no_saved_epis
 
 @pytest.mark.parametrize("limit", [0, 2_000, 20_000])
 def test_a_file_that_grows_too_large_is_a_full_disk_whoever_writes_it(copy, limit):
-    """A limit of this process: videos and tables are written by libraries, out of a test's reach."""
+    """A limit of this process: videos and tables are written by libraries, out of a test's
+    reach."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     with open_recorder(copy) as recorder:
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))

@@ -1,4 +1,5 @@
-"""A dataset knows the settings of its rig, and nothing of the machine, the network or the person."""
+"""A dataset knows the settings of its rig, and nothing of the machine, the network or the
+person."""
 
 import json
 import re

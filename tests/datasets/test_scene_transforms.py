@@ -1,4 +1,5 @@
-"""Image transforms of LeRobot's trainer change scene cameras and leave marker images as they are stored."""
+"""Image transforms of LeRobot's trainer change scene cameras and leave marker images as they are
+stored."""
 
 import pickle
 from types import SimpleNamespace

@@ -269,7 +269,8 @@ def test_a_damaged_view_is_built_anew(demos, tmp_path):
 
 @pytest.mark.thorough
 def test_view_feeds_the_trainer_fast_enough(tmp_path):
-    """The whole chunk of the tiny policy, 16 actions, and episodes of 3 s, so that random access is real."""
+    """The whole chunk of the tiny policy, 16 actions, and episodes of 3 s, so that random access is
+    real."""
     data = record_synthetic(tmp_path / "data", episodes=3, frames=90)
     chunk = {"action": [step / FPS for step in range(16)]}
     stock = samples_per_s(open_dataset(data, delta_timestamps=chunk, return_uint8=True))
@@ -279,7 +280,8 @@ def test_view_feeds_the_trainer_fast_enough(tmp_path):
 
 
 def samples_per_s(dataset):
-    """Return what one process gives through a shuffling DataLoader in batches of 8, its first batch left out."""
+    """Return what one process gives through a shuffling DataLoader in batches of 8, its first batch
+    left out."""
     sampler = RandomSampler(dataset, replacement=True, num_samples=10**6)
     batches = iter(DataLoader(dataset, batch_size=8, sampler=sampler))
     next(batches)

@@ -126,7 +126,8 @@ def test_impossible_numbers_are_refused():
 
 
 def test_holm_steps_down_and_stays_monotone():
-    # Holm 1979: the smallest of three is tripled, the next doubled, and none falls below the one before it
+    # Holm 1979: the smallest of three is tripled, the next doubled, and none falls below the one
+    # before it
     assert holm([0.03, 0.01, 0.04]) == pytest.approx([0.06, 0.03, 0.06])
     assert holm([0.9, 0.8]) == [1.0, 1.0] and holm([]) == []
 

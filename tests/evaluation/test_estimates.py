@@ -1,4 +1,5 @@
-"""Events from finger forces and ink from a camera: made-up ones whose answer is known, and the simulator's truth."""
+"""Events from finger forces and ink from a camera: made-up ones whose answer is known, and the
+simulator's truth."""
 
 import cv2
 import numpy as np

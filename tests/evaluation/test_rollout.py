@@ -1,4 +1,5 @@
-"""A rollout ends, and says why, when a sensor is lost or isn't healthy; a broken action moves nothing."""
+"""A rollout ends, and says why, when a sensor is lost or isn't healthy; a broken action moves
+nothing."""
 
 from unittest import mock
 
@@ -16,7 +17,8 @@ STILL = np.zeros((2, 5))
 
 
 def scene(trace=None, **answers):
-    """A scene of ten steps; ``answers`` say what its methods return or raise instead, call by call."""
+    """A scene of ten steps; ``answers`` say what its methods return or raise instead, call by
+    call."""
     trace = trace or good_trace()
     env = mock.Mock(trace=trace, task="wipe", result=lambda: score_episode(trace))
     env.configure_mock(**{"reset.return_value": ({}, {}), "observe.return_value": {}})

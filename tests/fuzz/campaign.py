@@ -1,7 +1,8 @@
-"""``python campaign.py GROUP INPUTS SEED [NAME …]``: injure inputs in a process that may die, hang or be out of memory.
+"""``python campaign.py GROUP INPUTS SEED [NAME …]``: injure inputs in a process that may die, hang
+or be out of memory.
 
-Prints a line of JSON per target when it is done with it. An unexpected error ends the process with a traceback and
-leaves the input in the file ``$UNIFORCE_FUZZ_KEEP``, if that is set.
+Prints a line of JSON per target when it is done with it. An unexpected error ends the process with
+a traceback and leaves the input in the file ``$UNIFORCE_FUZZ_KEEP``, if that is set.
 """
 
 import json
@@ -24,7 +25,8 @@ ROOM_BYTES = 3 << 30  # address space beyond what the imports took; more ends in
 
 
 def status_kib(name):
-    """Return a number of /proc/self/status: VmHWM, the peak of resident memory, or VmRSS, VmSize."""
+    """Return a number of /proc/self/status: VmHWM, the peak of resident memory, or VmRSS,
+    VmSize."""
     for line in Path("/proc/self/status").read_text().splitlines():
         if line.startswith(f"{name}:"):
             return int(line.split()[1])
@@ -37,7 +39,8 @@ def forget_peak():
 
 
 def run(name, inputs, read, right, typed):
-    """Return the counts of one target; ``read(i)`` reads the i-th injured input, ``right()`` the sound one."""
+    """Return the counts of one target; ``read(i)`` reads the i-th injured input, ``right()`` the
+    sound one."""
     for _ in range(WARM_UP):
         right()
     forget_peak()
@@ -99,7 +102,8 @@ def file_campaign(inputs, seed, names):
 
 
 def injure_files(name, sound, files, inputs, rng):
-    """Return a reader's counts: one file of its folder injured at a time, values of JSON as often as bytes."""
+    """Return a reader's counts: one file of its folder injured at a time, values of JSON as often
+    as bytes."""
     from uniforce_vtla.errors import UniForceError
 
     whole = {file: file.read_bytes() for file in files}

@@ -1,4 +1,5 @@
-"""Readers of files that others wrote: each writes a folder that is right, to be injured file by file."""
+"""Readers of files that others wrote: each writes a folder that is right, to be injured file by
+file."""
 
 import logging
 

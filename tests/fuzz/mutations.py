@@ -28,7 +28,8 @@ STRANGE = (
 
 
 def mutate(rng, data, at_the_ends=False):
-    """Return ``data`` after one to eight random injuries; ``at_the_ends`` most of them hit a file's two ends."""
+    """Return ``data`` after one to eight random injuries; ``at_the_ends`` most of them hit a file's
+    two ends."""
     out = bytearray(data)
     for _ in range(int(rng.integers(1, 9))):
         if not out:

@@ -1,9 +1,13 @@
-"""Injured inputs into everything that reads what others send or wrote: no hang, no crash, no untyped error, no flood.
+"""Injured inputs into everything that reads what others send or wrote: no hang, no crash, no
+untyped error, no flood.
 
-Each group runs in a process of its own, whose address space is limited and whose peak of memory is counted. How many
-inputs: ``UNIFORCE_FUZZ_INPUTS`` for each parser of bytes, ``UNIFORCE_FUZZ_FILES`` for each reader of files; a small
-share in the suite, 100,000 and 2,000 by ``make fuzz``, which keeps the counts (``UNIFORCE_FUZZ_RESULTS``) beside those
-kept before. ``UNIFORCE_FUZZ_TARGETS`` names some of the targets (comma between them) instead of all.
+Each group runs in a process of its own, whose address space is limited and whose peak of memory is
+counted. Variables of the environment:
+
+- ``UNIFORCE_FUZZ_INPUTS`` and ``UNIFORCE_FUZZ_FILES``: inputs for each parser of bytes and for each
+  reader of files; few in the suite, 100,000 and 2,000 by ``make fuzz``.
+- ``UNIFORCE_FUZZ_RESULTS``: file that keeps the counts, beside those kept before.
+- ``UNIFORCE_FUZZ_TARGETS``: some of the targets instead of all, comma between them.
 """
 
 import json
@@ -58,7 +62,8 @@ def campaign(request, tmp_path_factory):
 
 
 def keep(group, found):
-    """Put what a group has counted so far in place of earlier counts of the same targets, where results are wanted."""
+    """Put what a group has counted so far in place of earlier counts of the same targets, where
+    results are wanted."""
     if not RESULTS:
         return
     path = Path(RESULTS)
@@ -66,7 +71,8 @@ def keep(group, found):
     groups = earlier.get("groups", {})
     counts = {count["target"]: count for count in [*groups.get(group, []), *found]}
     content = {
-        "what": "injured inputs: refused with a typed error, or read; a hang or a crash would have ended the run",
+        "what": "injured inputs: refused with a typed error, or read; "
+        "a hang or a crash would have ended the run",
         "seed": int(SEED),
         "groups": groups | {group: [counts[name] for name in EVERY[group] if name in counts]},
     }

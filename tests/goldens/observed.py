@@ -1,7 +1,8 @@
-"""Record the observations of the goldens: what a policy sees of 20 scenes at rest, holding and wiping.
+"""Record the observations of the goldens: what a policy sees of 20 scenes at rest, holding and
+wiping.
 
-Run once: ``python tests/goldens/observed.py``. The file is input; nothing in it comes from the chain of touch behind
-the marker images.
+Run once: ``python tests/goldens/observed.py``. The file is input; nothing in it comes from the
+chain of touch behind the marker images.
 """
 
 from pathlib import Path
@@ -23,7 +24,8 @@ SIDE_PX = 56  # of a stored camera picture
 
 
 def observe(scene):
-    """Return the states (3, 5), cameras (3, 2, 56, 56, 3) and marker images (3, 2, 2, 480, 640) of a scene."""
+    """Return the states (3, 5), cameras (3, 2, 56, 56, 3) and marker images (3, 2, 2, 480, 640) of
+    a scene."""
     env = WipeEnv("touch", right_sensor=SENSORS[scene])
     states, cameras, markers = [], [], []
     for step, _ in enumerate(walk(env, WipeExpert("right"), FIRST_SEED + scene)):

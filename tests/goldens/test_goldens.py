@@ -1,7 +1,8 @@
-"""Goldens: the shipped policy, tokenizer and head give what they gave before the chain of touch was rewritten.
+"""Goldens: the shipped policy, tokenizer and head give what they gave before the chain of touch was
+rewritten.
 
-They are keyed by the hashes of the shipped checkpoints. UNIFORCE_WRITE_GOLDENS=1 writes them anew, after a checkpoint
-was replaced on purpose.
+They are keyed by the hashes of the shipped checkpoints. UNIFORCE_WRITE_GOLDENS=1 writes them anew,
+after a checkpoint was replaced on purpose.
 """
 
 import os

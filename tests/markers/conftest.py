@@ -40,7 +40,8 @@ def _scene(frame, points, size):
 def _dome(
     rings=10, size=(640, 480), pressed=False, rim="ring", reflections=0, brightness=170.0, seed=0
 ):
-    """Bright pins on a black dome behind a fisheye, dimmer and smaller outwards; a bright rim; LED reflections."""
+    """Bright pins on a black dome behind a fisheye, dimmer and smaller outwards; a bright rim; LED
+    reflections."""
     rng = np.random.default_rng(seed)
     width, height = size
     s = height / 480

@@ -96,7 +96,7 @@ def test_one_canonicalizer_serves_different_gels(gel, dome, gelsight):
         assert max(missed_and_false(scene, gelsight)) <= 2
 
 
-# --- refusals ------------------------------------------------------------------------------------------------------
+# --- refusals -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -156,7 +156,7 @@ def test_frames_of_two_sizes_are_no_pair(dome, tactip):
         tactip.pair(dome(rings=6).frame, small, finger="left")
 
 
-# --- real recordings -----------------------------------------------------------------------------------------------
+# --- real recordings ------------------------------------------------------------------------------
 
 
 def read_rgb(path):

@@ -64,7 +64,7 @@ def test_unknown_sensor(sensor):
         Canonicalizer(sensor)
 
 
-# --- the seven real uSkin trials -----------------------------------------------------------------------------------
+# --- the seven real uSkin trials ------------------------------------------------------------------
 
 DROPPED = ("data_sample_2022-02-22-08-10-01", "data_sample_2022-02-22-15-15-00")
 FREE_SCANS = 10  # the last ones, after the object has dropped

@@ -97,7 +97,8 @@ def test_no_more_markers_are_held_than_are_lost():
 
 
 def test_a_camera_that_moved_since_its_reference_shows_no_old_markers():
-    """The reference is the first frame of its stream: without it a fifth missed at once might be refused."""
+    """The reference is the first frame of its stream: without it a fifth missed at once might be
+    refused."""
     # the third look in free air may become the new reference
     moved, alone = (
         (worn("shift=2+flicker=0", stream).images(free_air(3))[2] > 0).sum()

@@ -75,7 +75,8 @@ def test_crumbs_of_light_on_the_outer_pins_are_no_rim(seed):
 
 @pytest.mark.parametrize("sensor", CAMERAS)
 def test_clean_contacts_are_read_as_without_a_reference(sensor):
-    """To the pixel, so that what was trained on such images stays valid; and no honest load is refused."""
+    """To the pixel, so that what was trained on such images stays valid; and no honest load is
+    refused."""
     simulator = TactileSimulator(sensor, seed=3)
     canonicalizer = remembering(sensor, simulator.raw_reference())
     dome = get_sensor(sensor).dome_radius_mm is not None
@@ -236,7 +237,8 @@ def test_too_few_camera_frames_and_frames_of_two_sizes(gel):
 
 @pytest.mark.parametrize("make", [np.array, torch.tensor])
 def test_a_reference_is_remembered_by_key_and_content(make):
-    """The identity every cache of references goes by: tokenizer, stream, policy and canonicalizer share it."""
+    """The identity every cache of references goes by: tokenizer, stream, policy and canonicalizer
+    share it."""
     memory = ReferenceMemory(2)
     numbers = itertools.count(1)
 
@@ -272,7 +274,8 @@ def test_specks_of_a_fuzzy_object_do_not_outvote_the_markers(specks, radius_px):
 def test_a_frame_of_another_size_than_the_reference_is_refused_until_the_reference_is_taken_again(
     gel, size
 ):
-    """A camera set to another size may crop: its markers would lie elsewhere, which passes for shear."""
+    """A camera set to another size may crop: its markers would lie elsewhere, which passes for
+    shear."""
     canonicalizer = remembering("gelsight", gel().frame)
     other = gel(size=size).frame
     with pytest.raises(

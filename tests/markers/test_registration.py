@@ -1,4 +1,5 @@
-"""A camera mounted askew shows the drawing's pattern where the drawing has it; another pattern stays where it is."""
+"""A camera mounted askew shows the drawing's pattern where the drawing has it; another pattern
+stays where it is."""
 
 import numpy as np
 import pytest

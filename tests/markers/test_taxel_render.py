@@ -1,4 +1,5 @@
-"""Taxels: the rendering follows its published scales, saturates visibly and refuses what isn't counts."""
+"""Taxels: the rendering follows its published scales, saturates visibly and refuses what isn't
+counts."""
 
 import cv2
 import numpy as np

@@ -74,7 +74,8 @@ def policy(make_policy):
 
 @pytest.fixture
 def make_batch(stats):
-    """A preprocessed batch for a policy: cameras, state, marker images, wrenches, text and actions."""
+    """A preprocessed batch for a policy: cameras, state, marker images, wrenches, text and
+    actions."""
 
     def make(policy, size=2):
         before, _ = make_processors(policy.config, stats)
@@ -107,7 +108,8 @@ def batch(make_batch, policy):
 
 @pytest.fixture
 def in_free_air():
-    """Return a function: the hand is as open as in demos, and its right sensor asks for a new reference."""
+    """Return a function: the hand is as open as in demos, and its right sensor asks for a new
+    reference."""
 
     def make(policy, batch):
         sensor = watched(policy).touch.sensors["touch0"]

@@ -1,7 +1,9 @@
-"""One optimiser step of a policy sharded over processes: ``torchrun … sharded_program.py checkpoint batch out``.
+"""One optimiser step of a policy sharded over processes: ``torchrun … sharded_program.py checkpoint
+batch out``.
 
-As LeRobot's trainer does it with FSDP: shard, step, gather all weights, save.  On a CPU two parts aren't LeRobot's own:
-accelerate shards on accelerators only, and torch's gathering of a sharded state reads freed memory there.
+As LeRobot's trainer does it with FSDP: shard, step, gather all weights, save.  On a CPU two parts
+aren't LeRobot's own: accelerate shards on accelerators only, and torch's gathering of a sharded
+state reads freed memory there.
 """
 
 import sys

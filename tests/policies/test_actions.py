@@ -181,7 +181,8 @@ def test_beyond_the_knee_a_move_is_its_logarithm():
 
 
 def test_a_steady_motion_is_the_same_number_at_every_step_of_a_chunk():
-    """In units of one size the last of 16 steps weighed 256 times as much as the first in a squared error."""
+    """In units of one size the last of 16 steps weighed 256 times as much as the first in a squared
+    error."""
     units = NetworkUnits([0.004] * 5, chunk=16)
     steady = 0.001 * torch.arange(1, 17)[:, None].expand(16, 5)
     assert torch.allclose(units.to_network(steady), torch.full((16, 5), 2.0))
@@ -304,7 +305,8 @@ def test_an_axis_the_demos_never_moved_has_some_room():
         still.action(torch.tensor([[0.26]]))
 
 
-# setting, whether LeRobot's rollout runs → whether an action outside the demos stops. A bool is of older checkpoints
+# setting, whether LeRobot's rollout runs → whether an action outside the demos stops. A bool is of
+# older checkpoints
 @pytest.mark.parametrize(
     ("stop", "on_robot", "stops"),
     [

@@ -1,4 +1,5 @@
-"""Settings: groups on the command line and in files, what sizes set, and what doesn't go together."""
+"""Settings: groups on the command line and in files, what sizes set, and what doesn't go
+together."""
 
 import dataclasses
 import sys

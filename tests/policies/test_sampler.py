@@ -1,7 +1,7 @@
 """The fast sampler against LeRobot's own loop: same weights, same noise, same actions.
 
-The functions that CUDA graphs would replay run uncaptured on the CPU. Nothing here proves that a GPU can capture them;
-the last test does, where there is one.
+The functions that CUDA graphs would replay run uncaptured on the CPU. Nothing here proves that a
+GPU can capture them; the last test does, where there is one.
 """
 
 import functools
@@ -38,7 +38,8 @@ def acts_alike(policy, given, steps=4):
 
 @pytest.fixture
 def policy(make_policy):
-    """A policy with touch behind a half-open gate, whose norms do something, and uncaptured graphs."""
+    """A policy with touch behind a half-open gate, whose norms do something, and uncaptured
+    graphs."""
     policy = gated_policy(make_policy, OPEN)
     policy.model.fast.recordings = Recordings(capture=False)
     return policy

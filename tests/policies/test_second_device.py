@@ -64,7 +64,8 @@ def make(make_policy, tmp_path):
 
 @contextlib.contextmanager
 def moved(policy, device):
-    """Move a policy; on the fake device the functions that a GPU replays run on buffers of their own."""
+    """Move a policy; on the fake device the functions that a GPU replays run on buffers of their
+    own."""
     with far_device() if device == NAME else contextlib.nullcontext() as crossings:
         if device == NAME and policy.model.fast is not None:
             policy.model.fast.recordings = Recordings(capture=False)

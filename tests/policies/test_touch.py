@@ -253,7 +253,8 @@ def test_the_gate_has_a_gradient_from_the_first_step(make_policy, make_batch):
 def test_a_short_training_opens_the_gate_where_touch_decides_the_action(
     make_policy, make_batch, monkeypatch
 ):
-    """The action is the wrench's first number: without touch the loss can't fall below its variance."""
+    """The action is the wrench's first number: without touch the loss can't fall below its
+    variance."""
     monkeypatch.setattr(training, "GATE_LR", 1e-2)
     touch = {"touch__input": "wrench", "touch__slots": ONE, "touch__start_at_base": True}
     policy = make_policy(action__form="absolute", **touch).train()
@@ -344,7 +345,8 @@ def test_a_calibration_of_another_kind_is_refused(tmp_path, shipped):
 
 @pytest.fixture
 def watch_start(make_controller):
-    """Let the shipped policy begin in a scene whose right finger wears this; return what it watches."""
+    """Let the shipped policy begin in a scene whose right finger wears this; return what it
+    watches."""
 
     def begin(words, monitor="stop"):
         env = WipeEnv("touch", right_sensor=words)

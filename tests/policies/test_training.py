@@ -116,7 +116,8 @@ def stock_train(settings, monkeypatch):
 def test_our_trainer_makes_lerobots_weights_and_leaves_lerobot_as_it_was(
     dataset, new, tmp_path, monkeypatch
 ):
-    """From nothing, then from that checkpoint: LeRobot gives the normaliser the data's statistics."""
+    """From nothing, then from that checkpoint: LeRobot gives the normaliser the data's
+    statistics."""
     for name, policy in (("begun", new), ("tuned", trained(tmp_path / "begun/stock"))):
         run = {kind: tmp_path / name / kind for kind in ("ours", "stock")}
         stock_train([*policy, *run_settings(dataset, run["stock"])], monkeypatch)
@@ -235,7 +236,8 @@ def test_ten_steps_of_lora_are_saved_loaded_merged_and_rolled_out(
 
 
 def run_twice(folder, *words):
-    """Run a program in two processes to its end and return what it said; one that hangs or fails shows it."""
+    """Run a program in two processes to its end and return what it said; one that hangs or fails
+    shows it."""
     launch = "torch.distributed.run --standalone --nproc-per-node=2"
     call = [sys.executable, "-m", *launch.split(), *map(str, words)]
     # the address of this machine's name may lead nowhere
@@ -257,7 +259,8 @@ def run_twice(folder, *words):
 
 @pytest.mark.thorough
 def test_two_processes_train_without_a_search_for_unused_parameters(dataset, new, tmp_path):
-    """The second step would stop with an error, had any weight of any process been left without a gradient."""
+    """The second step would stop with an error, had any weight of any process been left without a
+    gradient."""
     words = [*new, "policy.augment.touch_dropout=0.5", *run_settings(dataset, tmp_path / "run")]
     said = run_twice(tmp_path, "--module", "uniforce_cli.train", *words)
     assert (tmp_path / "run" / LAST / "model.safetensors").exists()
@@ -265,7 +268,8 @@ def test_two_processes_train_without_a_search_for_unused_parameters(dataset, new
 
 
 def test_the_process_group_outlives_the_trainer(monkeypatch):
-    """PyTorch deadlocks where the trainer's last frame is the last to hold the group: here it is not."""
+    """PyTorch deadlocks where the trainer's last frame is the last to hold the group: here it is
+    not."""
     monkeypatch.setattr(lerobot_training, "KEPT_GROUPS", [])
     monkeypatch.setenv("GLOO_SOCKET_IFNAME", "lo")
     accelerator = lerobot_training.TrainingAccelerator(

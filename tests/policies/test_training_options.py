@@ -1,4 +1,5 @@
-"""Each way to train: which weights get a gradient, what is adapted, and what is drawn anew per sample."""
+"""Each way to train: which weights get a gradient, what is adapted, and what is drawn anew per
+sample."""
 
 import importlib.util
 import re
@@ -34,7 +35,8 @@ def without_gradient(policy):
 @pytest.mark.parametrize("gated", [False, True])
 @pytest.mark.parametrize("option", OPTIONS)
 def test_every_trained_weight_gets_a_gradient(option, gated, make_policy, make_batch):
-    """Else data-parallel training without a search for unused parameters would stop at the second step."""
+    """Else data-parallel training without a search for unused parameters would stop at the second
+    step."""
     settings = {"touch__start_at_base": gated, "action__objective": "flow"}
     policy = alive(make_policy(**settings | OPTIONS[option]), std=0.1).train()
     policy(make_batch(policy))[0].backward()
@@ -77,7 +79,8 @@ def test_lora_trains_its_targets_and_the_new_modules(make_policy, make_batch, tm
 
 
 def test_lora_names_exist(make_policy):
-    """Each target is there to be adapted, peft or not; LeRobot's own list names modules π0.5 lacks."""
+    """Each target is there to be adapted, peft or not; LeRobot's own list names modules π0.5
+    lacks."""
     policy = make_policy(touch__start_at_base=True)
     targets = policy._get_default_peft_targets()
     names = [n for n, m in policy.named_modules() if isinstance(m, torch.nn.Linear)]

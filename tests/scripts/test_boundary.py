@@ -1,4 +1,5 @@
-"""An error of a command becomes one line and an exit code; options are checked before the work begins."""
+"""An error of a command becomes one line and an exit code; options are checked before the work
+begins."""
 
 import os
 import signal

@@ -49,7 +49,8 @@ def test_a_unit_learns_to_read_as_another_one_does(calibrated, capsys):
 
 
 def test_a_grasp_that_the_canonicaliser_refuses_is_left_out(calibrated, caplog):
-    """A pad of four tenths its stiffness moves markers further than any that pretraining saw, in the firmest grasps."""
+    """A pad of four tenths its stiffness moves markers further than any that pretraining saw, in
+    the firmest grasps."""
     calibrated("new=tactip:1+stiffness=0.4", "anchor=tactip:1", "grasps=120")
     assert "of 120 grasps are left out" in caplog.text
 
@@ -84,7 +85,8 @@ def test_recorded_pairs_of_two_units_of_a_kind_are_kept_apart(sensors, new_is, t
 
 
 def record_pairs(root, new, anchor, mount):
-    """Write 60 grasps, half small objects, half tools, with the new sensor left, as its mount shows them."""
+    """Write 60 grasps, half small objects, half tools, with the new sensor left, as its mount shows
+    them."""
     as_mounted = Orientation(*SETTINGS[mount]).of_frame  # each of these settings undoes itself
     rng = np.random.default_rng(0)
     for indenter, flat_share in {"small": 0.0, "tool": 1.0}.items():

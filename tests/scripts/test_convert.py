@@ -1,4 +1,5 @@
-"""A published π0.5 becomes a pi05_uniforce: names of the real size, and a whole conversion in miniature."""
+"""A published π0.5 becomes a pi05_uniforce: names of the real size, and a whole conversion in
+miniature."""
 
 import shutil
 
@@ -22,7 +23,8 @@ from uniforce_vtla.tokenizer import Tokenizer
 
 
 def test_every_tensor_of_the_real_size_finds_its_place():
-    """LeRobot's own 4 B network against ours, both without memory: same names, same shapes, two heads less."""
+    """LeRobot's own 4 B network against ours, both without memory: same names, same shapes, two
+    heads less."""
     with no_weights():
         theirs = stock.PI05Pytorch(PI05Config(device="cpu"))
     touch = TouchSettings(input="wrench")

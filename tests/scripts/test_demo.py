@@ -1,4 +1,5 @@
-"""The demo at its smallest: every stage runs, a page of text comes out, the rest is in its log; what a view takes."""
+"""The demo at its smallest: every stage runs, a page of text comes out, the rest is in its log;
+what a view takes."""
 
 import os
 import sys

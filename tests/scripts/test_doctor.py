@@ -1,4 +1,5 @@
-"""``uniforce doctor`` names what is there and what is missing, and fails only where everything would."""
+"""``uniforce doctor`` names what is there and what is missing, and fails only where everything
+would."""
 
 from types import SimpleNamespace
 

@@ -93,7 +93,8 @@ def test_an_unknown_option_is_named_in_one_line(name, capfd):
 def test_every_file_or_folder_of_a_wrong_kind_is_a_users_error(
     name, room, own_results, last_words, monkeypatch
 ):
-    """Whatever a verb is pointed at: one line at the end, after any progress bar, and never a fault of the program."""
+    """Whatever a verb is pointed at: one line at the end, after any progress bar, and never a fault
+    of the program."""
     monkeypatch.chdir(own_results)
     options = options_of(entry(name).config_class)
     sound = {}

@@ -1,4 +1,5 @@
-"""A rig's file as people write it: empty sections, other encodings, LeRobot's cameras; whatever is wrong is named."""
+"""A rig's file as people write it: empty sections, other encodings, LeRobot's cameras; whatever is
+wrong is named."""
 
 import subprocess
 import sys

@@ -32,7 +32,8 @@ from uniforce_vtla.results_file import only_writer
 
 @pytest.fixture
 def rolled_out(monkeypatch):
-    """Let a rule say whether an episode is clean, instead of rolling it out; return what was asked for."""
+    """Let a rule say whether an episode is clean, instead of rolling it out; return what was asked
+    for."""
 
     def stand_in(clean=lambda *_: True):
         jobs = []

@@ -61,7 +61,8 @@ def raw_observation():
 
 @pytest.fixture
 def trained(tmp_path, tiny):
-    """A checkpoint as the trainer leaves it, its tokenizers in folders of their own; action.pt is what it answers."""
+    """A checkpoint as the trainer leaves it, its tokenizers in folders of their own; action.pt is
+    what it answers."""
     torch.manual_seed(0)
     shutil.copytree(FOLDER, tmp_path / "words")
     Tokenizer.random(tiny).save(tmp_path / "tactile")

@@ -256,7 +256,8 @@ RAW = (48, 64, 3)
 
 @pytest.fixture(scope="module")
 def raw_recorded(tmp_path_factory):
-    """Return two episodes: raw frames that brighten on the left, counts that grow by 100 a frame on the right."""
+    """Return two episodes: raw frames that brighten on the left, counts that grow by 100 a frame on
+    the right."""
     root, rng = tmp_path_factory.mktemp("raw") / "dots", np.random.default_rng(0)
     more = {"further": {counts_key("right"): flat_column(48, "int32")}, "raw_shapes": {"left": RAW}}
     with EpisodeRecorder(root, "local/raw", "gelsight", "uskin", FPS, **more) as recorder:
@@ -304,7 +305,8 @@ def test_the_page_shows_what_was_kept(raw_recorded, tmp_path):
 
 
 def test_a_demo_as_a_newcomer_records_it_reads_no_force_in_free_air(drawn_demo):
-    """Sensors as they are drawn, without a camera; a covered gel's grip is right in the mean only."""
+    """Sensors as they are drawn, without a camera; a covered gel's grip is right in the mean
+    only."""
     recording = RecordingForces(drawn_demo, finger_sensors())
     forces = recording.read(recording.source.episodes[0])
     is_free = np.linalg.norm(forces.true_force_N, axis=2) < 0.05

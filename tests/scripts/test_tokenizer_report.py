@@ -1,4 +1,5 @@
-"""The report's questions that don't need minutes: errors that say what to do, and a user's own recordings."""
+"""The report's questions that don't need minutes: errors that say what to do, and a user's own
+recordings."""
 
 import json
 from dataclasses import replace

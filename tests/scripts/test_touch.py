@@ -97,7 +97,8 @@ def test_a_missing_sensor_is_named(words, said, refuses):
 
 @pytest.fixture
 def patch():
-    """The port of a patch that is pressed in its top-left quarter after a second of free air, 100 scans per second."""
+    """The port of a patch that is pressed in its top-left quarter after a second of free air, 100
+    scans per second."""
     with StandIn("slcan", "rate_hz=100", "where=top-left") as stand_in:
         yield stand_in.address
 

@@ -14,7 +14,8 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture(scope="session")
 def source_files():
-    """Every module the wheel packs, and the scripts: a folder that is packed can't be forgotten here."""
+    """Every module the wheel packs, and the scripts: a folder that is packed can't be forgotten
+    here."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())
     packages = settings["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
     return [file for folder in (*packages, "scripts") for file in (ROOT / folder).rglob("*.py")]
@@ -22,7 +23,8 @@ def source_files():
 
 @pytest.fixture
 def policy_copy(tmp_path):
-    """Return a copy of the shipped policy without hashes: they would refuse whatever a test does to it."""
+    """Return a copy of the shipped policy without hashes: they would refuse whatever a test does to
+    it."""
     shutil.copytree(shipped_checkpoint(), tmp_path / "policy")
     drop_hashes(tmp_path / "policy")
     return tmp_path / "policy"

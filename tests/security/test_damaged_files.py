@@ -1,4 +1,5 @@
-"""Faults that fuzzing found, and sizes no machine holds: each was an untyped error, or memory without end."""
+"""Faults that fuzzing found, and sizes no machine holds: each was an untyped error, or memory
+without end."""
 
 import json
 import time
@@ -104,7 +105,8 @@ def test_a_policy_that_cannot_be(policy_copy, changes):
 
 
 def refuses(load, folder, **changes):
-    """Check that a checkpoint is read, and refused after changes to its settings, which are undone."""
+    """Check that a checkpoint is read, and refused after changes to its settings, which are
+    undone."""
     drop_hashes(folder)
     load()
     sound = (folder / "config.json").read_text()

@@ -1,4 +1,5 @@
-"""Only safetensors, JSON, parquet and plain arrays are read: the source says so, and poisoned files prove it."""
+"""Only safetensors, JSON, parquet and plain arrays are read: the source says so, and poisoned files
+prove it."""
 
 import ast
 import json
@@ -10,7 +11,7 @@ import pytest
 
 from benchmarks.trust.injuries import edit_json
 from lerobot_policy_pi05_uniforce.controller import PolicyController
-from uniforce_datasets.readers import read_genforce  # noqa: F401  (importing the readers runs none of them)
+from uniforce_datasets.readers import read_genforce  # noqa: F401  (runs none of them)
 from uniforce_vtla.array_file import read_array, read_arrays
 from uniforce_vtla.errors import CheckpointError, DatasetError
 

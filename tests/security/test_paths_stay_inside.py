@@ -1,4 +1,5 @@
-"""Paths that a file names never lead out of its folder, and are refused before anything else is opened."""
+"""Paths that a file names never lead out of its folder, and are refused before anything else is
+opened."""
 
 import shutil
 from pathlib import Path

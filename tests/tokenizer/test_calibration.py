@@ -1,4 +1,5 @@
-"""Label-free calibration: equal forces give equal latents afterwards, and what can't be calibrated is refused."""
+"""Label-free calibration: equal forces give equal latents afterwards, and what can't be calibrated
+is refused."""
 
 from dataclasses import replace
 from unittest import mock
@@ -205,14 +206,16 @@ def pushed(seed, grasps=200, rows=1):
 
 
 def test_noise_is_not_calibrated():
-    """Both fingers are read with the same noise: a map that shrinks the reading would lower the error, and misread."""
+    """Both fingers are read with the same noise: a map that shrinks the reading would lower the
+    error, and misread."""
     force = pushed(0)
     choice = choose(force + 0.3 * pushed(3), force + 0.3 * pushed(7), SCALE)
     assert choice.form == "none" and min(choice.error.values()) > 0.01
 
 
 def test_frames_of_a_grasp_do_not_choose_for_each_other():
-    """Fingers that have nothing in common: a map can only learn each grasp by heart, from its other frames."""
+    """Fingers that have nothing in common: a map can only learn each grasp by heart, from its other
+    frames."""
     new, anchor = pushed(0, grasps=30, rows=10), pushed(2, grasps=30, rows=10)
     by_row = choose(new, anchor, SCALE)
     by_grasp = choose(new, anchor, SCALE, [row // 10 for row in range(300)])
@@ -267,7 +270,8 @@ WEIGHT_N = 0.6
 
 
 def through_tool(*load_N):
-    """Latents of a finger that holds a tool on a scale: half of the weight that is left hangs on it."""
+    """Latents of a finger that holds a tool on a scale: half of the weight that is left hangs on
+    it."""
     return presses(*[(WEIGHT_N - load) / 2 for load in load_N])
 
 

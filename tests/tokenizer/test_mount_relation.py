@@ -1,4 +1,5 @@
-"""Loads that both fingers carry tell how one sensor is mounted; pinched objects and few readings don't."""
+"""Loads that both fingers carry tell how one sensor is mounted; pinched objects and few readings
+don't."""
 
 import numpy as np
 import pytest

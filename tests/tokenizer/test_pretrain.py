@@ -228,7 +228,8 @@ def test_command_trains_continues_and_leaves_a_loadable_tokenizer(tmp_path):
 
 
 def test_command_trains_on_recorded_pairs_and_says_where_there_are_none(tmp_path, capsys):
-    """A left finger whose marker moves right is seen mirrored by the right one: in the canonical frame both agree."""
+    """A left finger whose marker moves right is seen mirrored by the right one: in the canonical
+    frame both agree."""
     free, moved = np.zeros((2, 1, 480, 640), np.uint8)
     free[:, 200:280, 200:280] = 255
     moved[:, 200:280, 260:340] = 255
@@ -285,7 +286,8 @@ def test_the_family_replaces_cameras_only_and_only_its_share():
     ],
 )
 def test_what_each_tokenizer_saw(left_out, seen):
-    """A kind that is left out is left out with the family around it; the TacTip, which demos wear, never is."""
+    """A kind that is left out is left out with the family around it; the TacTip, which demos wear,
+    never is."""
     config = PairCacheConfig(family_share=0.5, left_out=left_out)
     rng, drawn = np.random.default_rng(3), set()
     for _ in range(40):

@@ -1,4 +1,5 @@
-"""Small data sets in each format, drawn by the simulator and written here: nothing is read from the network."""
+"""Small data sets in each format, drawn by the simulator and written here: nothing is read from the
+network."""
 
 import cv2
 import numpy as np
@@ -14,7 +15,8 @@ LENGTH = 6
 
 @pytest.fixture(scope="session")
 def marker_trials():
-    """One trial per sensor and indenter, sphere (seen) and wave (unseen); frame 0 is the reference itself."""
+    """One trial per sensor and indenter, sphere (seen) and wave (unseen); frame 0 is the reference
+    itself."""
     return tuple(
         _marker_trial(s, i) for s in ("gelsight", "tactip", "uskin") for i in ("sphere", "wave")
     )

@@ -82,7 +82,7 @@ def test_plain_arrays_are_read_too(tmp_path, marker_trials):
         assert np.array_equal(read_packed(tmp_path / f"{number}.npy"), image)
 
 
-# -- what can be wrong ----------------------------------------------------------------------------------
+# -- what can be wrong -----------------------------------------------------------------------------
 
 
 def frame(release, sensor="gelsight"):

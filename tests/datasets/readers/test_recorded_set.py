@@ -91,7 +91,8 @@ def test_shear_agreement_shows_the_signs():
 
 @pytest.mark.parametrize("sensor", ["gelsight", "uskin"])
 def test_simulated_markers_agree_with_our_axes(sensor):
-    """Flat pads drag their markers along the shear force they report; a dome's pins follow it less."""
+    """Flat pads drag their markers along the shear force they report; a dome's pins follow it
+    less."""
     batch = force_sequences(np.random.default_rng(1), sensor, 10, 5, ("sphere",), units=2)
     recordings = [
         LabelledRecording(sensor, "sphere", "1", *parts)

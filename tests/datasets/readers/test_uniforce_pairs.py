@@ -97,7 +97,7 @@ def test_unknown_indenter_lists_those_there(recorded):
         list(read_uniforce_pairs(recorded, PairConfig(indenters=("cone",))))
 
 
-# -- what can be wrong ----------------------------------------------------------------------------------
+# -- what can be wrong -----------------------------------------------------------------------------
 
 
 def side(root, sensor="tactip"):

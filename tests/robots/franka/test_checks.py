@@ -82,7 +82,8 @@ def test_a_broken_guard_is_noticed_on_the_copy_that_was_broken():
     [pytest.param(200, 18_000), pytest.param(1100, 100_000, marks=pytest.mark.thorough)],
 )
 def test_whatever_comes_nothing_wrong_is_sent(caplog, episodes, sent):
-    """``python -m benchmarks.trust.mutations`` shows that each broken guard fails in 200 episodes."""
+    """``python -m benchmarks.trust.mutations`` shows that each broken guard fails in 200
+    episodes."""
     with caplog.at_level(logging.CRITICAL):
         found = drive(episodes=episodes, seed=7)
     assert found["violations"] == [] and found["sent"] > sent

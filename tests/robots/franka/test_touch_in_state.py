@@ -1,4 +1,5 @@
-"""The robot for any LeRobot policy: the right finger's newtons behind the axes, no marker images."""
+"""The robot for any LeRobot policy: the right finger's newtons behind the axes, no marker
+images."""
 
 from unittest.mock import Mock
 
