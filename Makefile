@@ -16,7 +16,7 @@ help:
 	@echo "make faults  31 faults of the stand-in arm, ten times each, and 2,100 sessions of stops (40 minutes)"
 	@echo "make rollout-faults  15 kinds of fault in LeRobot's own rollout over the stand-in, ten times each (30 minutes)"
 	@echo "make canary  LEROBOT=/path: the tests that meet LeRobot, against a checkout of its source (25 minutes)"
-	@echo "make thorough  the tests that repeat or take long, 20 minutes"
+	@echo "make thorough  the tests that repeat, take long or are of benchmarks, 20 minutes"
 	@echo "make ci      make test and make thorough, then the wheel in a fresh environment"
 
 setup: $(STAMP)
@@ -40,7 +40,7 @@ test: setup lint
 	echo "second half, against the clock: $$([ $$second -eq 0 ] && echo passed || echo FAILED)"; \
 	[ $$first -eq 0 ] && [ $$second -eq 0 ]
 
-# longer forms of the same tests, and what repeats; one after the other, for some hold a clock
+# longer forms of the same tests, what repeats, and benchmarks; one after the other, for some hold a clock
 thorough: setup
 	$(PY) -m pytest -m thorough
 

@@ -75,6 +75,7 @@ PATIENT = (
 PATIENT += ("test_checks.py", "test_limits.py", "test_guards.py", "test_hand.py")
 PATIENT += ("test_fci_model.py", "test_fci_protocol.py")
 REALTIME = ("sensors", "recorder", "franka", "standins", "teleop")  # folders of tests/robots
+BENCHMARKS = Path(__file__).parent / "benchmarks"  # they only prove our figures
 
 
 def pytest_configure(config):
@@ -82,8 +83,10 @@ def pytest_configure(config):
 
 
 def pytest_collection_modifyitems(config, items):
-    """Mark what runs against a clock; with several processes begin with the files that would end
-    last."""
+    """Mark what runs against a clock, and what `make test` leaves to `make thorough`.
+
+    With several processes begin with the files that would end last.
+    """
     for item in items:
         if (
             item.path.parent.parent.name == "robots"
@@ -91,6 +94,8 @@ def pytest_collection_modifyitems(config, items):
             and item.path.name not in PATIENT
         ):
             item.add_marker("realtime")
+        if item.path.is_relative_to(BENCHMARKS):
+            item.add_marker("thorough")
     if hasattr(config, "workerinput"):
         long = {item.path for item in items if item.get_closest_marker("timeout")}
         items.sort(key=lambda item: item.path not in long)  # stable: the rest stays in its order

@@ -1,1 +1,1 @@
-"""Sampling an action chunk: the fast sampler, its arithmetic, and CUDA graphs around it."""
+"""Sampling an action chunk: the fast sampler, its prefix and its arithmetic."""
