@@ -42,7 +42,7 @@ class PretrainCommand:
     preset: FileName = ""
     run: PretrainSettings = field(default_factory=PretrainSettings)  # model, loss, data, optimiser
     # folder for drawn pairs, about 35 kB each; they are kept for the next run
-    cache: OutFolder = "outputs/pairs"
+    cache: OutFolder = "outputs/drawn_pairs"
     # sensors of the policy's demonstrations, comma between them; for each a force head is fitted to
     # 80 simulated units, in minutes
     heads: Heads = "tactip"

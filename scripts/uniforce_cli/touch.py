@@ -67,7 +67,7 @@ class TouchConfig:
     lock_camera: bool = True
     # orientation: where to press, in order
     quarters: Quarters = "top-left,top-right,bottom-left,bottom-right"
-    tokenizer: TokenizerFolder = "nano"  # makes the latents
+    tokenizer: TokenizerFolder = "small"  # makes the latents: the one that policies feel with
     # the sensor whose shipped force head reads the latents; none = no newtons
     head: NewtonsHead = "tactip"
     # write the last picture of the live view to this file
