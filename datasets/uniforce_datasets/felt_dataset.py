@@ -7,6 +7,7 @@ of their own are for ``pi05_uniforce``, which need not encode a demonstration ag
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import batched
@@ -19,6 +20,7 @@ from tqdm import tqdm
 
 from uniforce_datasets.features import flat_column, vector_column, video_column
 from uniforce_datasets.lossless import check_dataset
+from uniforce_datasets.pooled_quantiles import write_pooled_stats
 from uniforce_datasets.source import Episode, Source, episode_frames, marker_images
 from uniforce_datasets.view_build import PooledTokenizer, episode_latents, resize
 from uniforce_datasets.view_plan import EpisodeFacts, episode_facts, mounted_sensors
@@ -27,6 +29,7 @@ from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.force_sensor import ForceSensor
 from uniforce_vtla.options import absolute
+from uniforce_vtla.results_file import only_writer
 
 BATCH = 32  # marker images read at once
 
@@ -130,14 +133,34 @@ def write_felt_dataset(
     cameras = {}
     for camera in sources[0].cameras:
         cameras[keys.camera_key(camera)] = video_column((image_side, image_side, 3))
-    dataset = LeRobotDataset.create(
-        repo_id=f"local/{out.name}",
-        fps=sources[0].fps,
-        features=cameras | touch.features(taken) | {keys.ACTION: vector_column(keys.AXES)},
-        root=out,
-    )
-    try:
-        bar = tqdm(total=len(taken), desc="episodes", unit="episode")
+    # a half-written dataset would look whole
+    building = out.with_name(out.name + ".building")
+    with only_writer(building):
+        shutil.rmtree(building, ignore_errors=True)
+        dataset = LeRobotDataset.create(
+            repo_id=f"local/{out.name}",
+            fps=sources[0].fps,
+            features=cameras | touch.features(taken) | {keys.ACTION: vector_column(keys.AXES)},
+            root=building,
+        )
+        try:
+            _write_episodes(dataset, sources, chosen, touch, image_side)
+        finally:
+            dataset.finalize()
+        write_pooled_stats(building)
+        building.rename(out)
+    return out
+
+
+def _write_episodes(
+    dataset: LeRobotDataset,
+    sources: Sequence[Source],
+    chosen: Mapping[int, Sequence[Episode]],
+    touch: Touch,
+    image_side: int,
+) -> None:
+    total = sum(len(episodes) for episodes in chosen.values())
+    with tqdm(total=total, desc="episodes", unit="episode") as bar:
         for number, source in enumerate(sources):
             # the whole dataset's, read once
             columns = source.columns((keys.STATE, keys.ACTION))
@@ -147,10 +170,6 @@ def write_felt_dataset(
                     dataset.add_frame(row)
                 dataset.save_episode()
                 bar.update()
-        bar.close()
-    finally:
-        dataset.finalize()
-    return out
 
 
 def _check_alike(source: Source, first: Source) -> None:

@@ -12,6 +12,7 @@ from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from uniforce_datasets.content import check_content
 from uniforce_datasets.dataset_info import is_foreign, parquet_files, read_info
 from uniforce_datasets.hashes import Verify, check_hashes, check_verify, write_hashes
+from uniforce_datasets.pooled_quantiles import write_pooled_stats
 from uniforce_datasets.source import Source, read_source, read_table
 from uniforce_datasets.staged_writer import LOCAL
 from uniforce_datasets.staging import claim, lock, recover
@@ -80,7 +81,7 @@ NUMBERED = ("raw", "cards")  # files named after their episode, episode_000017
 
 
 def rehash(root: str | Path, verify: str = "full") -> Source:
-    """Check a dataset's content and write the hashes of its files as they are; return its source.
+    """Check a dataset's content, pool its statistics and hash its files; return its source.
 
     An interrupted save is finished before. A recorder at work there is refused.
 
@@ -94,6 +95,7 @@ def rehash(root: str | Path, verify: str = "full") -> Source:
         recover(root)
         read_info(root)
         source = check_whole(root, depth)
+        write_pooled_stats(root)  # LeRobot's own tools average the quantiles of episodes
         write_hashes(root, _episodes(source))
     finally:
         held.release()

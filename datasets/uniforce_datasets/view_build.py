@@ -8,6 +8,7 @@ import logging
 import os
 import shutil
 from collections.abc import Callable, Generator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import batched
@@ -186,8 +187,9 @@ def _in_turn(jobs: Sequence[_Job], workers: int) -> Generator[dict[str, np.ndarr
     if workers <= 1:
         yield from map(_episode_blocks, jobs)
         return
-    with get_context("spawn").Pool(workers, _one_thread) as pool:
-        yield from pool.imap(_episode_blocks, jobs)
+    # unlike multiprocessing's pool it says so when a worker is killed, e.g. for its memory
+    with ProcessPoolExecutor(workers, get_context("spawn"), _one_thread) as pool:
+        yield from pool.map(_episode_blocks, jobs)
 
 
 def _one_thread() -> None:

@@ -9,6 +9,7 @@ import json
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -41,6 +42,7 @@ OURS = (
     "lerobot_env_uniforce",
     "benchmarks",
 )  # packages; a fault is ours there
+LESS_MEMORY = "Close other programs, or take fewer workers or a smaller batch_size"
 LONGEST_LINE = 600
 GROWN_bytes = 4_000_000_000  # a process of rollouts may grow by
 
@@ -190,7 +192,7 @@ def guarded(name: str, run: Callable[[], int]) -> int:
 
 
 def _surroundings(error: Exception) -> str:
-    """Return a line about files, disks, network, login or packages; "" for another error."""
+    """Return a line about files, disks, memory, network or packages; "" for another error."""
     if "huggingface_hub" in sys.modules:
         said = _said_by_hub(error)
         if said:
@@ -204,12 +206,24 @@ def _surroundings(error: Exception) -> str:
             return f"{error}. Check files, devices and the network."
         case UnicodeDecodeError():
             return expected("text files", "UTF-8", error, "Save them as UTF-8.")
+        case BrokenExecutor():
+            wanted = "a worker process that lives to its end"
+            return expected("workers", wanted, "one that was killed", f"{LESS_MEMORY}.")
+        case Exception() if _out_of_memory(error):
+            return expected("memory", "enough of it", error, f"{LESS_MEMORY}.")
         case ImportError() if not str(error.name).startswith(OURS):
             return f"{error}. Install it; README.md names what is optional."
         case Exception() if type(error).__module__.startswith("wandb."):
             said = str(error).rstrip(".")
             return expected("wandb", "a login", said, "wandb.enable=false does without.")
     return ""
+
+
+def _out_of_memory(error: Exception) -> bool:
+    """Return whether Python, or torch on a CPU or an accelerator, found no memory."""
+    # torch has an error of its own for accelerators alone
+    is_torchs = type(error).__name__ == "OutOfMemoryError" or "DefaultCPUAllocator" in str(error)
+    return isinstance(error, MemoryError) or is_torchs
 
 
 def _said_by_hub(error: Exception) -> str:

@@ -84,6 +84,10 @@ def convert(config: ConvertConfig) -> Path:
     )
     from uniforce_datasets.training_view import TrainingView
 
+    out = Path(config.out)
+    if out.is_dir() and any(out.iterdir()):
+        do = "Choose another out, or remove it."
+        raise ContractError(expected(str(out), "an empty folder", "one with files", do))
     if config.revision and Path(config.source).exists():
         raise ContractError(
             expected("revision", "a hub id as source", config.source, "Leave it out.")
@@ -108,10 +112,10 @@ def convert(config: ConvertConfig) -> Path:
     weights.fill(policy, file, weights.own_names, weights.FRESH)
     before, after = make_processors(settings, view.meta.stats)
     for part in (policy, before, after):
-        part.save_pretrained(config.out)
-    write_json(Path(config.out) / PROVENANCE, provenance())
-    write_hashes(config.out)
-    return Path(config.out)
+        part.save_pretrained(out)
+    write_json(out / PROVENANCE, provenance())
+    write_hashes(out)
+    return out
 
 
 def _settings(

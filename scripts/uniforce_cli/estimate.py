@@ -80,7 +80,11 @@ def score_recording(config: ScoreRecordingConfig) -> dict[str, Any]:
         source.episodes[: config.episodes or None], desc="episodes", unit="episode"
     ):
         forces = recording.read(episode)
-        found, truth = forces.judge((left, right))
+        try:
+            found, truth = forces.judge((left, right))
+        except DatasetError as error:  # an episode that ended as it was lifted
+            rows.append({"episode": episode.index, "not_judged": str(error)})
+            continue
         row = _row(episode, found)
         if corners is not None:
             row["residual"] = _residual(source, episode, config.camera, corners)
@@ -133,6 +137,8 @@ def _residual(source: Source, episode: Episode, camera: str, corners: np.ndarray
 
 
 def _line(row: dict[str, Any]) -> str:
+    if "not_judged" in row:
+        return f"episode {row['episode']}: not judged, {row['not_judged']}"
     events = [*row["lost"], *row["slippage"], *row["excess_force"]] or ["no event"]
     ink = ""
     if "residual" in row:

@@ -62,10 +62,13 @@ def to_lerobot(argv: Sequence[str]) -> list[str]:
     """Turn ``policy=NAME k=v`` into ``--policy.type=NAME --k=v`` and add the defaults not given."""
     flags = [_flag(argument) for argument in argv]
     given = {flag[2:].partition("=")[0] for flag in flags if flag.startswith("--")}
-    if "resume" in given:  # a resumed run brings its own settings
+    if "--resume=true" in map(str.lower, flags):  # a resumed run brings its own settings
         return flags
     defaults = dict(DEFAULTS)
-    if "--policy.device=cpu" in flags:
+    on_cpu = "--policy.device=cpu" in flags
+    if "policy.device" not in given:
+        on_cpu = not torch.accelerator.is_available()  # then LeRobot takes the CPU
+    if on_cpu:
         defaults |= ON_CPU
     return flags + [f"--{key}={value}" for key, value in defaults.items() if key not in given]
 
@@ -84,8 +87,8 @@ def take_verify(argv: Sequence[str]) -> tuple[str, list[str]]:
     verify = ""
     others = []
     for argument in argv:
-        if argument.startswith(VERIFY):
-            verify = argument.removeprefix(VERIFY)
+        if argument.removeprefix("--").startswith(VERIFY):
+            verify = argument.removeprefix("--").removeprefix(VERIFY)
         else:
             others.append(argument)
     return verify, others
@@ -282,7 +285,8 @@ def train(argv: Sequence[str]) -> None:
             one_thread()
         accelerator = TrainingAccelerator(config.policy) if ours else None
         with patched_trainer(verify):
-            lerobot_train.train(accelerator=accelerator)
+            # parsed once: another parse would stamp another second into the output's name
+            lerobot_train.train(config, accelerator=accelerator)
         if ours:
             policy = f"{config.output_dir}/checkpoints/last/pretrained_model"
             print(f"next: uniforce score policy={policy} rollouts=100")

@@ -6,7 +6,7 @@ import logging
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from uniforce_vtla.errors import DatasetError, expected
+from uniforce_vtla.errors import DatasetError, SensorError, expected
 from uniforce_vtla.options import split
 
 if TYPE_CHECKING:
@@ -67,6 +67,9 @@ def simulated_grasps(new: str, anchor: str, count: int, seed: int, encode: Encod
     right = seen(WornView(wear(anchor)(seed), seed + 1), mirrored(contact), "right", encode)
     both = sorted(left.keys() & right.keys())
     left_out = count - len(both)
+    if not both:
+        came = f"none of {count}: a finger's frame was always refused"
+        raise SensorError(expected("grasps", "frames that can be read", came, f"Check {new}."))
     if left_out:
         logger.warning(
             "%d of %d grasps are left out: a finger's frame was refused", left_out, count

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 Several = Annotated[int, Range(2, 1_000_000)]
 Mass = Annotated[float, Range(0, 20, above=True)]
 Grip = Annotated[float, Range(0, 70, above=True)]
-FrameRate = Annotated[float, Range(0, 1000)]
+FrameRate = Annotated[int, Range(0, 1000)]
 
 
 @dataclass
@@ -60,7 +60,7 @@ class RecordPairsConfig:
     # franka: mass of the object and the moving part of its holder in kg; weigh them
     mass_kg: Mass = 0.2
     grip_N: Grip = 6.0  # franka: force in N that the hand is asked to hold with
-    rate_hz: FrameRate = 0.0  # frames per second; 0 = 15 in simulation, 30 on a robot
+    rate_hz: FrameRate = 0  # frames per second; 0 = 15 in simulation, 30 on a robot
     # folder for lerobot/, uniforce_pairs/ and session.json
     out: OutFolder = "outputs/pairs"
 
@@ -80,13 +80,13 @@ def record_pairs(
 
     names = _check(config, robot_flags, given)
     robot = None
-    rate_hz = 15.0
+    rate_hz = 15
     if config.robot == "franka":
         robot = _robot(config, robot_flags)
-        rate_hz = 30.0
+        rate_hz = 30
     rate_hz = config.rate_hz or rate_hz
     out = Path(config.out)
-    with PairStore(out, config.left_sensor, config.right_sensor, names, round(rate_hz)) as store:
+    with PairStore(out, config.left_sensor, config.right_sensor, names, rate_hz) as store:
         rig, report = _run(config, robot, store, rate_hz)
         covered = [coverage.covered for coverage in store.coverage]
         content: dict[str, Any] = {

@@ -67,7 +67,7 @@ class RecordConfig:
     resume: options.Dataset = ""
     # LeRobot's name for the dataset; nothing is uploaded
     repo_id: options.HubName = "local/uniforce_wiping"
-    seed: options.Seed = 0  # scene of the first episode; the next ones count up
+    seed: options.Seed = 0  # scene of a new dataset's first episode; the next ones count up
     # expert: failed demos are kept, labelled; training views leave them out
     keep_failures: bool = True
     # instructions, in turn; none = the scene's own

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import itertools
-import json
 import logging
 import time
 from collections.abc import Sequence
@@ -17,17 +17,26 @@ from uniforce_cli.score_settings import SCRIPTS, ScoreConfig, checkpoint_of
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.file_hashes import loaded_hash
 from uniforce_vtla.json_file import read_object
-from uniforce_vtla.results_file import append_line, only_writer, provenance, write_json
+from uniforce_vtla.results_file import (
+    DISTRIBUTION,
+    append_line,
+    only_writer,
+    provenance,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow
 
+logger = logging.getLogger(__name__)
 ROWS = "episodes.jsonl"
+SETTINGS = "config.json"
 
 
 def score(config: ScoreConfig) -> ArmReport:
     """Score ``config.rollouts`` seeds; finished episodes survive a kill and are not repeated."""
     check_policies(config)
+    _check_name(config)
     return score_arms([config], config.workers)[0]
 
 
@@ -52,6 +61,22 @@ def check_policies(config: ScoreConfig) -> None:
         settings = stored_config(checkpoint_of(policy))
         settings.swap = config.swap or settings.swap
         settings.finger_by_slot()
+
+
+def _check_name(config: ScoreConfig) -> None:
+    """Refuse a name that another rig's arm of this level has in the same table."""
+    for rows in Path(config.out).glob(f"*/{ROWS}"):
+        settings = _settings(rows.parent)
+        is_named_so = (settings["arm"], settings["level"]) == (config.arm, config.level)
+        if is_named_so and rows.parent != config.folder:
+            do = "Give arm=… another name."
+            came = f"the name of {rows.parent}"
+            raise ContractError(expected(f"arm={config.arm}", "a name of its own", came, do))
+
+
+def _settings(folder: Path) -> dict[str, Any]:
+    """Return the settings of an arm that was scored into this folder."""
+    return read_object(folder / SETTINGS, ContractError)
 
 
 def _unit(words: str) -> str:
@@ -117,30 +142,37 @@ def _start(config: ScoreConfig) -> dict[int, EpisodeRow]:
     """Write the arm's settings and return the episodes it has already."""
     from uniforce_vtla.evaluation.arms import read_rows
 
-    settings = config.folder / "config.json"
     rows = config.folder / ROWS
     acts = what_acts(config)
+    source = provenance()
+    commits = [source["commit"]]
     if not config.resume:
         rows.unlink(missing_ok=True)
     if rows.exists():
-        before = read_object(settings, ContractError).get("acts")
-        if before != acts:
+        before = _settings(config.folder)
+        if before.get("acts") != acts:
             where = f"episodes in {config.folder}"
             came = "of another one, or of an older version"
             do = "resume=false drops them; out=… or arm=… keeps them."
             raise ContractError(expected(where, "of this policy and calibration", came, do))
-    write_json(settings, asdict(config) | {"acts": acts, "provenance": provenance()})
+        commits = before.get("commits", [])
+        if source["commit"] not in commits:
+            logger.warning("%s: episodes of other code are kept; resume=false drops them", rows)
+            commits = [*commits, source["commit"]]
+    settings = asdict(config) | {"acts": acts, "commits": commits, "provenance": source}
+    write_json(config.folder / SETTINGS, settings)
     return read_rows(rows)
 
 
 def what_acts(config: ScoreConfig) -> dict[str, Any]:
-    """Return level, policies and calibrations that an episode depends on.
+    """Return version, level, policies and calibrations that an episode depends on.
 
     The words in its folder's name say the rest.
     """
     from lerobot_env_uniforce_wiping import LEVELS, level_hash
 
     return {
+        "version": importlib.metadata.version(DISTRIBUTION),
         "level": level_hash(LEVELS[config.level]),
         "policies": list(map(content_of, config.policies)),
         "first_turn": config.first_seed % len(config.policies),
@@ -170,9 +202,9 @@ def write_report(config: ScoreConfig) -> list[ArmReport]:
     out = Path(config.out)
     reports = []
     arms = {}
-    for file in sorted(out.glob("*/config.json")):
-        settings = json.loads(file.read_text())
-        rows = read_rows(file.parent / ROWS)
+    for file in sorted(out.glob(f"*/{ROWS}")):
+        settings = _settings(file.parent)
+        rows = read_rows(file)
         asked = range(settings["first_seed"], settings["first_seed"] + settings["rollouts"])
         found = [rows[seed] for seed in asked if seed in rows]
         if found and settings["level"] == config.level:
@@ -180,6 +212,7 @@ def write_report(config: ScoreConfig) -> list[ArmReport]:
             reports.append(report)
             arms[report.arm] = report.as_dict() | {
                 "policies": settings.get("acts", {}).get("policies", []),
+                "commits": settings.get("commits", []),
                 "gripper": settings.get("gripper", "servo"),
             }
     tests = []

@@ -108,6 +108,9 @@ def share(config: ShareConfig) -> Path:
             write_json(fresh / PROVENANCE, allowed.allowed(trained, allowed.PROVENANCE))
         allowed.refuse_paths(fresh)
         write_hashes(fresh)
+        for old in out.iterdir():  # of an earlier share, e.g. its scores
+            if allowed.POLICY_FILES.fullmatch(old.name):
+                old.unlink()
         for file in fresh.iterdir():
             file.replace(out / file.name)
     return out

@@ -134,14 +134,17 @@ def show(config: TouchConfig) -> None:
         label = finger.config.label + (" (stand-in)" if config.source == STAND_IN else "")
         now_s = time.monotonic()
         end_s = now_s + (config.seconds or math.inf)
-        for view in views(finger, sensor, label):
-            output(view)
-            time.sleep(max(now_s + 1 / config.refresh_hz - time.monotonic(), 0))
-            now_s = time.monotonic()
-            if now_s >= end_s:
-                break
-        if config.save:
-            print(f"picture in {save_panel(view, config.save)}")
+        shown = None
+        try:
+            for shown in views(finger, sensor, label):
+                output(shown)
+                time.sleep(max(now_s + 1 / config.refresh_hz - time.monotonic(), 0))
+                now_s = time.monotonic()
+                if now_s >= end_s:
+                    break
+        finally:  # Ctrl-C is the usual end
+            if config.save and shown is not None:
+                print(f"picture in {save_panel(shown, config.save)}")
 
 
 def run(config: TouchConfig) -> int:

@@ -18,10 +18,9 @@ class VerifyConfig:
     """
 
     root: FolderPath = "outputs/demos"  # folder of a recorded dataset or training view
-    # full = every byte and frame | quick = sizes, small files, some frames of every episode | off =
-    # nothing
+    # full = every byte and frame | quick = sizes, small files, some frames of every episode
     verify: Verify = "full"
-    # check the content only, then write the hashes of the files as they are
+    # check the content only, then pool the statistics and write the hashes of the files as they are
     rehash: bool = False
 
 
@@ -31,9 +30,13 @@ def verify(config: VerifyConfig) -> str:
     Raises DatasetError: something isn't as it was saved, or its content can't be trusted;
     ContractError: another ``verify``; a view, which is built again instead of hashed again.
     """
+    if config.verify == "off":
+        do = "Choose how much is compared."
+        raise ContractError(expected("verify", "full or quick", "off", do))
     from uniforce_datasets.hashes import check_hashes
     from uniforce_datasets.lossless import check_dataset, rehash
     from uniforce_datasets.view_plan import read_marker
+    from uniforce_vtla.file_hashes import HASHES
 
     root = Path(config.root)
     if (root / VIEW_MARKER).is_file():
@@ -49,6 +52,8 @@ def verify(config: VerifyConfig) -> str:
     else:
         source = check_dataset(root, config.verify)
         done = "as it was saved"
+        if not (source.root / HASHES).is_file():
+            done = "content checked; it has no hashes to compare with"
     found = f"{len(source.episodes)} episodes, {source.num_frames} frames"
     return f"{root}: {found}, {done} ({config.verify})"
 

@@ -19,6 +19,7 @@ from uniforce_vtla.options import (
     Slots,
     TokenizerFolder,
     Workers,
+    split,
 )
 
 if TYPE_CHECKING:
@@ -69,7 +70,7 @@ def make_view(config: ViewConfig) -> Path:
     from uniforce_datasets.training_view import build_view
 
     return build_view(
-        [root for root in config.roots.split(",") if root],
+        split(config.roots),
         config.out,
         config.image_side,
         config.latent_grid,
@@ -111,7 +112,7 @@ def make_dataset(config: ViewConfig) -> Path:
         slots = {slot: check_finger(finger) for slot, finger in by_name(config.slots).items()}
         touch = LatentColumns(PooledTokenizer(tokenizer, config.latent_grid), slots)
     return write_felt_dataset(
-        [root for root in config.roots.split(",") if root],
+        split(config.roots),
         config.out,
         touch,
         config.image_side,

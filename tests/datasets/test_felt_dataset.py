@@ -63,6 +63,27 @@ def test_the_state_holds_what_the_force_sensor_reads(demos, written):
         assert row["task"] == "wipe the dots"
 
 
+def test_quantiles_are_those_of_all_frames(written):
+    dataset = LeRobotDataset("local/forces", root=written)
+    states = np.stack([dataset[frame][STATE] for frame in range(dataset.num_frames)])
+    q99 = dataset.meta.stats[STATE]["q99"]
+    np.testing.assert_allclose(q99, np.quantile(states.astype(np.float64), 0.99, axis=0), rtol=1e-6)
+
+
+def test_an_interrupted_dataset_is_none(demos, tmp_path, monkeypatch):
+    calls = []
+
+    def stopped(self):
+        calls.append(1)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(LeRobotDataset, "save_episode", stopped)
+    call = [f"roots={demos}", f"out={tmp_path / 'forces'}", "touch_in_state=true", "tokenizer=nano"]
+    assert view.main(call) == 130
+    assert not (tmp_path / "forces").exists()
+
+
 def test_marker_images_are_left_out(written):
     dataset = LeRobotDataset("local/forces", root=written)
     assert set(dataset.meta.camera_keys) == {camera_key(camera) for camera in CAMERAS}

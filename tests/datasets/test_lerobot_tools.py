@@ -1,16 +1,20 @@
 """LeRobot's own commands work on our recordings, called by the entry points of their scripts."""
 
 import importlib
+import json
 import re
+import shutil
 import sys
 
 import pytest
 
+from benchmarks.trust.injuries import edit_json
 from uniforce_cli.verify import main as verify
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.synthetic import record_synthetic
 from uniforce_vtla.errors import DatasetError
-from uniforce_vtla.file_hashes import read_hashes
+from uniforce_vtla.file_hashes import HASHES, read_hashes
+from uniforce_vtla.keys import STATE
 
 
 @pytest.fixture(scope="module")
@@ -41,6 +45,25 @@ def test_what_delete_and_split_leave_is_whole(recording, run, tmp_path):
         assert verify([f"root={tmp_path / name}", "rehash=true"]) == 0
         (episode,) = check_dataset(tmp_path / name, "full").episodes
         assert episode.length == 4
+
+
+def test_verify_says_what_it_compared_with(recording, tmp_path, capsys, refuses):
+    bare = tmp_path / "bare"
+    shutil.copytree(recording, bare)
+    refuses(verify, [f"root={bare}", "verify=off"], "expected full or quick")
+    assert verify([f"root={bare}"]) == 0 and "as it was saved" in capsys.readouterr().out
+    (bare / HASHES).unlink()
+    assert verify([f"root={bare}"]) == 0 and "no hashes to compare" in capsys.readouterr().out
+
+
+def test_rehashing_pools_the_quantiles(recording, tmp_path):
+    root = tmp_path / "averaged"
+    shutil.copytree(recording, root)
+    pooled = json.loads((root / "meta/stats.json").read_text())
+    edit_json(root / "meta/stats.json", lambda stats: stats[STATE].update(q99=[0.0] * 5))
+    assert verify([f"root={root}", "rehash=true"]) == 0
+    assert json.loads((root / "meta/stats.json").read_text())[STATE] == pooled[STATE]
+    check_dataset(root, "full")
 
 
 @pytest.mark.thorough

@@ -4,6 +4,7 @@ import os
 import pickle
 import shutil
 import time
+from concurrent.futures import BrokenExecutor
 from functools import partial
 from types import SimpleNamespace
 from unittest.mock import DEFAULT, Mock
@@ -14,6 +15,7 @@ import torch
 from torch.utils.data import DataLoader, RandomSampler
 
 from benchmarks.trust.injuries import edit_json, flip_bit
+from uniforce_datasets import view_build
 from uniforce_datasets.lossless import open_dataset
 from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_datasets.synthetic import (
@@ -138,6 +140,12 @@ def test_interrupted_build_goes_on(demos, tmp_path, view):
     for name in ("front", "latent_left", "latent_right", STATE):
         assert np.array_equal(np.load(out / f"{name}.npy"), np.load(view / f"{name}.npy"))
     built(demos, out, encoder=fragile(0))  # nothing to do
+
+
+def test_a_killed_worker_ends_the_build(monkeypatch):
+    monkeypatch.setattr(view_build, "_episode_blocks", os._exit)
+    with pytest.raises(BrokenExecutor):
+        list(view_build._in_turn([9, 9], workers=2))
 
 
 def test_one_process_builds_a_view_at_a_time(demos, tmp_path):

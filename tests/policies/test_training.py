@@ -174,21 +174,31 @@ def test_other_datasets_are_checked_and_stay_with_lerobot(dataset, tmp_path, mon
 
 
 def test_command_line_becomes_lerobots():
-    given = ["policy=pi05_uniforce", "steps=5", "--policy.size=tiny", "wandb.enable=true"]
+    given = ["policy=pi05_uniforce", "steps=5", "--policy.device=cuda", "wandb.enable=true"]
     flags = lerobot_training.to_lerobot(given)
     given = [
         "--policy.type=pi05_uniforce",
         "--steps=5",
-        "--policy.size=tiny",
+        "--policy.device=cuda",
         "--wandb.enable=true",
     ]
     assert flags == [*given, "--policy.push_to_hub=false"]
-    on_cpu = lerobot_training.to_lerobot([*given, "policy.device=cpu"])
+    on_cpu = lerobot_training.to_lerobot(["policy=pi05_uniforce", "policy.device=cpu"])
     assert {"--num_workers=0", "--save_freq=1000"} <= set(on_cpu)
     assert lerobot_training.take_verify(["steps=5", "verify=off"]) == ("off", ["steps=5"])
     assert lerobot_training.take_verify(["steps=5"]) == ("", ["steps=5"])
+    assert lerobot_training.take_verify(["steps=5", "--verify=full"]) == ("full", ["steps=5"])
+    begun = lerobot_training.to_lerobot([*given, "resume=false"])
+    assert "--policy.push_to_hub=false" in begun
     resumed = lerobot_training.to_lerobot(["resume=true", "config_path=a=b.json"])
     assert resumed == ["--resume=true", "--config_path=a=b.json"]
+
+
+@pytest.mark.parametrize("accelerator", [False, True])
+def test_a_machine_without_an_accelerator_saves_often(accelerator, monkeypatch):
+    monkeypatch.setattr(torch.accelerator, "is_available", lambda: accelerator)
+    flags = lerobot_training.to_lerobot(["policy=pi05_uniforce", "steps=5"])
+    assert ("--save_freq=1000" in flags) is not accelerator
 
 
 # π0.5's own settings in a small network

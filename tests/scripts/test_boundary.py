@@ -4,6 +4,7 @@ begins."""
 import os
 import signal
 import warnings
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import redirect_stderr
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +13,7 @@ from unittest.mock import Mock
 
 import httpx
 import pytest
+import torch
 from huggingface_hub.errors import (
     HfHubHTTPError,
     HFValidationError,
@@ -220,6 +222,9 @@ def answer(code):
             "uniforce-x: a fault of this program, ZeroDivisionError: by zero",
         ),
         (ContractError("http://anna:s3cret@cam"), 2, "uniforce-x: http://***@cam"),
+        (MemoryError("no"), 2, "uniforce-x: memory: expected enough of it"),
+        (torch.OutOfMemoryError("CUDA"), 2, "uniforce-x: memory: expected enough of it, got CUDA"),
+        (BrokenProcessPool("gone"), 2, "uniforce-x: workers: expected a worker process that lives"),
         (DiskFullError("no room"), 4, "uniforce-x: no room"),
         *(
             (OSError(number, os.strerror(number)), 4, f"uniforce-x: disk: {os.strerror(number)}")

@@ -128,6 +128,18 @@ def test_a_mount_is_stated_of_recorded_pairs_alone(refuses):
     refuses(main, ["new=uskin:2", "mounted=turned"], "recorded pairs")
 
 
+@pytest.mark.parametrize(
+    "words, named",
+    [("through=tool", "through"), ("loads_N=3,6,9 task=tool", "task"), ("tools=bar", "tools")],
+)
+def test_settings_that_change_nothing_are_refused(words, named, refuses):
+    refuses(main, words.split(), f"got {named}")
+
+
+def test_grasps_that_are_all_refused_are_an_error_in_words(refuses):
+    refuses(main, ["new=gelsight:1+lost=0.9", "grasps=8"], "got none of 8")
+
+
 def test_simulated_loads_undo_a_pad_that_answers_less(calibrated, capsys):
     found = calibrated("new=tactip:1+gain=0.7", "loads_N=3,6,9")
     assert "tactip:1+gain=0.7: gain of latents 1." in capsys.readouterr().out

@@ -100,6 +100,13 @@ def test_missing_and_strange_tensors_are_named(name, published, view, tmp_path, 
     assert not (tmp_path / "out").exists()
 
 
+def test_nothing_is_converted_into_a_folder_with_files(published, view, tmp_path, refuses):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "adapter_config.json").write_text("{}")
+    words = [f"source={published}", f"view={view}", f"out={tmp_path / 'out'}"]
+    refuses(main, words, "empty folder")
+
+
 def test_another_policy_is_refused(view, tmp_path, refuses):
     (tmp_path / "config.json").write_text('{"type": "act"}')
     refuses(main, [f"source={tmp_path}", f"view={view}", f"out={tmp_path / 'out'}"], "pi05")

@@ -13,6 +13,7 @@ from policy_samples import calibrate
 
 from lerobot_env_uniforce_wiping import WipeEnv
 from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint, stored_config
+from uniforce_cli import score as score_module
 from uniforce_cli import score_worker
 from uniforce_cli.boundary import Worn
 from uniforce_cli.score import ROWS, SCRIPTS, ScoreConfig, score, score_arms, write_report
@@ -26,6 +27,7 @@ from uniforce_cli.score_worker import (
 )
 from uniforce_vtla.contact.virtual import hidden_sensors
 from uniforce_vtla.errors import ContractError
+from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import TACTILE_NAMES
 from uniforce_vtla.results_file import only_writer
 
@@ -145,6 +147,36 @@ def test_episodes_of_another_policy_are_neither_taken_over_nor_lost(settings, tm
     assert len(jobs) == 2
 
 
+def test_episodes_of_other_code_are_kept_with_a_warning(settings, rolled_out, monkeypatch, caplog):
+    rolled_out()
+    for commit in ("one", "one", "another"):
+        monkeypatch.setattr(score_module, "provenance", lambda commit=commit: {"commit": commit})
+        assert not caplog.text
+        scored(settings)
+    assert "episodes of other code are kept" in caplog.text
+    write_report(settings)
+    (arm,) = read_object(Path(settings.out) / "wiping.json", ContractError)["arms"].values()
+    assert arm["commits"] == ["one", "another"]
+
+
+def test_two_rigs_of_one_name_are_refused_before_a_rollout(settings, rolled_out):
+    jobs = rolled_out()
+    other = replace(settings, arm="swap", right_sensor="uskin:drawing")
+    score(other)
+    asked = len(jobs)
+    with pytest.raises(ContractError, match="arm=swap: expected a name of its own"):
+        score(replace(other, right_sensor="gelsight:drawing"))
+    assert len(jobs) == asked
+
+
+def test_a_folder_that_is_no_arm_is_left_out_of_the_table(settings, tmp_path, rolled_out):
+    rolled_out()
+    (tmp_path / "calibration").mkdir()
+    (tmp_path / "calibration" / "config.json").write_text("{}")
+    scored(settings)
+    assert len(write_report(settings)) == 1
+
+
 def test_a_table_holds_the_scenes_that_were_asked_for_last(settings, rolled_out):
     jobs = rolled_out()
     for first, rollouts in ((5, 3), (100, 2), (5, 2)):
@@ -179,7 +211,7 @@ def test_the_calibration_of_another_unit_is_refused(settings, tmp_path, rolled_o
     folder = calibrate(tmp_path / "map", policy, new="uskin:1", anchor="tactip:1")
     config = replace(settings, right_calibration=folder, rollouts=1)
     for words in ("uskin", "uskin:1+lag=100"):
-        score(replace(config, right_sensor=words))
+        score(replace(config, right_sensor=words, arm=""))
     assert len(jobs) == 2
     with pytest.raises(ContractError, match=r"one of uskin:2, got one of uskin:1"):
         score(replace(config, right_sensor="uskin:2"))

@@ -131,6 +131,14 @@ def test_a_card_does_not_carry_another_policys_scores(trained, share_trained, sc
     assert share_trained([f"scores={scores}"]) == 0
 
 
+def test_a_second_share_leaves_nothing_of_the_first(trained, share_trained, scores, shared):
+    edit_json(
+        scores, lambda table: table["arms"]["V+T"].update(policies=[content_of(str(trained))])
+    )
+    assert share_trained([f"scores={scores}"]) == 0 and (shared / "scores.json").is_file()
+    assert share_trained([]) == 0 and not (shared / "scores.json").exists()
+
+
 def test_what_is_pushed_is_what_was_named_first(share_trained, shared, monkeypatch, capsys):
     hub = MagicMock()
     hub.create_repo = lambda repo_id, **_: SimpleNamespace(repo_id=repo_id)

@@ -12,6 +12,7 @@ import pytest
 from calibration_samples import save_calibration
 from headless_browser import open_browser
 
+from uniforce_cli import estimate
 from uniforce_cli.dataset_sheet import write_sheet
 from uniforce_cli.episode_films import Films, encoded
 from uniforce_cli.recorded_episode import (
@@ -65,6 +66,14 @@ def test_a_page_holds_its_pictures(recorded, tmp_path):
     assert "wipe the dots" in page and "tactip" in page and "Estimated" in page
     content = json.loads((tmp_path / "episode_1.json").read_text())
     assert content["facts"]["left sensor"] == "gelsight" and "force_mae_N" in content
+
+
+def test_an_episode_that_is_too_short_costs_the_others_nothing(recorded, tmp_path, capsys):
+    assert estimate.main([f"root={recorded}", "pad_friction=0.6,0.6", f"out={tmp_path}"]) == 0
+    said = capsys.readouterr().out
+    assert "episode 0: not judged, " in said and "episode 1: not judged, " in said
+    episodes = json.loads((tmp_path / "estimates.json").read_text())["episodes"]
+    assert [row["episode"] for row in episodes] == [0, 1]
 
 
 def test_latents_are_zero_in_free_air_and_seen_from_the_sensor(recorded):

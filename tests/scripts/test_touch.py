@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from contact_samples import StillFinger, faces
 
+from uniforce_cli import touch, touch_view
 from uniforce_cli.touch import TouchConfig, main, make_finger
 from uniforce_cli.touch_checks import advice, check_angle, quarter_response
 from uniforce_cli.touch_view import OUTPUTS, TouchView, as_text, panel, save_panel
@@ -72,6 +73,22 @@ def test_live_view_of_a_stand_in(tmp_path, capsys):
     out = capsys.readouterr().out
     assert code == 0 and (tmp_path / "touch.png").is_file(), out
     assert "taking the reference" in out and re.search(r"force x y z +[-+]\d", out)
+
+
+def test_ctrl_c_keeps_the_last_picture(monkeypatch, tmp_path):
+    def shown():
+        yield "a view"
+        raise KeyboardInterrupt
+
+    saved = []
+    monkeypatch.setattr(touch_view, "views", lambda *_: shown())
+    monkeypatch.setattr(touch_view, "OUTPUTS", {"terminal": lambda: lambda view: None})
+    monkeypatch.setattr(touch_view, "save_panel", lambda view, path: saved.append(view))
+    finger = MagicMock()
+    monkeypatch.setattr(touch, "opened", lambda config: finger)
+    words = ["sensor=uskin", "source=standin", "head=none", f"save={tmp_path / 'last.png'}"]
+    assert main([*words, "refresh_hz=1000"]) == 0
+    assert saved == ["a view"]
 
 
 def test_live_view_of_a_camera_stand_in(capsys):

@@ -1,6 +1,7 @@
 """The scripted expert's demonstrations in the simulated scene; seeds repeat exactly."""
 
 import itertools
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,11 @@ from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_datasets.rig_settings import Settings
 from uniforce_robots.recorder.assemble import next_seed
 from uniforce_vtla.contracts import FINGERS
-from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.errors import ContractError, RobotError, SensorError, expected
 from uniforce_vtla.evaluation.episode import EpisodeResult
 from uniforce_vtla.keys import ACTION, STATE, age_key, time_key, truth_wrench_key
 
+logger = logging.getLogger(__name__)
 GIVE_UP_FACTOR = 4  # attempts per wanted episode before a run without failures kept stops
 
 
@@ -31,17 +33,26 @@ def record_expert(
 ) -> int:
     """Record the missing episodes; return how many are new. See ``uniforce record --help``.
 
+    A scene in which a frame is refused or the tool is lost is left out, and said.
+
     Raises ContractError: an expert that fails too often; DatasetError: see ``EpisodeRecorder``.
     """
     worn = env.sensors
     fps = int(env.metadata["render_fps"])
     with EpisodeRecorder(root, repo_id, worn["left"], worn["right"], fps) as recorder:
         have = recorder.num_episodes
+        lost = ""  # why a scene was left out
         first = next_seed(root, have, seed)
         seeds = iter(range(first, first + GIVE_UP_FACTOR * max(episodes - have, 0)))
         with tqdm(total=episodes, initial=have, desc="record", unit="episode") as bar:
             while recorder.num_episodes < episodes and (seed := next(seeds, -1)) >= 0:
-                result = record_episode(env, recorder, seed)
+                try:
+                    result = record_episode(env, recorder, seed)
+                except (SensorError, RobotError) as error:
+                    recorder.discard()
+                    lost = str(error)
+                    logger.warning("seed %d is left out: %s", seed, error)
+                    continue
                 if result.clean or keep_failures:
                     recorder.save(result.clean, result.outcome, seed, settings=settings)
                 else:
@@ -52,7 +63,7 @@ def record_expert(
                 )
         if recorder.num_episodes < episodes:
             wanted = f"{episodes} successes"
-            do = "Try an easier level."
+            do = f"The last scene left out: {lost}" if lost else "Try an easier level."
             raise ContractError(expected("expert", wanted, recorder.num_episodes, do))
         return recorder.num_episodes - have
 
