@@ -1,6 +1,7 @@
 """A result file says by which command it was made."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ from uniforce_vtla.results_file import provenance, write_json
 
 PRINTS = """
 import json
+import os
 from uniforce_vtla.results_file import provenance
 print(json.dumps(provenance()))
 """
@@ -45,6 +47,18 @@ def test_what_json_does_not_know_becomes_null(tmp_path):
     assert json.loads(text, parse_constant=pytest.fail) == {
         "alarm_s": None, "rows": [{"recall": None}, [1.5, None]], "n": 3
     }  # fmt: skip
+
+
+def test_a_file_can_be_read_by_whom_the_umask_lets(tmp_path):
+    umask = os.umask(0o022)
+    try:
+        path = write_json(tmp_path / "x.json", {"a": 1})
+    finally:
+        os.umask(umask)
+    assert path.stat().st_mode & 0o777 == 0o644
+    with pytest.raises(TypeError):
+        write_json(tmp_path / "y.json", {"a": object()})
+    assert [file.name for file in tmp_path.iterdir()] == ["x.json"]
 
 
 def test_a_result_names_commit_device_and_whether_the_sources_were_changed(monkeypatch):

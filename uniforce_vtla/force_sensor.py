@@ -235,6 +235,7 @@ def monitor_of(
     size: str | Path | None,
     readings: int,
     calibration: Calibration | None,
+    free_air: bool = True,
 ) -> HealthMonitor:
     """Return the monitor of a shipped kind, for the tokenizer of a size.
 
@@ -245,4 +246,5 @@ def monitor_of(
     """
     is_within_kind = calibration is not None and calibration.anchor.partition(":")[0] == kind
     latent_map = calibration.map if calibration is not None and is_within_kind else None
-    return HealthMonitor(LatentRange.from_pretrained(kind, size), finger, readings, latent_map)
+    usual = LatentRange.from_pretrained(kind, size)
+    return HealthMonitor(usual, finger, readings, latent_map, free_air)

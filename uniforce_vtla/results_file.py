@@ -8,7 +8,6 @@ import os
 import platform
 import subprocess
 import sys
-import tempfile
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -84,9 +83,13 @@ def _program() -> str:
 def write_json(path: Path, content: dict[str, Any]) -> Path:
     """Write ``content`` atomically; NaN and infinity become null."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False) as handle:
-        json.dump(_strict(content), handle, indent=1, allow_nan=False)
-    Path(handle.name).replace(path)
+    # a temporary file of Python's own could be read by nobody else
+    fresh = path.with_name(f".{path.name}.{os.getpid()}.new")
+    try:
+        fresh.write_text(json.dumps(_strict(content), indent=1, allow_nan=False))
+        fresh.replace(path)
+    finally:
+        fresh.unlink(missing_ok=True)  # half a file of a full disk
     return path
 
 

@@ -269,12 +269,12 @@ class PI05UniforcePolicy(stock.PI05Policy):
             images = [vary(image, self.config.augment.camera_variation) for image in images]
         return images, masks
 
-    def felt(self, batch: Batch) -> Felt:
+    def felt(self, batch: Batch, watched: bool = True) -> Felt:
         """Return touch and, for a state token, the state; raises as ``TouchInput.gather``."""
         state = None
         if self.model.state_token is not None:
             state = batch[STATE].to(self.leash)[:, None]  # (B, 1, S)
-        return Felt(state, *self.touch.gather(batch, self.training))
+        return Felt(state, *self.touch.gather(batch, self.training, watched))
 
     def _measured(self, batch: Batch) -> Tensor:
         if MEASURED_STATE not in batch:
@@ -300,7 +300,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
             reduction: "mean" → scalar; "none" → (B,) for weighted training.
         """
         images, masks = self._preprocess_images(batch)
-        felt = self.felt(batch)
+        felt = self.felt(batch, watched=False)  # also of LeRobot's held-out data
         actions = self.prepare_action(batch)  # (B, chunk, max_action_dim)
         if self.config.action.objective == "regression":
             # The flow's first step from zero noise: its velocity is minus the action, and one Euler

@@ -178,9 +178,11 @@ def make_pi05_uniforce_pre_post_processors(
         ),
         DeviceProcessorStep(device=config.device),
     ]
+    # moves become targets in the policy, which checks them itself
+    bounds = read_target_range(stats) if config.action.form == "absolute" else []
     after = [
         UnnormalizerProcessorStep(config.output_features, mapping, stats),
         DeviceProcessorStep(device="cpu"),
-        CheckActionStep(*read_target_range(stats), where=config.action.stop_outside_demos),
+        CheckActionStep(*bounds, where=config.action.stop_outside_demos),
     ]
     return make_policy_processor_pipelines(input_steps=before, output_steps=after)

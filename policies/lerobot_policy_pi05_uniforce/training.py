@@ -157,7 +157,7 @@ def read_latent_columns(dataset_meta: Any, config: PI05UniforceConfig) -> None:
         info = features.get(latent_key(slot), {}).get("info")
         if info is None or config.touch.input not in ENCODED:
             continue
-        config.touch.trained_sensors.setdefault(slot, str(info.get("sensors", "")))
+        config.touch.trained_sensors[slot] = str(info.get("sensors", ""))
         wanted = f"finger {config.touch.slots[slot]}, tokenizer {config.tokenizer_hash}"
         came = f"finger {info.get('finger')}, tokenizer {info.get('tokenizer')}"
         if came != wanted:
@@ -177,7 +177,7 @@ def read_view(dataset_meta: Any, config: PI05UniforceConfig) -> None:
     sensors = getattr(dataset_meta, "sensors", {})  # finger → types in the episodes sampled from
     for slot in config.slots:
         types = "+".join(sensors.get(config.touch.slots[slot], []))
-        config.touch.trained_sensors.setdefault(slot, types)
+        config.touch.trained_sensors[slot] = types or config.touch.trained_sensors.get(slot, "")
     made_by = view.get("tokenizer_hash", "")
     if config.touch.input in ENCODED and made_by and made_by != config.tokenizer_hash:
         do = "Build the view again with this policy's tokenizer."

@@ -84,13 +84,25 @@ def test_matrices_are_computed_once_and_read_afterwards(tmp_path, monkeypatch):
 
 
 @pytest.mark.usefixtures("nothing_remembered")
-@pytest.mark.parametrize("why", ["no home", "damaged", "not ours"])
+def test_a_damaged_file_of_the_cache_is_made_anew(tmp_path, monkeypatch, caplog):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    first = influence(SMALL)
+    influence.cache_clear()
+    (file,) = tmp_path.rglob("*.npz")
+    file.write_bytes(file.read_bytes()[:1000])
+    np.testing.assert_array_equal(influence(SMALL).skin, first.skin)
+    assert "made anew" in caplog.text
+    influence.cache_clear()
+    monkeypatch.setattr(elastic, "compute_influence", lambda *_: pytest.fail("computed again"))
+    influence(SMALL)
+
+
+@pytest.mark.usefixtures("nothing_remembered")
+@pytest.mark.parametrize("why", ["no home", "not ours"])
 def test_a_cache_that_cannot_be_used_costs_time_only(why, tmp_path, monkeypatch, caplog):
     monkeypatch.setenv("XDG_CACHE_HOME", "/proc/nothing" if why == "no home" else str(tmp_path))
     first = influence(SMALL)
     influence.cache_clear()
-    for file in tmp_path.rglob("*.npz"):
-        file.write_bytes(file.read_bytes()[:1000])
     if why == "not ours":
         refused = MagicMock(side_effect=PermissionError(13, "Permission denied"))
         monkeypatch.setattr(np, "load", refused)

@@ -53,6 +53,15 @@ def test_zeros_are_free_air_of_a_tared_sensor():
     assert (pair.current > 0).sum() > (pair.reference > 0).sum() + 500
 
 
+def test_a_reference_wants_readings_enough_that_hold_still():
+    taken = paxini().free_air([FREE, FREE, loaded(34, z=1), FREE])
+    assert np.array_equal(taken, FREE)
+    with pytest.raises(ContractError, match="at least"):
+        paxini().free_air([FREE])
+    with pytest.raises(SensorError, match="steady"):
+        paxini().free_air([loaded(34, z=force) for force in (0, 8, 16, 24)])
+
+
 def test_shear_moves_discs_right_and_up_and_drags_their_neighbours():
     right, up = moved_px(loaded(34, x=4)), moved_px(loaded(34, y=4))
     assert right[34, 0] > 1 and up[34, 1] < -1 and abs(right[34, 1]) < 0.01

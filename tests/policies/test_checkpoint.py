@@ -167,7 +167,8 @@ def test_sensors_of_the_training_view_are_stored(make_config, tmp_path):
     sensors = {"left": ["gelsight", "uskin"], "right": ["tactip"]}
     meta = SimpleNamespace(root=tmp_path, sensors=sensors, total_episodes=9, used_episodes=4)
     (tmp_path / VIEW_MARKER).write_text("{}")
-    config = make_config(touch__input="wrench")
+    # of an earlier training, whose weights this one starts from
+    config = make_config(touch__input="wrench", touch__trained_sensors={"touch0": "uskin"})
     PI05UniforcePolicy(config, dataset_meta=meta)
     assert config.touch.trained_sensors == {"touch0": "tactip", "touch1": "gelsight+uskin"}
     assert config.trained_on["episodes"] == "4"
@@ -175,6 +176,16 @@ def test_sensors_of_the_training_view_are_stored(make_config, tmp_path):
         assert check_sensors(config, {"left": left, "right": "tactip"}) == []
     with pytest.raises(CheckpointError, match="right_sensor=uskin"):
         check_sensors(config, {"left": "uskin", "right": "uskin"})
+
+
+def test_a_fresh_policy_takes_no_random_weights_for_a_tokenizer_it_names(make_config):
+    config = make_config()
+    own = {**Tokenizer.from_pretrained("nano").facts(), "hash": "0" * 64}
+    config.touch.tokenizer = (
+        own  # as a train_config.json of a training with a tokenizer of one's own
+    )
+    with pytest.raises(CheckpointError, match="tokenizer_path"):
+        PI05UniforcePolicy(config)
 
 
 def test_the_packages_tokenizer_is_stored_once(make_policy, make_batch, tmp_path):

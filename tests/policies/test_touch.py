@@ -137,6 +137,13 @@ def test_lost_touch_can_be_masked_and_is_logged_once(make_policy, make_batch, ca
     assert sum("tactile_left" in r.message for r in caplog.records) == 1
 
 
+def test_an_unhealthy_sensor_is_logged_once_though_its_distance_changes(policy, caplog):
+    policy.config.touch.on_sensor_loss = "mask"
+    for distance in ("1.1", "1.2"):
+        policy.touch._lost("touch0", SensorError(f"latents within 1.0, got {distance}"))
+    assert caplog.text.count("going on without touch") == 1
+
+
 def test_a_sensor_that_is_not_healthy_stops_the_rollout_at_the_third_look(policy, batch):
     watched(policy)
     for _ in range(2):  # episodes
@@ -171,11 +178,34 @@ def test_a_sensor_that_is_not_healthy_can_be_masked_and_is_not_watched_in_traini
 ):
     policy = watched(make_policy(touch__on_sensor_loss="mask"))
     batch = make_batch(policy)
-    masks = [policy.felt(batch).masks for _ in range(FREE_LOOKS)]
-    assert masks[0][0].all() and not masks[-1][0].any() and masks[-1][1].all()
+    masks = [policy.felt(batch).masks for _ in range(FREE_LOOKS + 2)]
+    assert masks[0][0].all()
+    for mask in masks[FREE_LOOKS - 1 :]:  # and it stays so
+        assert not mask[0].any() and mask[1].all()
+    policy.reset()
+    assert policy.felt(batch).masks[0].all()
     policy = watched(make_policy()).train()
     for _ in range(FREE_LOOKS + 1):
         policy.felt(batch)
+
+
+def test_held_out_data_is_no_rollout_to_watch(policy, make_batch):
+    watched(policy).eval()
+    batch = make_batch(policy)
+    for _ in range(FREE_LOOKS + 1):
+        policy.forward(batch)
+
+
+@pytest.mark.parametrize(("steps", "judged"), [(2, True), (10, True), (50, False)])
+def test_free_air_is_judged_only_where_looks_come_before_the_grasp(steps, judged, shipped):
+    shipped.right_sensor = "tactip"
+    shipped.n_action_steps = steps
+    monitor = make_monitor(shipped, "touch0", None)
+    odd = monitor._usual.mean.view(1, shipped.tokens_per_slot, shipped.latent_size) + 50.0
+    with pytest.raises(FreeAirError if judged else SensorError) as raised:
+        for _ in range(FREE_LOOKS):
+            monitor.see(odd)
+    assert isinstance(raised.value, FreeAirError) == judged
 
 
 @pytest.mark.parametrize(

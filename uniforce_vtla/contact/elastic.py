@@ -78,8 +78,14 @@ def cache_folder() -> Path:
 def influence(gel: Gel) -> Influence:
     """Return the influence matrices of ``gel``, cached; the first time takes some ten seconds."""
     key = hashlib.sha256(json.dumps([VERSION, asdict(gel)]).encode()).hexdigest()[:16]
+    path = cache_folder() / f"{key}.npz"
     try:
-        return _cached(cache_folder() / f"{key}.npz", gel)
+        try:
+            return _cached(path, gel)
+        except DatasetError as error:
+            logger.warning("a damaged file of the cache of pads is made anew: %s", error)
+            path.unlink(missing_ok=True)
+            return _cached(path, gel)
     except UNUSABLE as error:
         do = "It is computed anew each time; set XDG_CACHE_HOME to a folder of yours."
         logger.warning("%s", expected("cache of pads", "one to read and write", repr(error), do))

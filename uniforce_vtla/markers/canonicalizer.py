@@ -19,6 +19,7 @@ from uniforce_vtla.markers.point_render import check_points, is_pressed, place_p
 from uniforce_vtla.markers.reference import (
     ReferenceMemory,
     capture_camera_reference,
+    capture_row_reference,
     capture_taxel_reference,
     refuse,
     refuse_pressed_reference,
@@ -41,6 +42,9 @@ from uniforce_vtla.sensors import get_sensor
 
 # times the spec's markers or a quarter: gels of one kind carry 25 to 266, domes 127 or 331
 LIKELY_COUNT = 4
+# while a reference is taken: of a tared taxel's number, and of a point's, times its noise
+MAX_COUNT_STD = 3.0
+MAX_POINT_STD = 10.0
 
 
 class Canonicalizer:
@@ -100,7 +104,10 @@ class Canonicalizer:
         if self.spec.raw_shape == TAXEL_SHAPE:
             return capture_taxel_reference(frames)
         checked = [self._checked(frame, "reference") for frame in frames]
-        return np.median(checked, axis=0).astype(checked[0].dtype)
+        most = MAX_COUNT_STD
+        if self.spec.points is not None:
+            most = MAX_POINT_STD * self.spec.points.noise_mm
+        return capture_row_reference(checked, most).astype(checked[0].dtype)
 
     def set_reference(self, raw: np.ndarray) -> None:
         """Take ``raw`` as the free-air state.
@@ -108,7 +115,7 @@ class Canonicalizer:
         Counts to subtract, or the frame to learn from how markers look.
 
         Raises ContractError: wrong shape or dtype; SensorError: a camera frame without markers or
-        with an unlikely number of them, or a dead sensor: a tared one still reads noise.
+        with an unlikely number of them, or a dead sensor, where zeros can't be a live one's.
         """
         if self._is_drawn:
             self._reference_rows = self._checked(raw, "reference")

@@ -54,11 +54,7 @@ def capture_taxel_reference(
     counts = np.stack([check_counts(np.asarray(scan), "uSkin reference") for scan in scans])
     for scan in counts:
         check_alive(scan, "uSkin reference")
-    spread = np.median(np.abs(counts - np.median(counts, axis=0)), axis=0)
-    moved = float(1.4826 * spread.max())  # one garbled scan isn't a touch
-    if moved > MAX_TAXEL_STD:
-        refuse(f"taxels steady within {MAX_TAXEL_STD:g} counts", f"a spread of {moved:.0f}")
-    reference = np.rint(np.median(counts, axis=0)).astype(np.int64)
+    reference = np.rint(capture_row_reference(counts, MAX_TAXEL_STD)).astype(np.int64)
     if resting_level is not None:
         resting = check_counts(np.asarray(resting_level), "resting level")
         offset = int(np.abs(reference - resting).max())
@@ -68,6 +64,22 @@ def capture_taxel_reference(
                 f"{offset} counts off",
             )
     return reference
+
+
+def capture_row_reference(rows: Sequence[np.ndarray] | np.ndarray, most: float) -> np.ndarray:
+    """Return the (M, 3) median of several free-air readings (M, 3) of taxels or points.
+
+    ``most`` is the largest standard deviation of a number that holds still, in its own unit.
+
+    Raises ContractError: too few; SensorError: moving between them.
+    """
+    _check_enough(len(rows))
+    median = np.median(rows, axis=0)
+    spread = np.median(np.abs(np.asarray(rows) - median), axis=0)
+    moved = float(1.4826 * spread.max())  # one garbled reading isn't a touch
+    if moved > most:
+        refuse(f"numbers steady within {most:g}", f"a spread of {moved:.2g}")
+    return median
 
 
 def capture_camera_reference(

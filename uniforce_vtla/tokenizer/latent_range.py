@@ -121,14 +121,21 @@ class HealthMonitor:
         finger: name in messages.
         looks: that make half a second.
         worn: map of its calibration onto a unit of that kind; what it gives is judged with it.
+        free_air: whether the first ``FREE_LOOKS`` looks come before anything is touched.
     """
 
     def __init__(
-        self, usual: LatentRange, finger: str, looks: int, worn: nn.Module | None = None
+        self,
+        usual: LatentRange,
+        finger: str,
+        looks: int,
+        worn: nn.Module | None = None,
+        free_air: bool = True,
     ) -> None:
         self._usual = usual
         self._finger = finger
         self._worn = worn
+        self._free_air = free_air
         self._recent: deque[float] = deque(maxlen=looks)
         self.active = True  # False while a policy trains: samples are in no order
         self.reset()
@@ -191,8 +198,12 @@ class HealthMonitor:
         self._recent.append(distance)
         self._seen += 1
         mean = sum(self._recent) / len(self._recent)
-        free = mean / self._free_limit if self._seen == FREE_LOOKS else 0.0
-        return free, mean / self._run_limit if len(self._recent) == self._recent.maxlen else 0.0
+        free = run = 0.0
+        if self._free_air and self._seen == FREE_LOOKS:
+            free = mean / self._free_limit
+        if len(self._recent) == self._recent.maxlen:
+            run = mean / self._run_limit
+        return free, run
 
     def _message(self, when: str, limit: float, times: float, do: str) -> str:
         what = f"{self._usual.kind} on the {self._finger} finger {when}"

@@ -2,7 +2,6 @@
 
 import copy
 from collections.abc import Callable
-from contextlib import nullcontext
 from dataclasses import asdict
 from functools import partial
 from typing import Any, Self
@@ -122,18 +121,22 @@ def build_frozen_touch(config: PI05UniforceConfig, empty: bool) -> FrozenTouch:
 
 def _build_tokenizer(config: PI05UniforceConfig, empty: bool) -> Tokenizer:
     facts = config.touch.tokenizer
-    if facts is None:
+    if facts is not None and is_packaged(config):
+        return Tokenizer.from_pretrained(shipped_sizes()[config.tokenizer_hash])
+    if facts is None or not empty:
         tokenizer = Tokenizer.from_pretrained(config.touch.tokenizer_path)
+        if facts is not None and tokenizer.hash != config.tokenizer_hash:
+            do = "Name the tokenizer that these settings were made with."
+            wanted, came = config.tokenizer_hash, tokenizer.hash
+            raise CheckpointError(expected("touch.tokenizer_path", wanted, came, do))
         config.touch.tokenizer = {**tokenizer.facts(), "hash": tokenizer.hash}
         return tokenizer
-    if is_packaged(config):
-        return Tokenizer.from_pretrained(shipped_sizes()[config.tokenizer_hash])
     stored = facts.get(STORED_KEY)
     running = canonicalizer_facts()
     if stored != running:
         do = "Use the version it was trained with, or train again."
         raise CheckpointError(expected("canonicalizer of the checkpoint", stored, running, do))
-    with no_weights() if empty else nullcontext():
+    with no_weights():
         model = build_model(TokenizerConfig(**facts["model"]), seed=0)
     return Tokenizer(model, known_hash=config.tokenizer_hash)
 
@@ -141,12 +144,12 @@ def _build_tokenizer(config: PI05UniforceConfig, empty: bool) -> Tokenizer:
 def _build_head(config: PI05UniforceConfig, empty: bool) -> ForceHead:
     """Return the head of a sensor type: of the checkpoint, the package, or one's own tokenizer."""
     touch = config.touch
-    if touch.head_sizes is not None:
-        with no_weights() if empty else nullcontext():
+    if touch.head_sizes is not None and empty:
+        with no_weights():
             model = ForceRegressor(HeadConfig(**touch.head_sizes))
         return ForceHead(model, touch.head, config.tokenizer_hash)
     # a path in a checkpoint is never followed
-    beside = None if touch.head_hash else touch.tokenizer_path
+    beside = None if touch.head_hash and empty else touch.tokenizer_path
     size = shipped_sizes().get(config.tokenizer_hash)
     try:
         head = ForceHead.from_pretrained(touch.head, size or beside)

@@ -15,6 +15,9 @@ from uniforce_vtla.tokenizer.latent_range import FREE_LOOKS, HealthMonitor
 from uniforce_vtla.tokenizer.weights import checkpoint_folder
 
 logger = logging.getLogger(__name__)
+# control steps in which no hand grasps: one second. A policy that looks less often isn't judged in
+# free air, since its third look may see the tool held
+UNTOUCHED_STEPS = 30
 
 
 def policy_sensors(
@@ -82,4 +85,5 @@ def make_monitor(
         logger.info(message, finger, kind)
         return None
     readings = max(FREE_LOOKS, round(HALF_SECOND / config.n_action_steps))
-    return monitor_of(kind, finger, size, readings, calibration)
+    free_air = FREE_LOOKS * config.n_action_steps <= UNTOUCHED_STEPS
+    return monitor_of(kind, finger, size, readings, calibration, free_air)

@@ -38,11 +38,13 @@ class TouchInput:
         self.hidden: set[Finger] = set()  # whose touch is taken away from a trained policy
         # references taken in this episode instead of those given
         self._renewed: dict[str, Tensor] = {}
-        self._logged: set[str] = set()
+        self._unhealthy: set[str] = set()  # slots masked until the episode ends
+        self._logged: set[tuple[str, str]] = set()
 
     def reset(self) -> None:
         """Start an episode: forget references and earlier readings."""
         self._renewed.clear()
+        self._unhealthy.clear()
         for sensor in self.sensors.values():
             sensor.reset()
 
@@ -51,15 +53,17 @@ class TouchInput:
         for sensor in self.sensors.values():
             sensor.to(device)
 
-    def gather(self, batch: Batch, training: bool) -> tuple[Any, Any]:
+    def gather(self, batch: Batch, training: bool, watched: bool = True) -> tuple[Any, Any]:
         """Return (slots, B, rows, numbers) and (slots, B) whether each is there, or None.
+
+        ``watched``: the batch is a look of a rollout, so that sensors' health is judged.
 
         Raises, if ``on_sensor_loss`` is "error", RolloutError: a declared input is missing or not
         finite; SensorError: latents outside the range of healthy sensors.
         """
         for sensor in self.sensors.values():
             if sensor.monitor is not None:
-                sensor.monitor.active = not training
+                sensor.monitor.active = watched and not training
         if not self.config.slots:
             return None, None
         touches = torch.stack([self._read(batch, slot) for slot in self.config.slots])
@@ -71,25 +75,27 @@ class TouchInput:
 
     def _read(self, batch: Batch, slot: str) -> Tensor:
         """Return a slot's input, NaN where its sensor is lost or its finger hidden."""
-        if self.config.finger_by_slot()[slot] in self.hidden:
+        if slot in self._unhealthy or self.config.finger_by_slot()[slot] in self.hidden:
             return self._nothing(batch)
         try:
             touch = self.read(batch, slot)
         except (RolloutError, SensorError) as error:
-            self._lost(error)
+            self._lost(slot, error)
+            if isinstance(error, FreeAirError):  # it is judged once, and the fault stays
+                self._unhealthy.add(slot)
             return self._nothing(batch)
         if not touch.isfinite().all():
             do = "Check the sensor or the dataset."
-            self._lost(RolloutError(expected(slot, "finite numbers", "NaN or inf", do)))
+            self._lost(slot, RolloutError(expected(slot, "finite numbers", "NaN or inf", do)))
         return touch
 
-    def _lost(self, error: UniForceError) -> None:
+    def _lost(self, slot: str, error: UniForceError) -> None:
         if self.config.touch.on_sensor_loss == "error":
             raise error
-        message = str(error)
-        if message not in self._logged:
-            self._logged.add(message)
-            logger.warning("on_sensor_loss=mask: going on without touch. %s", message)
+        kind = (slot, type(error).__name__)
+        if kind not in self._logged:
+            self._logged.add(kind)
+            logger.warning("on_sensor_loss=mask: going on without touch. %s", error)
 
     @torch.no_grad()
     def read(self, batch: Batch, slot: str) -> Tensor:
