@@ -27,6 +27,7 @@ Several = Annotated[int, Range(2, 1_000_000)]
 Mass = Annotated[float, Range(0, 20, above=True)]
 Grip = Annotated[float, Range(0, 70, above=True)]
 FrameRate = Annotated[int, Range(0, 1000)]
+GRASP_s = 3  # of a rehearsed grasp
 
 
 @dataclass
@@ -134,7 +135,7 @@ def _rig(
     from uniforce_robots.pairs.rehearsal import Rehearsal, SimulatedRig
 
     seed = config.seed + store.next_session  # other grasps than those recorded before
-    settings = GraspSettings(rate_hz=rate_hz)
+    settings = GraspSettings(rate_hz=rate_hz, frames=round(GRASP_s * rate_hz))
     rehearsal = Rehearsal(config.left_sensor, config.right_sensor, seed, settings)
     return nullcontext(SimulatedRig(rehearsal))
 

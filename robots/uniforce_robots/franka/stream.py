@@ -306,9 +306,11 @@ class ArmStream:
     def _stop_one(self, what: str, stop: Callable[[], None]) -> None:
         try:
             stop()
-        except RobotError as error:
+        # the last two of a pipe that another thread closed: the other one must stop all the same
+        except (RobotError, OSError, ValueError) as error:
             log.error("%s did not stop in order: %s", what, error)
-            self.fault = self.fault or error
+            fault = error if isinstance(error, RobotError) else RobotError(str(error), "connection")
+            self.fault = self.fault or fault
 
 
 def _silent(for_s: float) -> RobotError:

@@ -100,7 +100,9 @@ class PairJudge:
         return PairQuality(np.where(one_alone, 2.0, apart / np.maximum(mean, FLOOR_N)))
 
     def learn(self, grasp: GraspSignals) -> None:
-        """Take a finished grasp into the session's comparison."""
+        """Take a finished grasp into the session's comparison, unless nothing was touched."""
+        if np.minimum(grasp.left_N[:, 2], grasp.right_N[:, 2]).max() < TOUCH_N:
+            return
         self._grasps = [*self._grasps, grasp][-GRASPS_KEPT:]
         left = np.concatenate([_smooth(g.left_N) for g in self._grasps])
         self._shear = _compare_shear(
@@ -146,12 +148,19 @@ class PairJudge:
 
 
 def _rest(grasp: GraspSignals) -> np.ndarray:
-    """Return (T,) the first frames, until the hand moves for two frames in a row."""
+    """Return (T,) the frames from the first touch until the hand moves for two in a row.
+
+    On a robot a grasp begins as the fingers open after the one before, and the open hand is led to
+    the next place first.
+    """
+    touched = np.maximum(grasp.left_N[:, 2], grasp.right_N[:, 2]) > TOUCH_N / 2
+    first = int(np.argmax(touched))  # 0 where nothing is touched
     fast = np.linalg.norm(grasp.velocity_m_s, axis=1) > REST_SPEED_m_s
     moving = fast | (np.linalg.norm(grasp.acceleration_m_s2, axis=1) > REST_ACCELERATION_m_s2)
-    twice = moving & np.append(moving[1:], True)
-    begun = int(np.argmax(twice)) if twice.any() else len(moving)
-    return np.arange(len(moving)) < max(begun, 3)
+    twice = (moving & np.append(moving[1:], True))[first:]
+    length = int(np.argmax(twice)) if twice.any() else len(twice)
+    frame = np.arange(len(moving))
+    return (frame >= first) & (frame < first + max(length, 3))
 
 
 def _rest_ratio(grasp: GraspSignals) -> float:

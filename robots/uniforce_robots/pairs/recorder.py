@@ -9,7 +9,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from typing import Self
 
 from uniforce_robots.pairs.coverage import Coverage
 from uniforce_robots.pairs.pair_judge import PairJudge, PairQuality
@@ -69,6 +71,7 @@ class PairRecorder:
         self._plan = plan
         self._show = show
         self._judge = PairJudge()
+        self._spent: int | None = None  # grasp that ended an indenter while it was still held
         self.report = SessionReport()
 
     def run(self) -> SessionReport:
@@ -82,23 +85,32 @@ class PairRecorder:
             session = Session(self._store.next_session, self._rig.references())
             readers = FingerReaders(self._rig, session.references)
             for indenter in missing:
-                self._record(_Pairs(indenter, self._store, self._plan, session), readers)
+                with _Pairs(indenter, self._store, self._plan, session) as pairs:
+                    self._record(pairs, readers)
         return self.report
 
     def _record(self, pairs: _Pairs, readers: FingerReaders) -> None:
         """Guide grasps of one indenter until enough is saved."""
         track = GraspTrack(self._rig.mass_kg, readers)
+        fruitless = 0  # frames since a pair was kept
         for count, frame in enumerate(self._rig.frames(pairs.name), 1):
+            if frame.grasp == self._spent:
+                continue
             is_long = len(track.frames) >= self._plan.longest_grasp
             if track.frames and (is_long or frame.grasp != track.frames[0].grasp):
+                before = pairs.have
                 self._finish(track, pairs)
+                if pairs.have > before:
+                    fruitless = 0
+                if pairs.missing <= 0:
+                    self._spent = track.frames[0].grasp
+                    return
                 track = GraspTrack(self._rig.mass_kg, readers)
-            if pairs.missing <= 0:
-                return
             track.add(frame)
             if count % LIVE_EVERY == 0:
                 self._show(self._status(track, pairs))
-            self._refuse_endless(count, pairs)
+            fruitless += 1
+            self._refuse_endless(fruitless, pairs)
 
     def _finish(self, track: GraspTrack, pairs: _Pairs) -> None:
         """Judge a whole grasp, keep what is good, learn from all of it."""
@@ -135,12 +147,16 @@ class PairRecorder:
         wanted = f"{self._plan.pairs} pairs of {pairs.name}"
         do = "Hold the object from outside, lead slowly, take the references anew."
         raise DatasetError(
-            expected("guided grasps", wanted, f"{pairs.have} in {frames} frames ({why})", do)
+            expected("guided grasps", wanted, f"none in {frames} frames ({why})", do)
         )
 
 
 class _Pairs:
-    """Good pairs of one indenter on their way to the store."""
+    """Good pairs of one indenter on their way to the store, which fills beside the recording.
+
+    Saving takes about a second, and a robot that gets no target for that long holds. Whatever ends
+    the recording, pairs that wait are saved.
+    """
 
     def __init__(
         self, indenter: int, store: PairStore, plan: RecordingPlan, session: Session
@@ -151,17 +167,32 @@ class _Pairs:
         self._plan = plan
         self._session = session
         self._waiting: list[Pair] = []
+        self._handed_over = int(store.counts[indenter])  # to the store, now or before
         self._cells = store.coverage[indenter].force.copy()  # with those that wait
+        self._worker = ThreadPoolExecutor(1)
+        self._saving: list[Future[None]] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        with self._worker:
+            if len(self._waiting) >= MIN_CHUNK:
+                self._save()
+            for saved in self._saving:
+                saved.result()
 
     @property
     def have(self) -> int:
-        """Pairs saved or waiting."""
-        return int(self._store.counts[self.indenter]) + len(self._waiting)
+        """Pairs saved, being saved or waiting."""
+        return self._handed_over + len(self._waiting)
 
     @property
     def missing(self) -> int:
-        """Pairs still wanted."""
-        return self._plan.pairs - self.have
+        """Pairs still wanted; one that waits alone wants another, since a chunk has two."""
+        waits = len(self._waiting)
+        wanted = self._plan.pairs - self.have
+        return max(wanted, MIN_CHUNK - waits) if waits else wanted
 
     def take(self, track: GraspTrack, quality: PairQuality, reasons: list[str]) -> list[str]:
         """Keep a grasp's good pairs, save full chunks; return what became of each frame."""
@@ -171,8 +202,7 @@ class _Pairs:
             pair = Pair(track.frames[k], force_N, float(quality.error[k]))
             outcomes.append(reason or self._keep(pair))
             if self._is_due():
-                self._store.add(self.indenter, self._session, self._waiting)
-                self._waiting = []
+                self._save()
         return outcomes
 
     def _keep(self, pair: Pair) -> str:
@@ -188,7 +218,18 @@ class _Pairs:
     def _is_due(self) -> bool:
         """Return whether a chunk is full or the last; enough pairs must be left for the last."""
         waits = len(self._waiting)
-        after = self.missing
+        after = self._plan.pairs - self.have
         return waits >= MIN_CHUNK and (
             after <= 0 or (waits >= self._plan.chunk and after >= MIN_CHUNK)
         )
+
+    def _save(self) -> None:
+        """Hand what waits to the store; raises as ``PairStore.add`` of an earlier chunk."""
+        for saved in self._saving:
+            if saved.done():
+                saved.result()
+        chunk = self._waiting
+        self._waiting = []
+        self._handed_over += len(chunk)
+        saving = self._worker.submit(self._store.add, self.indenter, self._session, chunk)
+        self._saving.append(saving)

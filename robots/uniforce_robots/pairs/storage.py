@@ -156,7 +156,7 @@ class PairStore:
             keys.PAIR_SESSION: np.array([session.number]),
         }
         for pair in pairs:
-            self._recorder.add(fixed | pair.row(), f"hold the {self.indenters[indenter]}")
+            self._recorder.add(fixed | pair.row(), _instruction(self.indenters[indenter]))
         # a pair dataset has no such columns
         self._recorder.save(success=True, outcome="success", seed=0)
         self.coverage[indenter].add(np.array([pair.mean_force_N for pair in pairs]))
@@ -187,12 +187,22 @@ class PairStore:
             raise DatasetError(
                 expected(str(self.root), f"{len(self.indenters)} indenters", came, do)
             )
+        held = source.instructions()
         force_N = (columns[left] + columns[right]) / 2
         for index in np.unique(indenter):
+            self._check_name(index, set(held[indenter == index].tolist()))
             self.coverage[index].add(force_N[indenter == index])
         self.next_session = int(session.max()) + 1
         for place in sorted(set(zip(indenter.tolist(), session.tolist(), strict=True))):
             self._catch_up(source, *place, rows=(indenter == place[0]) & (session == place[1]))
+
+    def _check_name(self, index: int, held: set[str]) -> None:
+        """Refuse to go on with another object under an indenter's number."""
+        wanted = _instruction(self.indenters[index])
+        if held != {wanted}:
+            do = "Give the same indenters in the same order, or another out."
+            came = ", ".join(sorted(held))
+            raise DatasetError(expected(f"indenter {index} of {self.root}", wanted, came, do))
 
     def _catch_up(self, source: Source, indenter: int, session: int, rows: np.ndarray) -> None:
         """Write the layout's images anew where they aren't as many as the dataset's."""
@@ -220,6 +230,10 @@ class PairStore:
         name = self.indenters[indenter]
         pairs = PairRecording(self._names, name, "", left, right, images["left"], images["right"])
         write_uniforce_pairs(self.layout, pairs, PATTERN, _date(session.number))
+
+
+def _instruction(indenter: str) -> str:
+    return f"hold the {indenter}"
 
 
 def _decoded(source: Source, episode: Episode, key: str, count: int = 0) -> np.ndarray:

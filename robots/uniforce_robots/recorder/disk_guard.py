@@ -46,8 +46,14 @@ class DiskGuard:
         return recorded_B / recorded_frames * frames / MB
 
     def before_episode(self, frames: int, recorded_frames: int) -> str:
-        """Return the estimate in words; raise DiskFullError: an episode of ``frames`` won't fit."""
-        need_MB = self.estimate_MB(frames, recorded_frames)
+        """Return the estimate in words.
+
+        Raises DiskFullError: an episode of ``frames`` won't fit; DatasetError: the disk has gone.
+        """
+        try:
+            need_MB = self.estimate_MB(frames, recorded_frames)
+        except OSError as error:
+            raise self._gone(error) from error
         free_MB = self.check(need_MB * MARGIN, f" (episode {need_MB:.0f} MB × {MARGIN} + reserve)")
         return f"{need_MB:.0f} MB, {free_MB / 1000:.1f} GB free"
 
@@ -60,15 +66,16 @@ class DiskGuard:
             free_MB = free_bytes(self._root) / MB
             wanted_MB = beside_MB + self._reserve_MB
         except OSError as error:
-            raise DatasetError(
-                expected(str(self._root), "a disk", error, "Was it unplugged?")
-            ) from error
+            raise self._gone(error) from error
         if free_MB < wanted_MB:
             wanted = f"{wanted_MB:.0f} MB free{why}"
             raise DiskFullError(
                 expected(str(self._root), wanted, f"{free_MB:.0f} MB", "Free some space.")
             )
         return free_MB
+
+    def _gone(self, error: OSError) -> DatasetError:
+        return DatasetError(expected(str(self._root), "a disk", error, "Was it unplugged?"))
 
 
 def _frame_bytes(key: str, feature: Mapping[str, Any]) -> float:

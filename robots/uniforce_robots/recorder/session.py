@@ -119,7 +119,8 @@ class RecordingSession:
         ending = self._judge(self._not_late(EpisodeLoop(self._parts, prompt, frames).run()))
         self._endings.append(ending)
         self._store(ending, {"begun": begun, "prompt": prompt})
-        self._seed += 1
+        if ending.how != "rerecord":  # which begins the same scene again
+            self._seed += 1
         self._after(ending)
         return ending.how == "rerecord"
 

@@ -59,6 +59,15 @@ def test_a_mistake_in_a_backend_lets_the_arm_go_too(arm, stream, eventually):
         stream.submit(away(0.0))
 
 
+@pytest.mark.parametrize("error", [ValueError("handle is closed"), BrokenPipeError()])
+def test_a_hand_whose_pipe_is_closed_does_not_keep_the_arm_from_stopping(arm, error):
+    hand = Mock(spec=Hand)
+    hand.halt.side_effect = error
+    stream = ArmStream(arm, hand=hand)
+    stream._let_go()
+    assert arm.stops and stream.fault.fault == "connection"
+
+
 def test_late_commands_are_logged_once(arm, stream, eventually, caplog):
     arm.success_rate = 0.5
     arm.mode = "move"

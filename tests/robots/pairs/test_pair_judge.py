@@ -58,6 +58,35 @@ def test_the_grasp_itself_shows_how_normals_compare(calm):
     assert not PairJudge().judge(replace(calm, right_N=stiffer)).flagged.any()
 
 
+def test_an_open_hand_that_is_led_to_the_object_first_changes_nothing(calm):
+    """So a grasp begins on a robot: as the fingers open after the one before."""
+    stiffer = replace(calm, right_N=calm.right_N * [1, 1, 1.5])
+    led = 20
+    free = np.zeros((led, 3))
+    moving = np.full((led, 3), 0.1)
+    from_open = replace(
+        stiffer,
+        left_N=np.concatenate([free, stiffer.left_N]),
+        right_N=np.concatenate([free, stiffer.right_N]),
+        velocity_m_s=np.concatenate([moving, stiffer.velocity_m_s]),
+        acceleration_m_s2=np.concatenate([free, stiffer.acceleration_m_s2]),
+    )
+    judge = PairJudge()
+    error = judge.judge(stiffer).error
+    np.testing.assert_allclose(judge.judge(from_open).error[led + 2 :], error[2:], atol=1e-3)
+
+
+def test_a_session_does_not_learn_from_an_idle_hand(calm):
+    softer = replace(calm, right_N=calm.right_N * [0.5, 0.5, 1])
+    idle = replace(calm, left_N=0 * calm.left_N, right_N=0 * calm.right_N)
+    judge = PairJudge()
+    for _ in range(20):
+        judge.learn(softer)
+    for _ in range(60):
+        judge.learn(idle)
+    assert not judge.judge(softer).flagged.any()
+
+
 def test_the_session_shows_how_shears_compare(calm):
     softer = replace(calm, right_N=calm.right_N * [0.5, 0.5, 1])
     judge = PairJudge()

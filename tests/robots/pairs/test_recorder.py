@@ -1,8 +1,10 @@
 """Both rigs, and the whole recorder in simulation: it keeps good pairs, goes on, gives up."""
 
 import itertools
+import threading
 from dataclasses import replace
 from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -23,7 +25,13 @@ from uniforce_robots.pairs.rehearsal import LIMIT, Rehearsal, SimulatedRig, equi
 from uniforce_robots.pairs.rig import HandMotion, RobotRig
 from uniforce_robots.pairs.storage import PairStore
 from uniforce_vtla.contracts import FINGERS
-from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError, SensorError
+from uniforce_vtla.errors import (
+    CheckpointError,
+    ContractError,
+    DatasetError,
+    DiskFullError,
+    SensorError,
+)
 
 NAMES = ("sphere", "line")
 PLAN = RecordingPlan(pairs=12, chunk=6, crowded=1.0)
@@ -58,20 +66,85 @@ def test_it_records_exactly_what_was_asked_for(tmp_path):
     assert not again.kept  # nothing is missing, so nothing is recorded
 
 
-def test_a_lost_finger_costs_at_most_a_chunk(tmp_path):
+@pytest.mark.parametrize("end", [SensorError("unplugged"), KeyboardInterrupt()])
+def test_an_early_end_costs_no_pair_that_was_kept(end, tmp_path):
     rig = simulated()
     frames = rig.frames
 
-    def unplugged(indenter):
+    def ended(indenter):
         yield from itertools.islice(frames(indenter), 32)
-        raise SensorError("unplugged")
+        raise end
 
-    rig.frames = unplugged
-    with pytest.raises(SensorError):
-        rehearse(tmp_path, replace(PLAN, pairs=30), rig)
+    rig.frames = ended
+    seen = []
+    with opened(tmp_path) as store, pytest.raises(type(end)):
+        PairRecorder(rig, store, replace(PLAN, pairs=30, chunk=30), seen.append).run()
     with opened(tmp_path) as store:
-        assert 0 < store.counts[0] < 30 and store.counts[0] % PLAN.chunk == 0
+        assert store.counts[0] == seen[-1].have > 2
         assert store.next_session == 1
+
+
+def test_a_quota_short_by_one_pair_is_filled(tmp_path):
+    rehearse(tmp_path, replace(PLAN, pairs=12))
+    with opened(tmp_path) as store:
+        report = PairRecorder(
+            simulated(), store, replace(PLAN, pairs=13), lambda status: None
+        ).run()
+        assert store.counts.tolist() == [14] * len(NAMES)  # a chunk has two
+    assert report.outcomes[KEPT] == 2 * len(NAMES)
+
+
+def test_an_object_that_is_still_held_is_not_taken_for_the_next(tmp_path):
+    rig = simulated()
+    frames = rig.frames
+    asked = []
+
+    def never_opened(indenter):
+        """The first indenter's grasp goes on under the second one's name for forty frames."""
+        asked.append(indenter)
+        for count, frame in enumerate(frames(indenter)):
+            if len(asked) == 1 or count < 40:
+                yield replace(frame, grasp=0)
+            else:
+                yield frame
+
+    rig.frames = never_opened
+    seen = []
+    plan = replace(PLAN, longest_grasp=60)
+    with opened(tmp_path) as store:
+        report = PairRecorder(rig, store, plan, seen.append).run()
+    second = [grasp for grasp, _ in report.kept[plan.pairs :]]
+    assert len(asked) == 2 and second and 0 not in second
+
+
+def test_saving_does_not_hold_the_frames_up(tmp_path, monkeypatch):
+    saving = threading.Event()
+    add = PairStore.add
+
+    def slow(self, *chunk):
+        assert saving.wait(timeout=60)
+        add(self, *chunk)
+
+    monkeypatch.setattr(PairStore, "add", slow)
+    rig = simulated()
+    frames = rig.frames
+
+    def counted(indenter):
+        for count, frame in enumerate(frames(indenter)):
+            if count == 2 * QUICK.frames:  # what the first grasp gave is being saved
+                saving.set()
+            yield frame
+
+    rig.frames = counted
+    rehearse(tmp_path, replace(PLAN, pairs=40), rig)
+
+
+def test_a_fault_of_the_store_ends_the_recording(tmp_path, monkeypatch):
+    add = MagicMock(side_effect=DiskFullError("no room"))
+    monkeypatch.setattr(PairStore, "add", add)
+    with pytest.raises(DiskFullError):
+        rehearse(tmp_path)
+    assert add.call_count <= 2
 
 
 def test_a_crowded_cell_takes_no_more(tmp_path):

@@ -86,6 +86,14 @@ def test_two_sensors_of_one_kind_are_kept_apart(tmp_path, make_chunk):
     assert list(layout(tmp_path)) == ["uniforce/session_000/tactip_l_tactip_r/sphere"]
 
 
+@pytest.mark.parametrize("names", [("bar", "line"), ("line", "sphere")])
+def test_another_object_is_not_recorded_under_the_same_number(names, tmp_path, make_chunk):
+    with opened(tmp_path, indenters=("sphere", "line")) as store:
+        store.add(*make_chunk(0, 0, 3))
+    with pytest.raises(DatasetError, match=r"hold the (bar|line), got hold the sphere"):
+        opened(tmp_path, indenters=names)
+
+
 def test_what_does_not_fit_is_refused(tmp_path, make_chunk):
     with opened(tmp_path) as store:
         with pytest.raises(ContractError, match="indenter 2"):

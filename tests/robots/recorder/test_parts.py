@@ -46,6 +46,13 @@ def test_an_episode_needs_room_and_a_reserve(guard):
         guard(99).check()
 
 
+def test_a_disk_that_is_gone_is_named(guard, monkeypatch):
+    gone = MagicMock(side_effect=OSError(5, "Input/output error"))
+    monkeypatch.setattr(DiskGuard, "estimate_MB", gone)
+    with pytest.raises(errors.DatasetError, match="Was it unplugged"):
+        guard(9000).before_episode(900, 100)
+
+
 def test_what_was_recorded_is_the_best_estimate(tmp_path, guard):
     (tmp_path / "video.mp4").write_bytes(b"0" * 3 * MB)
     assert guard(9000).estimate_MB(200, 100) == pytest.approx(6.0)

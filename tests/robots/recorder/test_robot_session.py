@@ -188,6 +188,7 @@ def test_discard_rerecord_pause_and_notes(teleop, go, root):
     end = go(operator, episode_s=30.0)
     assert [e.label for e in end.endings] == ["discard", "rerecord", "success"]
     assert end.endings[2].pauses == 1 and len(teleop.starts) == 4, "three episodes and one going on"
+    assert set(column(root, keys.SEED).ravel()) == {1}, "re-recording is of the same scene"
     card = read_card(root, 0)
     assert card["notes"] == ["slow"] and card["prompt"] == "wipe" and card["guards"]["sensor"] == 0
     assert np.diff(column(root, keys.STAMPS)[:, 0]).max() > 5 / 30, "the pause shows"
