@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.calibrations import KNOWN, calibration_folder
+from benchmarks.ladder.comparison import as_good, better
 from benchmarks.ladder.plan import (
     BETTER,
     CLAIMS,
@@ -24,8 +25,7 @@ from uniforce_cli.score_settings import ScoreConfig
 from uniforce_vtla.arguments import choose
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
-from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow, table
-from uniforce_vtla.evaluation.comparison import CleanBySeed, as_good, better
+from uniforce_vtla.evaluation.arms import ArmReport, CleanBySeed, EpisodeRow, table
 from uniforce_vtla.evaluation.statistics import wilson
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.options import FolderPath, OutFile, OutFolder, Text, Workers

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from benchmarks.calibrations import Fit, units
+from benchmarks.ladder.comparison import AtMostWorse
 from uniforce_cli.boundary import Gripper, Level
-from uniforce_vtla.evaluation.comparison import AtMostWorse
 
 LEVEL: Level = "touch"
 GRIPPER: Gripper = "hand"

@@ -194,8 +194,7 @@ def write_report(config: ScoreConfig) -> list[ArmReport]:
     they share.
     """
     from lerobot_env_uniforce_wiping import LEVELS, level_hash
-    from uniforce_vtla.evaluation.arms import ArmReport, read_rows
-    from uniforce_vtla.evaluation.comparison import paired_clean
+    from uniforce_vtla.evaluation.arms import ArmReport, paired_clean, read_rows
     from uniforce_vtla.evaluation.pictures import draw_arms
     from uniforce_vtla.evaluation.statistics import mcnemar
 

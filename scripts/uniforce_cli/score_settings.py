@@ -89,10 +89,9 @@ class ScoreConfig:
     # millimetre, as no hand does
     gripper: Gripper = "hand"
     swap: options.Slots = ""  # which finger fills which touch slot, e.g. touch0:left
-    # masked = touch is taken away | left_masked, right_masked = that of one finger | shuffled =
-    # touch of another scene in the same phase | frozen = touch stays as it was half a second into
-    # the wipe | "" = touch as it is
-    control: Literal["", "masked", "left_masked", "right_masked", "shuffled", "frozen"] = ""
+    # masked = touch is taken away | left_masked, right_masked = that of one finger | frozen = touch
+    # stays as it was half a second into the wipe | "" = touch as it is
+    control: Literal["", "masked", "left_masked", "right_masked", "frozen"] = ""
     rollouts: options.Count = 20  # scenes to score; 20 as in the paper, ≥ 200 for claims
     # seed of the first scene; demos are recorded from seed 0 on, so these scenes weren't trained on
     first_seed: options.Seed = 10_000

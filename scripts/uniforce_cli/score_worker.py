@@ -1,8 +1,7 @@
 """One process of the scorer: builds each arm's environment and controller once, then scores seeds.
 
 Controls ask whether the policy uses touch. Masked touch, of both fingers or one, carries nothing.
-Shuffled touch is of another scene in the same phase, frozen touch stays as it was early in the
-wipe.
+Frozen touch stays as it was early in the wipe.
 """
 
 import functools
@@ -11,14 +10,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import torch
 from lerobot.utils.io_utils import write_video
-from tqdm import tqdm
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
-from lerobot_env_uniforce_wiping.episodes import Script, walk
+from lerobot_env_uniforce_wiping.episodes import Script
 from lerobot_policy_pi05_uniforce.controller import PolicyController
 from uniforce_cli.boundary import worker_process
 from uniforce_cli.score_settings import Rig, ScoreConfig, checkpoint_of
@@ -35,9 +32,6 @@ from uniforce_vtla.results_file import write_json
 log = logging.getLogger(__name__)
 SCRIPTS: dict[str, Callable[[], Script]] = {"expert": WipeExpert}
 
-DONOR_SEED = 50_000  # scenes that are neither trained on nor scored
-DONORS = 6  # expert episodes that lend their touch
-EVERY = 5  # steps between two frames kept of a donor
 FEELS_s = 0.5  # of wiping, before touch freezes
 # control → fingers whose touch it takes away
 HIDES: dict[str, tuple[Finger, ...]] = {
@@ -46,8 +40,6 @@ HIDES: dict[str, tuple[Finger, ...]] = {
     "left_masked": ("left",),
     "right_masked": ("right",),
 }
-
-Donated = dict[str, np.ndarray]  # stream → (H, W) bool, packed along the last axis
 
 
 class ScriptController:
@@ -97,44 +89,23 @@ def _build(policy: str, rig: Rig, control: str, out: Path) -> tuple[WipeEnv, Con
         controller = ScriptController(SCRIPTS[policy]())
     else:
         env, plain = policy_on_rig(policy, rig)
-        controller = controlled(plain, control, env, rig)
+        controller = controlled(plain, control)
     write_json(out / "sensors.json", {"notes": getattr(controller, "notes", []), **env.sensors})
     return env, controller
 
 
-def controlled(controller: PolicyController, control: str, env: WipeEnv, rig: Rig) -> Controller:
+def controlled(controller: PolicyController, control: str) -> Controller:
     """Return the controller under a control of ``ScoreConfig``; "" is none.
 
-    Scenes that lend their touch have the same ``rig``. Raises ContractError: an unknown control.
+    Raises ContractError: an unknown control.
     """
-    if control == "shuffled":
-        return ShuffledTouch(controller, donated_touch(rig, env.drawn))
     if control == "frozen":
         return FrozenTouch(controller)
     if control not in HIDES:
-        wanted = " | ".join([*filter(None, HIDES), "shuffled", "frozen"])
+        wanted = " | ".join([*filter(None, HIDES), "frozen"])
         raise ContractError(expected("control", wanted, repr(control), "Name one."))
     controller.policy.touch.hidden.update(HIDES[control])
     return controller
-
-
-def donated_touch(
-    rig: Rig, fingers: tuple[Finger, ...] = FINGERS, donors: int = DONORS
-) -> dict[int, list[Donated]]:
-    """Return marker images of expert episodes on other scenes, by phase of the task."""
-    env = _scene(rig, drawn=fingers)
-    expert = WipeExpert()
-    bank: dict[int, list[Donated]] = {}
-    for seed in tqdm(range(DONOR_SEED, DONOR_SEED + donors), desc="donated touch"):
-        for step, _ in enumerate(walk(env, expert, seed), start=1):
-            if step % EVERY == 0 or env.phase not in bank:
-                pixels = env.observe()["pixels"]
-                packed = {}
-                for name in TACTILE_NAMES:
-                    if name in pixels:
-                        packed[name] = np.packbits(pixels[name][..., 0] > 0, axis=-1)
-                bank.setdefault(env.phase, []).append(packed)
-    return bank
 
 
 def _scene(rig: Rig, drawn: tuple[Finger, ...], expose_wrench: bool = False) -> WipeEnv:
@@ -149,47 +120,15 @@ def _scene(rig: Rig, drawn: tuple[Finger, ...], expose_wrench: bool = False) -> 
     )
 
 
-class OtherTouch:
-    """A controller that gets other touch than the scene's."""
+class FrozenTouch:
+    """A controller whose touch stays, from half a second of wiping on, as it was then."""
 
     def __init__(self, inner: Controller) -> None:
         self._inner = inner
-        self._env: Any = None
 
     def reset(self, env: Any) -> None:
-        self._env = env
         self._inner.reset(env)
-
-    def facts(self) -> dict[str, float]:
-        return self._inner.facts()
-
-
-class ShuffledTouch(OtherTouch):
-    """It gets the touch of a random moment of another scene in the same phase, by the seed."""
-
-    def __init__(self, inner: Controller, bank: dict[int, list[Donated]]) -> None:
-        super().__init__(inner)
-        self._bank = bank
-
-    def reset(self, env: Any) -> None:
-        super().reset(env)
-        self._rng = np.random.default_rng([env.scene.seed, 31])
-
-    def chunk(self, observation: dict[str, Any], task: str) -> np.ndarray:
-        """Return the inner controller's chunk for this observation with touch exchanged."""
-        bank = self._bank[max(phase for phase in self._bank if phase <= self._env.phase)]
-        pixels = dict(observation["pixels"])
-        for name, packed in bank[int(self._rng.integers(len(bank)))].items():
-            image = np.unpackbits(packed, axis=-1) * np.uint8(255)
-            pixels[name] = cv2.cvtColor(image, cv2.COLOR_GRAY2RGB)
-        return self._inner.chunk(observation | {"pixels": pixels}, task)
-
-
-class FrozenTouch(OtherTouch):
-    """Its touch stays, from half a second of wiping on, as it was then."""
-
-    def reset(self, env: Any) -> None:
-        super().reset(env)
+        self._env = env
         self._wiping_from_s = np.inf
         self._kept: dict[str, np.ndarray] = {}
 
@@ -203,6 +142,9 @@ class FrozenTouch(OtherTouch):
         if time_s - self._wiping_from_s < FEELS_s:
             self._kept = {name: pixels[name] for name in TACTILE_NAMES if name in pixels}
         return self._inner.chunk(observation | {"pixels": pixels | self._kept}, task)
+
+    def facts(self) -> dict[str, float]:
+        return self._inner.facts()
 
 
 def policy_on_rig(policy: str, rig: Rig) -> tuple[WipeEnv, PolicyController]:

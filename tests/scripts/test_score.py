@@ -11,24 +11,19 @@ import pytest
 from episode_samples import good_row
 from policy_samples import calibrate
 
-from lerobot_env_uniforce_wiping import WipeEnv
 from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint, stored_config
 from uniforce_cli import score as score_module
 from uniforce_cli import score_worker
 from uniforce_cli.boundary import Worn
 from uniforce_cli.score import ROWS, SCRIPTS, ScoreConfig, score, score_arms, write_report
-from uniforce_cli.score_settings import Rig
 from uniforce_cli.score_worker import (
     FrozenTouch,
-    ShuffledTouch,
     controlled,
-    donated_touch,
     score_job,
 )
 from uniforce_vtla.contact.virtual import hidden_sensors
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.json_file import read_object
-from uniforce_vtla.keys import TACTILE_NAMES
 from uniforce_vtla.results_file import only_writer
 
 
@@ -237,36 +232,6 @@ def test_every_script_can_be_scored():
     assert set(score_worker.SCRIPTS) == set(SCRIPTS)
 
 
-@pytest.fixture(scope="module")
-def bank():
-    return donated_touch(Rig("easy"), donors=1)
-
-
-@pytest.mark.parametrize("phase", [0, 2])
-def test_shuffled_touch_is_another_scenes_in_the_same_phase(phase, bank, monkeypatch):
-    assert set(bank) == {0, 1, 2, 3}
-    monkeypatch.setattr(WipeEnv, "phase", phase)
-    inner, env = MagicMock(), WipeEnv("easy")
-    observation, _ = env.reset(seed=3)
-    shuffled = ShuffledTouch(inner, bank)
-    felt = []
-    for _ in range(2):
-        shuffled.reset(env)
-        shuffled.chunk(observation, "wipe")
-        seen = inner.chunk.call_args.args[0]
-        felt.append(np.stack([seen["pixels"][name] for name in TACTILE_NAMES]))
-    assert np.array_equal(*felt), "the same scene gets the same other scene's touch"
-    assert felt[0].shape[1:] == (480, 640, 3) and {*np.unique(felt)} <= {0, 255}
-    packed = np.packbits(felt[0][..., 0] > 0, axis=-1)
-    donors = [[donor[name] for name in TACTILE_NAMES] for donor in bank[phase]]
-    assert any(np.array_equal(packed, donor) for donor in donors)
-    assert np.array_equal(seen["pixels"]["front"], observation["pixels"]["front"])
-    assert np.array_equal(seen["agent_pos"], observation["agent_pos"])
-    if phase == 2:  # pressed on the board there, in free air here
-        pixels = seen["pixels"]["tactile_left"]
-        assert not np.array_equal(pixels, observation["pixels"]["tactile_left"])
-
-
 def test_frozen_touch_stays_as_it_was_half_a_second_into_the_wipe():
     inner = MagicMock()
     frozen = FrozenTouch(inner)
@@ -283,7 +248,7 @@ def test_frozen_touch_stays_as_it_was_half_a_second_into_the_wipe():
 
 def test_unknown_controls_and_controls_of_scripts_are_refused(settings):
     with pytest.raises(ContractError, match="masked"):
-        controlled(None, "asleep", WipeEnv("easy"), Rig("easy"))
+        controlled(None, "asleep")
     with pytest.raises(ContractError, match="Controls are for policies"):
         score_job(0, replace(settings, policy="expert", control="masked"), 1)
 

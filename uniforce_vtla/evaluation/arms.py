@@ -1,6 +1,6 @@
 """From scored episodes to an arm's line in the table."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,9 @@ from uniforce_vtla.evaluation.rollout import Rollout
 from uniforce_vtla.evaluation.statistics import wilson
 from uniforce_vtla.keys import OUTCOME_NAMES
 from uniforce_vtla.results_file import read_lines
+
+Clean = list[bool]  # clean success, seed by seed
+CleanBySeed = Mapping[int, bool]  # of one arm
 
 CONTACT_N = 0.5  # of press: the eraser is on the board
 
@@ -144,3 +147,9 @@ def table(reports: Sequence[ArmReport]) -> str:
 def whose_turn(scene: int, names: Sequence[str]) -> str:
     """Return which of several training seeds' checkpoints acts in a scene."""
     return names[scene % len(names)]
+
+
+def paired_clean(first: CleanBySeed, second: CleanBySeed) -> tuple[Clean, Clean]:
+    """Return clean success of both arms on the seeds they share, in the order of the seeds."""
+    seeds = sorted(first.keys() & second.keys())
+    return [first[s] for s in seeds], [second[s] for s in seeds]

@@ -180,7 +180,6 @@ class UniforceTactileCameraConfig(TactileFingerConfig, CapturedCameraConfig):
     """
 
     sensor: str = "gelsight"  # gelsight | tactip
-    delivers: str = "markers"  # markers: the canonical marker image | raw: the camera's own frame
     capture_width: int | None = 1280
     capture_height: int | None = 720
     exposure_100us: float | None = 100.0
@@ -195,9 +194,6 @@ class UniforceTactileCameraConfig(TactileFingerConfig, CapturedCameraConfig):
                     "sensor", "a camera sensor", self.sensor, "A patch of taxels is uniforce_uskin."
                 )
             )
-        require_one_of("delivers", self.delivers, ("markers", "raw"))
-        if self.delivers == "raw":
-            self.height, self.width, _ = self.raw_shape
 
     @property
     def raw_shape(self) -> tuple[int, int, int]:

@@ -170,8 +170,7 @@ class TactileFinger(SampledCamera):
         Raises SensorError: no device, no samples, another sensor, or a reference in contact;
         DatasetError: one of LeRobot's recorders connects it and would store its images with loss.
         """
-        delivers = getattr(self.config, "delivers", "markers")  # cameras may deliver raw frames
-        refuse_lossy_recording(self.config.label, delivers == "markers")
+        refuse_lossy_recording(self.config.label)
         super().connect(warmup)
 
     @abstractmethod
@@ -250,9 +249,6 @@ class UniforceTactileCamera(TactileFinger):
             if reason is not None:
                 raise WrongSensorError(reason)
         super()._on_connect()
-
-    def _image(self, upright: np.ndarray) -> np.ndarray:
-        return upright if self.config.delivers == "raw" else super()._image(upright)
 
     def _median(self, samples: list[np.ndarray]) -> np.ndarray:
         return capture_camera_reference(

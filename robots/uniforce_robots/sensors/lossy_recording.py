@@ -17,10 +17,8 @@ LOSSLESS = (
 )
 
 
-def refuse_lossy_recording(label: str, only_markers: bool) -> None:
+def refuse_lossy_recording(label: str) -> None:
     """Refuse a LeRobot recorder that would store a tactile sensor's images with loss.
-
-    ``only_markers``: images of 0 and 255 alone; raw frames survive no video that LeRobot writes.
 
     Raises DatasetError: saying which flags store the images exactly.
     """
@@ -30,11 +28,10 @@ def refuse_lossy_recording(label: str, only_markers: bool) -> None:
     encoder = settings.rgb_encoder
     exact = encoder.vcodec == "h264" and encoder.crf == 0 and not encoder.extra_options
     # a late streaming encoder leaves frames out
-    if only_markers and exact and not settings.streaming_encoding:
+    if exact and not settings.streaming_encoding:
         return
     came = f"{encoder.vcodec} crf {encoder.crf}, streaming_encoding={settings.streaming_encoding}"
-    flags = f"{LOSSLESS}, or --dataset.video=false" if only_markers else "--dataset.video=false"
-    do = f"Record with uniforce record, or add {flags}."
+    do = f"Record with uniforce record, or add {LOSSLESS}, or --dataset.video=false."
     raise DatasetError(expected(f"recording of {label}", "lossless video", came, do))
 
 

@@ -39,10 +39,10 @@ def record(mjpeg, tmp_path, monkeypatch):
     """Run ``lerobot-record`` for half a second with more flags; return the dataset's folder."""
     monkeypatch.setattr(lerobot_record, "make_robot_from_config", still_robot)
 
-    def run(*flags, delivers="markers"):
+    def run(*flags):
         camera = (
             f"{{type: uniforce_tactile, sensor: tactip, finger: right, source: '{mjpeg.address}', "
-            f"delivers: {delivers}, capture_width: 640, capture_height: 480, connect_ms: 60000, "
+            "capture_width: 640, capture_height: 480, connect_ms: 60000, "
             "reference_on_connect: false}"
         )
         words = (
@@ -61,20 +61,17 @@ def record(mjpeg, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "flags, delivers",
+    "flags",
     [
-        ([], "markers"),
-        (["--dataset.rgb_encoder.vcodec=libsvtav1", "--dataset.rgb_encoder.crf=0"], "markers"),
-        (["--dataset.rgb_encoder.vcodec=h264"], "markers"),
-        ([*LOSSLESS.split()[:2], "--dataset.streaming_encoding=true"], "markers"),
-        (LOSSLESS.split(), "raw"),
+        [],
+        ["--dataset.rgb_encoder.vcodec=libsvtav1", "--dataset.rgb_encoder.crf=0"],
+        ["--dataset.rgb_encoder.vcodec=h264"],
+        [*LOSSLESS.split()[:2], "--dataset.streaming_encoding=true"],
     ],
 )
-def test_a_recording_with_loss_is_refused_before_its_first_episode(
-    record, tmp_path, flags, delivers
-):
+def test_a_recording_with_loss_is_refused_before_its_first_episode(record, tmp_path, flags):
     with pytest.raises(DatasetError, match=r"uniforce record, or add .*--dataset.video=false"):
-        record(*flags, delivers=delivers)
+        record(*flags)
     assert {path.name for path in (tmp_path / "data").rglob("*.*")} == {"info.json"}
 
 

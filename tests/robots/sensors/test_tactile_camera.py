@@ -66,11 +66,6 @@ def test_reads_deliver_new_frames_and_latest_is_a_peek(camera):
     assert camera.latest(60_000).raw.shape == (480, 640, 3) and first.age_ms >= 0
 
 
-def test_raw_frames_if_asked(mjpeg):
-    with UniforceTactileCamera(config(mjpeg.address, delivers="raw")) as camera:
-        assert len(np.unique(camera.read_latest(60_000))) > 50
-
-
 DEAD = {"stall": faults.StaleSensorError, "freeze": faults.FrozenSensorError}
 DEAD |= {"size": faults.WrongSensorError, "stop": faults.LostSensorError}
 
@@ -120,8 +115,6 @@ BEYOND |= {"fps": (0, 10**6), "reference_samples": (0, 1, 10**6), "connect_ms": 
     "options, says",
     [
         ({"sensor": "uskin"}, "uniforce_uskin"),
-        ({"delivers": "both"}, "markers | raw"),
-        ({"delivers": "raw", "capture_width": None}, "capture_width"),
         ({"finger": "thumb"}, "left or right"),
         ({"fps": 5, "frozen_after": 8}, "frozen_after"),
         *(({name: value}, name) for name, values in BEYOND.items() for value in values),
