@@ -29,7 +29,7 @@ from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 from uniforce_vtla.tokenizer.calibration_choice import (
     AXES,
     FORMS,
-    choose,
+    choose_form,
     error_of_grasps,
     fit_form,
     newtons,
@@ -83,7 +83,7 @@ def compare(case: Case) -> dict[str, Any]:
         paired = case.new[fit], case.anchor[fit], case.head, case.grasps[fit]
         for form in FORMS:
             read[form][judge] = fit_form(form, *paired).newtons(case.head, case.new[judge])
-        choices.append(choose(*paired, case.axes))
+        choices.append(choose_form(*paired, case.axes))
         read["chosen"][judge] = read[choices[-1].form][judge]
     rows = np.flatnonzero(case.parts >= 0)
     grasps = grasp_numbers(case.grasps[rows], len(rows))

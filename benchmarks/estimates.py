@@ -15,7 +15,7 @@ from tqdm import tqdm
 from benchmarks.probes.zero_shot import score
 from lerobot_env_uniforce_wiping import LEVELS, WipeEnv, WipeExpert, level_hash
 from lerobot_env_uniforce_wiping.episodes import walk
-from lerobot_env_uniforce_wiping.expert import TouchSettings
+from lerobot_env_uniforce_wiping.expert import ExpertTouch
 from uniforce_cli.boundary import Level, command, one_thread
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.evaluation.episode import (
@@ -65,7 +65,7 @@ class FeltWipe:
 def felt_wipe(env: WipeEnv, sensors: dict[Finger, ForceSensor], seed: int) -> FeltWipe:
     """Return a wipe by an expert whose grip and press are drawn."""
     rng = np.random.default_rng([seed, 9])
-    wanted = TouchSettings(float(rng.uniform(*PRESS_RANGE_N)), float(rng.uniform(*GRIP_RANGE_N)))
+    wanted = ExpertTouch(float(rng.uniform(*PRESS_RANGE_N)), float(rng.uniform(*GRIP_RANGE_N)))
     read: list[list[np.ndarray]] = []
     true: list[list[np.ndarray]] = []
     places = []

@@ -24,7 +24,7 @@ from benchmarks.gates.readings import sunk_m
 from benchmarks.gates.scripts import LagIdentifying, LagLaw
 from lerobot_env_uniforce_wiping.env import WipeEnv
 from lerobot_env_uniforce_wiping.episodes import run_script, walk
-from lerobot_env_uniforce_wiping.expert import AGAINST_PULL, TouchSettings, WipeExpert
+from lerobot_env_uniforce_wiping.expert import AGAINST_PULL, ExpertTouch, WipeExpert
 from lerobot_env_uniforce_wiping.levels import Layout
 from lerobot_env_uniforce_wiping.sequence import Regulator
 
@@ -136,7 +136,7 @@ class Observation:
 def _observe(level: str, gripper: str, seed: int) -> Observation:
     env = WipeEnv(level=level, drawn=(), gripper=gripper)
     rng = np.random.default_rng([seed, 77])
-    settings = AGAINST_PULL if env.level.pull else TouchSettings()
+    settings = AGAINST_PULL if env.level.pull else ExpertTouch()
     expert = WipeExpert(settings=replace(settings, press_N=float(rng.uniform(*PRESS_N))))
     looked = []
     press = []

@@ -8,7 +8,7 @@ import numpy as np
 from benchmarks.gates.blind import BlindScript, BlindSettings, MeasuredPress, MeasuredRelative
 from benchmarks.gates.readings import FEELS_s
 from lerobot_env_uniforce_wiping.env import WipeEnv
-from lerobot_env_uniforce_wiping.expert import Contact, TouchRegulator, TouchSettings, WipeExpert
+from lerobot_env_uniforce_wiping.expert import Contact, ExpertTouch, TouchRegulator, WipeExpert
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ, Layout
 from lerobot_env_uniforce_wiping.mjcf import GRIPPER_N_m, STIFFNESS_N_m
 from lerobot_env_uniforce_wiping.sequence import LOOKS_BACK, Regulator, WipeSequence, look_back
@@ -100,7 +100,7 @@ class Keeping(TouchRegulator):
         self,
         layout: Layout,
         contact: Callable[[], Contact],
-        settings: TouchSettings,
+        settings: ExpertTouch,
         holds: Callable[[], bool | None],
         keeps_height: bool,
     ) -> None:

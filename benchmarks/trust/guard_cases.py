@@ -230,9 +230,9 @@ class Episode:
         self.asked: np.ndarray | None = None
         self.held: np.ndarray | None = None
         self.first = len(self.arm.sent)  # of the poses since this start
-        real = self.stream._target
+        real = self.stream._advance
         target = lambda now_s: self._meddle(real(now_s), now_s)  # noqa: E731
-        self.stream._target = target  # type: ignore[method-assign]
+        self.stream._advance = target  # type: ignore[method-assign]
 
     def _act(self) -> None:
         action, sound = random_action(self.rng, self.arm.axes)

@@ -92,7 +92,7 @@ MUTATIONS: dict[str, Mutation] = {
     "stream: no watchdog": (STREAM, "            self.hold()\n            log", "            log"),
     "stream: rest follows the arm": (
         STREAM,
-        "self._rest_wanted, self._holding = False, True",
+        "self._hold_ordered, self._holding = False, True",
         "self._holding = True",
     ),
     "stream: moves a stopped arm": (STREAM, "        refuse_stopped(state)\n", ""),

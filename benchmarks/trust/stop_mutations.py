@@ -39,7 +39,7 @@ MUTATIONS: dict[str, Mutation] = {
         "            pass\n",
     ),
     "stream: no watchdog": (STREAM, "            self.hold()\n            log", "            log"),
-    "stream: keeps the target over a hold": (STREAM, "        self._rest_wanted = True\n", ""),
+    "stream: keeps the target over a hold": (STREAM, "        self._hold_ordered = True\n", ""),
     "stream: moves a stopped arm": (STREAM, "        refuse_stopped(state)\n", ""),
     "tilt: levelled fast": (STREAM, "LEVEL_rad_m * way_m)", "0.01)"),
     "tilt: not measured": (POSES, "yaw_rad, _tilt(rotation))", "yaw_rad)"),

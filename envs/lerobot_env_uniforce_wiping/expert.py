@@ -69,7 +69,7 @@ class Contact:
 
 
 @dataclass(frozen=True)
-class TouchSettings:
+class ExpertTouch:
     """How the expert regulates."""
 
     # 4 N are enough to wipe; 10 N are an event. A policy's peaks are 1.4 times its means
@@ -89,7 +89,7 @@ class TouchSettings:
 
 # against a pull that changes within a second: press in the middle of the band, regulated twice as
 # fast, and a firmer grip (docs/experiments/scene.md)
-AGAINST_PULL = TouchSettings(press_N=6.0, grip_N=8.5, press_rate_m_s_N=0.008)
+AGAINST_PULL = ExpertTouch(press_N=6.0, grip_N=8.5, press_rate_m_s_N=0.008)
 
 
 class TouchRegulator:
@@ -103,7 +103,7 @@ class TouchRegulator:
         self,
         layout: Layout,
         contact: Callable[[], Contact],
-        settings: TouchSettings,
+        settings: ExpertTouch,
         holds: Callable[[], bool | None] = lambda: None,
     ) -> None:
         self._layout = layout
@@ -168,7 +168,7 @@ class WipeExpert:
         self,
         fingers: FingersUsed = "both",
         noise: ExpertNoise | None = None,
-        settings: TouchSettings | None = None,
+        settings: ExpertTouch | None = None,
         late_steps: int = 0,
     ) -> None:
         if fingers not in FINGERS_USED:
@@ -185,7 +185,7 @@ class WipeExpert:
         rng = self._rng = np.random.default_rng([env.scene.seed, 4242])
         n = self.noise
         level = env.scene.level
-        self.settings = self._given or (AGAINST_PULL if level.pull else TouchSettings())
+        self.settings = self._given or (AGAINST_PULL if level.pull else ExpertTouch())
         self._gain: dict[Finger, float] = {}
         for finger in FINGERS:
             self._gain[finger] = 1 + n.force_gain_sd * rng.standard_normal()

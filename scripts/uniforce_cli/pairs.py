@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from uniforce_robots.franka import UniforceFrankaConfig
     from uniforce_robots.pairs.recorder import SessionReport, Status
     from uniforce_robots.pairs.rehearsal import SimulatedRig
-    from uniforce_robots.pairs.rig import PairRig, RobotRig
+    from uniforce_robots.pairs.rig import HandLedRig, PairRig
     from uniforce_robots.pairs.storage import PairStore
 
 Several = Annotated[int, Range(2, 1_000_000)]
@@ -174,12 +174,12 @@ def _robot(config: RecordPairsConfig, flags: Sequence[str]) -> UniforceFrankaCon
 @contextmanager
 def _robot_rig(
     config: RecordPairsConfig, robot_config: UniforceFrankaConfig, rate_hz: float
-) -> Iterator[RobotRig]:
+) -> Iterator[HandLedRig]:
     """Connect keyboard, fingers and a soft Franka led by hand, and let go of them in the end.
 
     Never run on hardware. The fingers' references are taken while connecting, in free air.
     """
-    from uniforce_robots.pairs.rig import RobotRig
+    from uniforce_robots.pairs.rig import HandLedRig
     from uniforce_robots.recorder.build import make_robot
     from uniforce_robots.sensors.finger import TactileFinger
     from uniforce_robots.teleop import UniforceHandGuide, UniforceHandGuideConfig
@@ -205,7 +205,9 @@ def _robot_rig(
             if isinstance(camera, TactileFinger):
                 fingers[camera.config.finger] = camera
                 sensors[camera.config.finger] = camera.config.sensor
-        yield RobotRig(robot, fingers, sensors, rate_hz, config.mass_kg, config.grip_N, steer=steer)
+        yield HandLedRig(
+            robot, fingers, sensors, rate_hz, config.mass_kg, config.grip_N, steer=steer
+        )
 
 
 def _status_shown(bar: tqdm, store: PairStore, wanted: int) -> Callable[[Status], None]:

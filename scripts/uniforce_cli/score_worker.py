@@ -34,7 +34,7 @@ SCRIPTS: dict[str, Callable[[], Script]] = {"expert": WipeExpert}
 
 FEELS_s = 0.5  # of wiping, before touch freezes
 # control → fingers whose touch it takes away
-HIDES: dict[str, tuple[Finger, ...]] = {
+FINGERS_WITHOUT_TOUCH: dict[str, tuple[Finger, ...]] = {
     "": (),
     "masked": FINGERS,
     "left_masked": ("left",),
@@ -89,22 +89,22 @@ def _build(policy: str, rig: Rig, control: str, out: Path) -> tuple[WipeEnv, Con
         controller = ScriptController(SCRIPTS[policy]())
     else:
         env, plain = policy_on_rig(policy, rig)
-        controller = controlled(plain, control)
+        controller = with_control(plain, control)
     write_json(out / "sensors.json", {"notes": getattr(controller, "notes", []), **env.sensors})
     return env, controller
 
 
-def controlled(controller: PolicyController, control: str) -> Controller:
+def with_control(controller: PolicyController, control: str) -> Controller:
     """Return the controller under a control of ``ScoreConfig``; "" is none.
 
     Raises ContractError: an unknown control.
     """
     if control == "frozen":
         return FrozenTouch(controller)
-    if control not in HIDES:
-        wanted = " | ".join([*filter(None, HIDES), "frozen"])
+    if control not in FINGERS_WITHOUT_TOUCH:
+        wanted = " | ".join([*filter(None, FINGERS_WITHOUT_TOUCH), "frozen"])
         raise ContractError(expected("control", wanted, repr(control), "Name one."))
-    controller.policy.touch.hidden.update(HIDES[control])
+    controller.policy.touch.hidden.update(FINGERS_WITHOUT_TOUCH[control])
     return controller
 
 

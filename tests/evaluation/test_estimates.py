@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.cameras import front_camera
 from lerobot_env_uniforce_wiping.episodes import walk
-from lerobot_env_uniforce_wiping.expert import TouchSettings
+from lerobot_env_uniforce_wiping.expert import ExpertTouch
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.evaluation.board_camera import estimate_residual
@@ -83,7 +83,7 @@ def test_true_forces_tell_the_simulators_events(press_N, grip_N, seed):
     """A hand too loose, too slippery a handle, too firm a press, and a clean wipe."""
     # the servo, since a hand that holds by its own force doesn't grip as loosely as is asked
     env = WipeEnv("touch", drawn=(), gripper="servo")
-    expert = WipeExpert(settings=TouchSettings(press_N, grip_N))
+    expert = WipeExpert(settings=ExpertTouch(press_N, grip_N))
     force, place = [], []
     for _ in walk(env, expert, seed):
         wrench = env.true_wrench()

@@ -1,4 +1,4 @@
-"""Arms of a score take turns, resume, and are controlled; scripts are scored as policies are."""
+"""Arms of a score take turns, resume, and are with_control; scripts are scored as policies are."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -18,8 +18,8 @@ from uniforce_cli.boundary import Worn
 from uniforce_cli.score import ROWS, SCRIPTS, ScoreConfig, score, score_arms, write_report
 from uniforce_cli.score_worker import (
     FrozenTouch,
-    controlled,
     score_job,
+    with_control,
 )
 from uniforce_vtla.contact.virtual import hidden_sensors
 from uniforce_vtla.errors import ContractError
@@ -248,7 +248,7 @@ def test_frozen_touch_stays_as_it_was_half_a_second_into_the_wipe():
 
 def test_unknown_controls_and_controls_of_scripts_are_refused(settings):
     with pytest.raises(ContractError, match="masked"):
-        controlled(None, "asleep")
+        with_control(None, "asleep")
     with pytest.raises(ContractError, match="Controls are for policies"):
         score_job(0, replace(settings, policy="expert", control="masked"), 1)
 

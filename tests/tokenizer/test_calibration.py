@@ -13,7 +13,7 @@ from uniforce_vtla.errors import CheckpointError, ContractError
 from uniforce_vtla.tokenizer import Tokenizer
 from uniforce_vtla.tokenizer.calibrate import calibrate
 from uniforce_vtla.tokenizer.calibration import Calibration
-from uniforce_vtla.tokenizer.calibration_choice import choose
+from uniforce_vtla.tokenizer.calibration_choice import choose_form
 from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig
 from uniforce_vtla.tokenizer.gains import gain_of_loads, gain_through_a_tool
 from uniforce_vtla.tokenizer.latent import Latent
@@ -209,7 +209,7 @@ def test_noise_is_not_calibrated():
     """Both fingers are read with the same noise: a map that shrinks the reading would lower the
     error, and misread."""
     force = pushed(0)
-    choice = choose(force + 0.3 * pushed(3), force + 0.3 * pushed(7), SCALE)
+    choice = choose_form(force + 0.3 * pushed(3), force + 0.3 * pushed(7), SCALE)
     assert choice.form == "none" and min(choice.error.values()) > 0.01
 
 
@@ -217,8 +217,8 @@ def test_frames_of_a_grasp_do_not_choose_for_each_other():
     """Fingers that have nothing in common: a map can only learn each grasp by heart, from its other
     frames."""
     new, anchor = pushed(0, grasps=30, rows=10), pushed(2, grasps=30, rows=10)
-    by_row = choose(new, anchor, SCALE)
-    by_grasp = choose(new, anchor, SCALE, [row // 10 for row in range(300)])
+    by_row = choose_form(new, anchor, SCALE)
+    by_grasp = choose_form(new, anchor, SCALE, [row // 10 for row in range(300)])
     assert by_row.form == "map" and by_row.error["map"] < 0.2
     assert by_grasp.error["map"] > 0.9 and by_grasp.grasps == 30
 
@@ -230,13 +230,13 @@ def test_axes_that_differ_between_the_fingers_can_be_left_out():
     z[:, 0, :2] = anchor[:, 0, :2]
     opposite = z.clone()
     opposite[:, 0, 1] *= -1
-    assert choose(opposite, z, SCALE, axes=(2,)).form == "none"
-    assert choose(opposite, z, SCALE).form == "map"
+    assert choose_form(opposite, z, SCALE, axes=(2,)).form == "none"
+    assert choose_form(opposite, z, SCALE).form == "map"
 
 
 def test_one_grasp_chooses_nothing():
     with pytest.raises(ContractError, match="2 or more"):
-        choose(pushed(0), pushed(0), SCALE, [0] * 200)
+        choose_form(pushed(0), pushed(0), SCALE, [0] * 200)
 
 
 def test_known_loads_give_a_gain_of_latents_that_is_stored(tmp_path):

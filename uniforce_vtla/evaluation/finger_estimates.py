@@ -15,7 +15,7 @@ import numpy as np
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.evaluation.episode import ScoreLimits, band_share, longest_run_s, press_events
 
-FY, FZ = 1, 2  # canonical frame: y up along the finger's pad, z into the pad
+FY, FZ = 1, 2  # canonical frame: y down along the pad, z into it
 
 HELD_N = 1.5  # grip of each finger above which something is in the hand
 LIFT_m = 0.02  # tool height gained since the grasp that counts as lifted
@@ -68,8 +68,8 @@ def estimate_events(
         nothing = np.zeros(len(time_s))
         return FingerEstimate(nothing, grip, np.zeros_like(grip), (), (), ("never lifted",))
     lifted = np.arange(len(time_s)) >= start
-    up = force_N[:, :, FY].sum(axis=1)  # (n,) what the pads bear
-    press = np.where(lifted, np.median(up[_carry(time_s, start)]) - up, 0.0)
+    weight_N = force_N[:, :, FY].sum(axis=1)  # (n,) what hangs on both pads
+    press = np.where(lifted, np.median(weight_N[_carry(time_s, start)]) - weight_N, 0.0)
     shear = np.linalg.norm(force_N[:, :, :FZ], axis=2)  # (n, 2)
     used = shear / np.maximum(grip, SMALLEST_GRIP_N) / np.asarray(pad_friction)
     used[~lifted] = 0.0

@@ -19,7 +19,7 @@ import torch
 
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.tokenizer.calibration import Agreement, Calibration
-from uniforce_vtla.tokenizer.calibration_choice import choose, fit_form, newtons
+from uniforce_vtla.tokenizer.calibration_choice import choose_form, fit_form, newtons
 from uniforce_vtla.tokenizer.force_head import ForceHead
 from uniforce_vtla.tokenizer.latent import own_latent
 from uniforce_vtla.tokenizer.latent_map import grasp_numbers
@@ -66,7 +66,7 @@ def calibrate(
     _check(own_new, own_anchor, names, of_grasp, config)
     judge, fit = _split(names, of_grasp, config)
     paired = (own_new[fit], own_anchor[fit], head, of_grasp[fit])
-    choice = choose(*paired)
+    choice = choose_form(*paired)
     found = fit_form(choice.form, *paired)
     truth_N = newtons(head, own_anchor[judge])
     before_N = newtons(head, own_new[judge])

@@ -95,7 +95,7 @@ def error_of_grasps(
     return np.bincount(grasps, of_row) / np.bincount(grasps)
 
 
-def choose(
+def choose_form(
     z_new: torch.Tensor,
     z_anchor: torch.Tensor,
     head: ForceHead,

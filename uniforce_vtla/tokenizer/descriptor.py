@@ -36,7 +36,7 @@ def describe(reference: np.ndarray, current: np.ndarray) -> np.ndarray:
 
     Raises ContractError: no marker images, or a reference with too few markers.
     """
-    before = find_blobs(check_marker_image(reference, "reference"))
+    before = white_blobs(check_marker_image(reference, "reference"))
     if len(before.area_px) < MIN_MATCHES:
         do = "Capture it again."
         raise ContractError(
@@ -44,11 +44,11 @@ def describe(reference: np.ndarray, current: np.ndarray) -> np.ndarray:
         )
     reach = spacing(before.centre_px)
     return np.stack(
-        [_describe_one(before, find_blobs(check_marker_image(image)), reach) for image in current]
+        [_describe_one(before, white_blobs(check_marker_image(image)), reach) for image in current]
     )
 
 
-def find_blobs(image: np.ndarray) -> Blobs:
+def white_blobs(image: np.ndarray) -> Blobs:
     """Return the white blobs of a binary image."""
     _, _, stats, centres = cv2.connectedComponentsWithStats(image, connectivity=4)
     area = stats[1:, cv2.CC_STAT_AREA]  # the first is the background

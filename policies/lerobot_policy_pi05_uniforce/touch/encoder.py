@@ -64,7 +64,7 @@ def _flattened(reference: ReferenceCache, current: Tensor) -> list[Tensor]:
     return tensors
 
 
-class FrozenTouch(nn.Module):
+class FrozenTokenizer(nn.Module):
     """The frozen tokenizer and force head as modules of a policy, which moves and stores them.
 
     The decoder is kept too, so that the tokenizer's hash can be checked.
@@ -104,7 +104,7 @@ def is_packaged(config: PI05UniforceConfig) -> bool:
     return bool(config.tokenizer_hash) and config.tokenizer_hash in shipped_sizes()
 
 
-def build_frozen_touch(config: PI05UniforceConfig, empty: bool) -> FrozenTouch:
+def build_frozen_touch(config: PI05UniforceConfig, empty: bool) -> FrozenTokenizer:
     """Make a new policy's frozen networks and note them in the config, or those that it names.
 
     Tokenizer and head are the packaged ones of their hash, or rebuilt; ``empty`` where the
@@ -116,7 +116,7 @@ def build_frozen_touch(config: PI05UniforceConfig, empty: bool) -> FrozenTouch:
     head = None
     if config.reads_newtons:
         head = _build_head(config, empty)
-    return FrozenTouch(tokenizer, head, config.sampler.kind == "fast")
+    return FrozenTokenizer(tokenizer, head, config.sampler.kind == "fast")
 
 
 def _build_tokenizer(config: PI05UniforceConfig, empty: bool) -> Tokenizer:
@@ -171,7 +171,7 @@ def _build_head(config: PI05UniforceConfig, empty: bool) -> ForceHead:
     return head
 
 
-def check_hash(frozen: FrozenTouch, config: PI05UniforceConfig) -> None:
+def check_hash(frozen: FrozenTokenizer, config: PI05UniforceConfig) -> None:
     """Raise CheckpointError unless tokenizer and head are, bit by bit, those of the training."""
     facts = dict(config.touch.tokenizer or {})
     facts.pop("hash", None)

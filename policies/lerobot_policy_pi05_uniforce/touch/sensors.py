@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
-from lerobot_policy_pi05_uniforce.touch.encoder import FrozenTouch
+from lerobot_policy_pi05_uniforce.touch.encoder import FrozenTokenizer
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import CheckpointError, expected
 from uniforce_vtla.force_sensor import HALF_SECOND, ForceSensor, monitor_of
@@ -21,7 +21,7 @@ UNTOUCHED_STEPS = 30
 
 
 def policy_sensors(
-    config: PI05UniforceConfig, frozen: FrozenTouch | None
+    config: PI05UniforceConfig, frozen: FrozenTokenizer | None
 ) -> dict[str, ForceSensor]:
     """Return slot → sensor of the finger that fills it; none without frozen networks."""
     if frozen is None:

@@ -17,16 +17,15 @@ from uniforce_vtla.errors import ContractError, RobotError, expected
 
 # A mode in which nothing may move, and the RobotError.fault it means.
 STOPPED_MODES = {"reflex": "reflex", "user_stopped": "user_stop", "guiding": "guiding"}
-# faults of readings themselves
-UNBELIEVED = ("bad_state", "jump", "speed", "frozen", "connection", "stale")
+FAULTS_OF_READINGS = ("bad_state", "jump", "speed", "frozen", "connection", "stale")
 # Every fault of an arm that has stopped by itself and can still be read.
 ROBOT_STOPS = (*STOPPED_MODES.values(), "communication", "discontinuity", "limit")
-ERROR_WORDS = {
+FAULT_BY_ROBOT_WORD = {
     "communication": "communication",
     "discontinuity": "discontinuity",
     "violation": "limit",
 }
-CLIENT_WORDS = {
+FAULT_BY_CLIENT_WORD = {
     "incompatible": "version",
     "infinite or nan": "bad_state",
     "user stop": "user_stop",
@@ -105,7 +104,7 @@ def refuse_stopped(state: ArmState) -> None:
 def fault_of_errors(errors: Iterable[str]) -> str:
     """Return the ``RobotError.fault`` of the robot's own error names."""
     text = " ".join(errors)
-    for word, fault in ERROR_WORDS.items():
+    for word, fault in FAULT_BY_ROBOT_WORD.items():
         if word in text:
             return fault
     return "reflex"
@@ -121,7 +120,7 @@ def fault_of(fault: str, text: str, errors: Iterable[str] = ()) -> str:
     """
     if fault == "other":
         fault = next(
-            (named for word, named in CLIENT_WORDS.items() if word in text.lower()), "other"
+            (named for word, named in FAULT_BY_CLIENT_WORD.items() if word in text.lower()), "other"
         )
     if fault == "reflex":
         return fault_of_errors((*errors, text))

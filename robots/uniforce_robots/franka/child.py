@@ -111,7 +111,7 @@ class Child:
                 raise RobotError(
                     expected(self._what, "an answer", came, do), "connection"
                 ) from None
-            if self._sound(line)["say"] == word:
+            if self._raise_errors(line)["say"] == word:
                 return line
 
     def poll(self) -> dict | None:
@@ -121,7 +121,7 @@ class Child:
         """
         self._running()
         try:
-            return self._sound(self._answers.get_nowait())
+            return self._raise_errors(self._answers.get_nowait())
         except queue.Empty:
             return None
 
@@ -130,7 +130,7 @@ class Child:
         while not self._answers.empty():
             self._answers.get_nowait()
 
-    def _sound(self, line: dict) -> dict:
+    def _raise_errors(self, line: dict) -> dict:
         """Return a line; raise what it says went wrong."""
         if line["say"] not in ("error", "gone"):
             return line

@@ -54,9 +54,9 @@ def forbid_return_motion() -> bool:
         do = "Install lerobot>=0.6.1,<0.7."
         raise ContractError(expected("LeRobot's rollout", RETURN_MOTIONS, "neither", do))
     for name in names:
-        if getattr(strategy, name) is not _stay:
+        if getattr(strategy, name) is not _no_return_motion:
             _replaced.append((strategy, name, inspect.getattr_static(strategy, name)))
-            setattr(strategy, name, staticmethod(_stay))
+            setattr(strategy, name, staticmethod(_no_return_motion))
     return True
 
 
@@ -67,7 +67,7 @@ def allow_return_motion() -> None:
         setattr(strategy, name, motion)
 
 
-def _stay(*_: object, **__: object) -> bool:
+def _no_return_motion(*_: object, **__: object) -> bool:
     """Move nothing; False: LeRobot's main asks whether the start was reached."""
     log.info("uniforce_franka stays where it is: no motion after the end")
     return False

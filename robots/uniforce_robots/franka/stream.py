@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uniforce_robots.franka.arm import UNBELIEVED, ArmState, refuse_stopped
+from uniforce_robots.franka.arm import FAULTS_OF_READINGS, ArmState, refuse_stopped
 from uniforce_robots.franka.clients import Arm
 from uniforce_robots.franka.guards import GuardLimits, towards, turn_towards
 from uniforce_robots.franka.limits import StreamSettings
@@ -80,7 +80,7 @@ class ArmStream:
         self._sent_s = self._submitted_s = 0.0
         self._robot_time_s = self._advanced_s = 0.0
         self._read_s = 0.0  # when the client gave the last reading, be it an old one
-        self._rest_wanted = self._holding = self._late = False
+        self._hold_ordered = self._holding = self._late = False
         self.fault: RobotError | None = None  # what ended the stream
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="arm-stream")
@@ -167,11 +167,11 @@ class ArmStream:
             self._ramp = Ramp(
                 self._sent or self._measured(), target, now, self.settings.action_period_s
             )
-            self._submitted_s, self._rest_wanted, self._holding = now, False, False
+            self._submitted_s, self._hold_ordered, self._holding = now, False, False
 
     def hold(self) -> None:
         """Pull towards where the arm is and stop the hand, from the next tick on."""
-        self._rest_wanted = True
+        self._hold_ordered = True
         if self._hand is not None:
             self._hand.stop()
 
@@ -220,7 +220,7 @@ class ArmStream:
             self._hand.tick()
         with self._lock:
             self._state = state
-            target = self._target(self._clock())
+            target = self._advance(self._clock())
         if target is not None:
             self._send(target, state)
 
@@ -263,8 +263,11 @@ class ArmStream:
             )
         self._late = late
 
-    def _target(self, now_s: float) -> ToolPose | None:
-        """Return where to pull now, None before the first action; the lock is held."""
+    def _advance(self, now_s: float) -> ToolPose | None:
+        """Hold where that is due; return where to pull now, None before the first action.
+
+        The lock is held.
+        """
         if self._ramp is None:
             return None
         if not self._holding and now_s - self._submitted_s > self.settings.stale_s:
@@ -273,7 +276,7 @@ class ArmStream:
             log.warning(
                 "no action for %.0f ms: holding the measured pose", 1000 * self.settings.stale_s
             )
-        if self._rest_wanted:
+        if self._hold_ordered:
             self._rest_here(now_s)
         goal = self._ramp.at(now_s)
         return goal if self._holding else self._slowed(goal, now_s)
@@ -295,10 +298,10 @@ class ArmStream:
         """Take the measured pose as target, once: following it would let the arm sink."""
         here = self._measured()
         self._ramp = Ramp(here, here, now_s, 0.0)
-        self._rest_wanted, self._holding = False, True
+        self._hold_ordered, self._holding = False, True
 
     def _let_go(self) -> None:
-        unbelieved = self.fault is not None and self.fault.fault in UNBELIEVED
+        unbelieved = self.fault is not None and self.fault.fault in FAULTS_OF_READINGS
         if self._hand is not None:
             self._stop_one("hand", self._hand.halt)  # first: it waits for nothing
         self._stop_one("arm", lambda: self._arm.stop(at_once=unbelieved))

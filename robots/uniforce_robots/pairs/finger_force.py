@@ -21,7 +21,7 @@ from torch import nn
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE, Finger, check_marker_image
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.markers.marker_blobs import spacing
-from uniforce_vtla.tokenizer.descriptor import MIN_MATCHES, find_blobs, match
+from uniforce_vtla.tokenizer.descriptor import MIN_MATCHES, match, white_blobs
 from uniforce_vtla.tokenizer.weights import load_model, read_config
 
 GRID = 8
@@ -46,7 +46,7 @@ class TouchField:
 
     def __init__(self, reference: np.ndarray, finger: Finger) -> None:
         self._mirrors = finger == "right"
-        self._before = find_blobs(check_marker_image(reference, "reference"))
+        self._before = white_blobs(check_marker_image(reference, "reference"))
         if len(self._before.area_px) < MIN_MATCHES:
             came = len(self._before.area_px)
             raise ContractError(
@@ -62,7 +62,7 @@ class TouchField:
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
         """Return (192,) float32 of one (480, 640) image: maps of motion x, motion y, growth."""
-        after = find_blobs(check_marker_image(image))
+        after = white_blobs(check_marker_image(image))
         i, j = match(self._before, after, self._reach_px)
         field = np.zeros((GRID * GRID, CHANNELS), np.float32)
         if len(i) >= MIN_MATCHES:

@@ -79,7 +79,7 @@ class HandMotion:
         return to_hand @ curve[1], 2 * to_hand @ curve[2]
 
 
-class RobotRig:
+class HandLedRig:
     """A ``PairRig`` on a robot that is connected and soft, and fingers that are connected.
 
     The gripper is commanded to hold with ``grip_N``. ``steer`` is called with each measured pose

@@ -90,7 +90,7 @@ class SampleSource(ABC):
         faster than they are read, so that their stamps would be wrong.
         """
 
-    def _more_waits(self, is_full: bool) -> bool:
+    def _must_read_on(self, is_full: bool) -> bool:
         """Return whether the last read was full, so that more must be read before stamping.
 
         Data that waited in the kernel must not pass for new: while reads are full the newest sample

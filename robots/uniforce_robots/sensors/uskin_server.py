@@ -138,7 +138,7 @@ class ServerUSkin(SampleSource):
         while more_waits and self._messages.protocol.state is State.OPEN:
             came, size = self._receive(0.0 if texts else READ_S)
             texts += came
-            more_waits = self._more_waits(size >= CHUNK_BYTES)
+            more_waits = self._must_read_on(size >= CHUNK_BYTES)
         if self._messages.protocol.state is not State.OPEN and not texts:
             raise self._gone("a close frame")  # what came with it was delivered before
         stamp_ns = now_ns()

@@ -145,7 +145,7 @@ class SlcanUSkin(SampleSource):
     def read(self) -> list[Stamped]:
         """Return the scans that came, stamped when they were read."""
         scans = self._scans.feed(chunk := self._receive())
-        while self._more_waits(len(chunk) >= FULL_BYTES):
+        while self._must_read_on(len(chunk) >= FULL_BYTES):
             scans += self._scans.feed(chunk := self._receive())
         stamp_ns = now_ns()
         return [Stamped(stamp_ns, scan) for scan in scans]

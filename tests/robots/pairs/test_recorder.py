@@ -22,7 +22,7 @@ from uniforce_robots.pairs.finger_force import FingerForce
 from uniforce_robots.pairs.guided_grasp import FAULTS, GraspSettings, draw_grasp
 from uniforce_robots.pairs.recorder import KEPT, PairRecorder, RecordingPlan
 from uniforce_robots.pairs.rehearsal import LIMIT, Rehearsal, SimulatedRig, equilibrium_error
-from uniforce_robots.pairs.rig import HandMotion, RobotRig
+from uniforce_robots.pairs.rig import HandLedRig, HandMotion
 from uniforce_robots.pairs.storage import PairStore
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import (
@@ -252,6 +252,6 @@ def test_a_grasp_ends_once_when_the_fingers_open():
     robot = SimpleNamespace(measured=axes.__next__)
     finger = SimpleNamespace(async_read=lambda: np.zeros((1, 1, 3), np.uint8))
     fingers = dict.fromkeys(FINGERS, finger)
-    rig = RobotRig(robot, fingers, {}, 30.0, 0.2, 6.0, clock=itertools.count().__next__)
+    rig = HandLedRig(robot, fingers, {}, 30.0, 0.2, 6.0, clock=itertools.count().__next__)
     frames = itertools.islice(rig.frames("sphere"), len(widths))
     assert [frame.grasp for frame in frames] == [0] * 6 + [1] * 5 + [2]

@@ -184,8 +184,8 @@ def test_a_backlog_is_an_error_only_while_it_lasts(source, monkeypatch):
     source.max_behind_s = 0.25
     monkeypatch.setattr("uniforce_robots.sensors.reader.time.monotonic", lambda: clock[0])
     for is_full in (True, True, False, True):  # one short read: it caught up
-        assert source._more_waits(is_full) == is_full
+        assert source._must_read_on(is_full) == is_full
         clock[0] += 0.2
     clock[0] += 0.1
     with pytest.raises(faults.StaleSensorError, match="keeps up"):
-        source._more_waits(True)
+        source._must_read_on(True)
