@@ -106,16 +106,18 @@ def _check_columns(source: Source) -> None:
     index = np.concatenate(indices)
     frame = np.concatenate(frames)
     late_s = np.abs(kept.pop("timestamp") - frame / float(source.info["fps"]))
-    wrong = {
-        ("episode_index", "the number of its episode"): kept.pop("episode_index") != index,
-        ("frame_index", "0, 1, 2, … in an episode"): kept.pop("frame_index") != frame,
-        ("timestamp", "frame_index / fps"): ~(late_s <= TOLERANCE_s),
-    }
+    # column, what it should hold, rows that don't
+    rules = [
+        ("episode_index", "the number of its episode", kept.pop("episode_index") != index),
+        ("frame_index", "0, 1, 2, … in an episode", kept.pop("frame_index") != frame),
+        ("timestamp", "frame_index / fps", ~(late_s <= TOLERANCE_s)),
+    ]
     for key, rows in kept.items():
-        wrong[key, "finite numbers"] = ~np.isfinite(rows).reshape(len(rows), -1).all(axis=1)
-    for (key, wanted), rows in wrong.items():
-        if rows.any():
-            row = int(rows.argmax())
+        is_finite = np.isfinite(rows).reshape(len(rows), -1).all(axis=1)
+        rules.append((key, "finite numbers", ~is_finite))
+    for key, wanted, wrong in rules:
+        if wrong.any():
+            row = int(wrong.argmax())
             where = f"{key} in {source.root / 'data'}, episode {index[row]}"
             came = f"another in frame {frame[row]}"
             raise DatasetError(expected(where, wanted, came, "Restore it from a copy."))

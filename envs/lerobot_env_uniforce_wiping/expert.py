@@ -32,8 +32,8 @@ FAST_m_s = 0.050  # fastest lowering
 SLOW_m_s = 0.018  # slowest lowering
 LOWERING_GAIN = 3.5  # 1/s: speed per distance left above the clearance
 CLOSING_m_s = 0.040  # gripper in free air
-# of what is held: where a hand that holds by itself is asked to stay, far from asking it to open.
-# With 8 mm a policy stopped closing at the first touch, and the tool hung by 3 N
+# once a hand that holds by force has the object, its width target lies this far inside it. With
+# 8 mm policies stopped closing at the first touch, and the tool hung by 3 N
 INSIDE_m = 0.02
 
 
@@ -234,7 +234,7 @@ class WipeExpert:
 
     @property
     def phase(self) -> str:
-        """Current phase, one of ``sequence.PHASES``."""
+        """Current phase, a word of ``WipeSequence``."""
         return self._sequence.phase
 
     def act(self, env: WipeEnv) -> np.ndarray:

@@ -28,7 +28,6 @@ APPROACH_GAIN = 7.0  # 1/s: speed per distance left, so that moves end softly
 HEIGHT_GAIN = 2.5  # 1/s
 # a hand beside the row's beginning comes to it on the way down and, what is left, along the stroke
 STRAY_GAIN = 2.5  # 1/s
-PHASES = ("descend", "close", "lift", "carry", "lower", "wipe", "leave", "done")
 
 
 @dataclass(frozen=True)
@@ -144,6 +143,17 @@ class WipeSequence:
         self.sweep = Sweep(level)
         self.target = np.array(target, dtype=np.float64)
         self.phase = "descend"
+        # each moves the target and returns the phase to go on with
+        self._phases: dict[str, Callable[[np.ndarray], str]] = {
+            "descend": self._descend,
+            "close": self._close,
+            "lift": self._lift,
+            "carry": self._carry,
+            "lower": self._lower,
+            "wipe": self._wipe,
+            "leave": self._leave,
+            "done": self._stay,
+        }
         self._look = look
         self._looks_left = LOOKS_BACK
         self._along_m = 0.0
@@ -153,9 +163,7 @@ class WipeSequence:
 
     def next(self, measured: np.ndarray) -> np.ndarray:
         """Return the next absolute target (5,)."""
-        done = getattr(self, f"_{self.phase}")(measured)
-        if done:
-            self.phase = PHASES[PHASES.index(self.phase) + 1]
+        self.phase = self._phases[self.phase](measured)
         return self.target.copy()
 
     def _move(self, goal: dict[int, float]) -> bool:
@@ -189,41 +197,43 @@ class WipeSequence:
             self.sweep.point(self._along_m) + (1 - STRAY_GAIN / CONTROL_HZ) * stray_m
         )
 
-    def _descend(self, measured: np.ndarray) -> bool:
+    def _descend(self, measured: np.ndarray) -> str:
         layout = self.level.layout
         here = self._move({X: layout.tray_m[0], Y: layout.tray_m[1], WIDTH: layout.open_width_m})
         self._go_to_height(layout.grasp_height_m, measured)
-        return here and measured[Z] < layout.grasp_height_m + 2 * NEAR_m
+        is_down = measured[Z] < layout.grasp_height_m + 2 * NEAR_m
+        return "close" if here and is_down else "descend"
 
-    def _close(self, measured: np.ndarray) -> bool:
+    def _close(self, measured: np.ndarray) -> str:
         self._go_to_height(self.level.layout.grasp_height_m, measured)
         self.target[WIDTH], is_held = self.regulator.close(self.target[WIDTH], measured)
-        return is_held
+        return "lift" if is_held else "close"
 
-    def _lift(self, measured: np.ndarray) -> bool:
+    def _lift(self, measured: np.ndarray) -> str:
         self.target[WIDTH] = self.regulator.hold(self.target[WIDTH], measured)
         self._go_to_height(self.level.layout.carry_height_m, measured)
-        return measured[Z] > self.level.layout.carry_height_m - 0.010
+        is_up = measured[Z] > self.level.layout.carry_height_m - 0.010
+        return "carry" if is_up else "lift"
 
-    def _carry(self, measured: np.ndarray) -> bool:
+    def _carry(self, measured: np.ndarray) -> str:
         self.target[WIDTH] = self.regulator.hold(self.target[WIDTH], measured)
         self._go_to_height(self.level.layout.carry_height_m, measured)
         # of the first row, or of the first that is still dirty
         start = self.sweep.point(self._along_m) + self._stray_m
         self._move({X: start[0], Y: start[1]})
-        return bool(np.linalg.norm(measured[:2] - start) < 2 * NEAR_m)
+        is_there = np.linalg.norm(measured[:2] - start) < 2 * NEAR_m
+        return "lower" if is_there else "carry"
 
-    def _lower(self, measured: np.ndarray) -> bool:
+    def _lower(self, measured: np.ndarray) -> str:
         self.target[WIDTH] = self.regulator.hold(self.target[WIDTH], measured)
         self._follow_sweep()  # to the start, or where the board was lost
         self.target[Z], pressed = self.regulator.lower(self.target[Z], measured)
-        return pressed
+        return "wipe" if pressed else "lower"
 
-    def _wipe(self, measured: np.ndarray) -> bool:
+    def _wipe(self, measured: np.ndarray) -> str:
         if self.regulator.lost():  # over a clean board it is done, over ink it goes down again
-            self.phase = "leave" if self._look() is None else "lower"
             self._speed_m_s = 0.0
-            return False
+            return "leave" if self._look() is None else "lower"
         shifting = self.sweep.between_rows(self._along_m + SLOW_DOWN_m)
         # drag along the closing axis loads the pads unevenly: hold still and trust the gel
         if not shifting:
@@ -233,23 +243,25 @@ class WipeSequence:
         limit = self.pace.ramp_m_s2 / CONTROL_HZ
         self._speed_m_s += float(np.clip(wanted - self._speed_m_s, -limit, limit))
         self._follow_sweep(self._speed_m_s / CONTROL_HZ)
-        return self._along_m >= self.sweep.length_m and not self._again()
+        if self._along_m < self.sweep.length_m:
+            return "wipe"
+        return self._look_back()
 
-    def _again(self) -> bool:
-        """Look at the board; where ink is left, go back to lifting and carry the eraser there."""
+    def _look_back(self) -> str:
+        """Return "leave" over a clean board, else "lift": the eraser is carried to the ink."""
         dirty_x_m = self._look() if self._looks_left else None
         if dirty_x_m is None:
-            return False
-        self.phase = "lift"
+            return "leave"
         self._along_m = self.sweep.row_at(dirty_x_m)
         self._speed_m_s = 0.0
         self._looks_left -= 1
         self._stray_m = self._draw_stray()
-        return True
+        return "lift"
 
-    def _leave(self, measured: np.ndarray) -> bool:
+    def _leave(self, measured: np.ndarray) -> str:
         self._go_to_height(self.level.layout.carry_height_m + 0.015, measured)
-        return measured[Z] > self.level.layout.carry_height_m + 0.005
+        is_up = measured[Z] > self.level.layout.carry_height_m + 0.005
+        return "done" if is_up else "leave"
 
-    def _done(self, measured: np.ndarray) -> bool:
-        return False
+    def _stay(self, measured: np.ndarray) -> str:
+        return "done"

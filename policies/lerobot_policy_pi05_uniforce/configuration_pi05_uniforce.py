@@ -15,15 +15,15 @@ from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import SLOTS, STATE, TACTILE_KEYS
 
-# take the size's value (BY_SIZE); never left after __post_init__
-_BY_SIZE: Any = None
+# take the size's value (DEFAULTS_BY_SIZE); never left after __post_init__
+SIZE_DEFAULT: Any = None
 
 SIZES = ("tiny", "base")
 GRID = 4  # latents are pooled to 4×4: 16 tokens per slot
 TWO_SLOT_DROPOUT = 0.3  # a policy of two fingers must also do with one
 # setting → default of each of SIZES. base: LeRobot's own π0.5 values, which fit the published
 # weights; augmentation not tried
-BY_SIZE: dict[str, tuple[Any, Any]] = {
+DEFAULTS_BY_SIZE: dict[str, tuple[Any, Any]] = {
     "chunk_size": (16, 50),
     "n_action_steps": (2, 50),
     "image_resolution": ((56, 56), (224, 224)),  # tiny: 16 patches of 14² per camera
@@ -96,7 +96,7 @@ class TouchSettings:
     site: str = field(default="prefix", init=False)  # REMOVED: older checkpoints name it
     # True: training starts with the base policy's actions, touch behind a learnt gate
     # (touch/tokens.py). tiny: off
-    start_at_base: bool = _BY_SIZE
+    start_at_base: bool = SIZE_DEFAULT
     head_hash: str = ""  # of that head; filled when the policy is made
     # sizes of that head where the tokenizer isn't shipped: the checkpoint then holds its weights
     head_sizes: dict[str, Any] | None = None
@@ -118,14 +118,14 @@ class TouchSettings:
 class ActionSettings:
     """The network's output: its form, its units and its bounds (action.py)."""
 
-    form: str = _BY_SIZE  # "target_delta" (tiny) | "absolute" (base)
+    form: str = SIZE_DEFAULT  # "target_delta" (tiny) | "absolute" (base)
     # "flow": matching, as π0.5 | "regression" (tiny): its last step alone, from zero noise
-    objective: str = _BY_SIZE
+    objective: str = SIZE_DEFAULT
     # m, m, m, rad, m: about the RMS change of the expert's target over half a chunk
     delta_scale: list[float] = field(default_factory=lambda: [0.004, 0.02, 0.01, 0.05, 0.003])
     # the same units: beyond it a move is predicted by its logarithm, so that corrections of force
     # weigh beside whole moves (tiny: z and width); 0 = linear, [] = all axes
-    delta_knee: list[float] = _BY_SIZE
+    delta_knee: list[float] = SIZE_DEFAULT
     # target_delta: the demos' lowest and highest target per axis; targets stay within. Found in the
     # data; [] = unknown
     target_range: list[list[float]] = field(default_factory=list)
@@ -146,8 +146,8 @@ class AugmentSettings:
     """Random changes of every training sample; none at rollout."""
 
     # lights and camera poses (augment.py); 0 = none, 1 = about as scenes of level touch differ
-    camera_variation: float = _BY_SIZE
-    touch_dropout: float = _BY_SIZE  # chance to hide a slot; .3 with two slots, 0 with one
+    camera_variation: float = SIZE_DEFAULT
+    touch_dropout: float = SIZE_DEFAULT  # chance to hide a slot; .3 with two slots, 0 with one
 
 
 @dataclass
@@ -167,13 +167,13 @@ class SamplerSettings:
     # "stock": LeRobot's
     kind: str = "fast"
     # of the flow's starting noise; tiny 0 (the central action), base 1
-    noise_scale: float = _BY_SIZE
+    noise_scale: float = SIZE_DEFAULT
 
 
 @PreTrainedConfig.register_subclass("pi05_uniforce")
 @dataclass
 class PI05UniforceConfig(PI05Config):
-    """π0.5 with force tokens. A field left out takes its size's default (``BY_SIZE``).
+    """π0.5 with force tokens. A field left out takes its size's default (``DEFAULTS_BY_SIZE``).
 
     Raises ContractError: an unknown choice, slot or finger, or settings that don't go together.
     """
@@ -204,20 +204,20 @@ class PI05UniforceConfig(PI05Config):
     sampler: SamplerSettings = field(default_factory=SamplerSettings)
 
     # π0.5's own, with defaults by size
-    chunk_size: int = _BY_SIZE  # [steps] tiny 16: a 1.7 s chunk can't react to touch; base 50
-    n_action_steps: int = _BY_SIZE  # [steps] tiny 2 (67 ms at 30 Hz); base 50
+    chunk_size: int = SIZE_DEFAULT  # [steps] tiny 16: a 1.7 s chunk can't react to touch; base 50
+    n_action_steps: int = SIZE_DEFAULT  # [steps] tiny 2 (67 ms at 30 Hz); base 50
     # [px] tiny 56² = 16 patches of 14² per camera; base 224²
-    image_resolution: tuple[int, int] = _BY_SIZE
-    max_action_dim: int = _BY_SIZE  # tiny 8 (5 axes, padded); base 32, as the published weights
-    max_state_dim: int = _BY_SIZE  # tiny 8; base 32
+    image_resolution: tuple[int, int] = SIZE_DEFAULT
+    max_action_dim: int = SIZE_DEFAULT  # tiny 8 (5 axes, padded); base 32, as the published weights
+    max_state_dim: int = SIZE_DEFAULT  # tiny 8; base 32
     # [text tokens] tiny 64 (a usual prompt is 20–40); base 200
-    tokenizer_max_length: int = _BY_SIZE
+    tokenizer_max_length: int = SIZE_DEFAULT
     # tiny 1e-3 (from scratch); base 2.5e-5 (openpi's fine-tuning peak)
-    optimizer_lr: float = _BY_SIZE
+    optimizer_lr: float = SIZE_DEFAULT
     # tiny: 0.03 of the decay; scaled with it when a run is shorter
-    scheduler_warmup_steps: int = _BY_SIZE
-    scheduler_decay_steps: int = _BY_SIZE  # tiny 100 000: any shorter run gets its whole cosine
-    scheduler_decay_lr: float = _BY_SIZE  # tiny 1e-5; base 2.5e-6
+    scheduler_warmup_steps: int = SIZE_DEFAULT
+    scheduler_decay_steps: int = SIZE_DEFAULT  # tiny 100 000: any shorter run gets its whole cosine
+    scheduler_decay_lr: float = SIZE_DEFAULT  # tiny 1e-5; base 2.5e-6
 
     def __post_init__(self) -> None:
         if self.size == "auto":
@@ -252,7 +252,7 @@ class PI05UniforceConfig(PI05Config):
     def _fill_in(self) -> None:
         """Give every setting that was left out its size's default."""
         defaults: dict[str, Any] = {"augment.touch_dropout": 0.0}
-        for path, values in BY_SIZE.items():
+        for path, values in DEFAULTS_BY_SIZE.items():
             defaults[path] = values[SIZES.index(self.size)]
         if len(self.slots) > 1:
             defaults["augment.touch_dropout"] = TWO_SLOT_DROPOUT

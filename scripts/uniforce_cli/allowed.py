@@ -80,7 +80,7 @@ INFO: Kind = {  # LeRobot's meta/info.json
     "splits": {"*": "text"},
     "features": {"*": FEATURE},
 }
-ARM: Kind = {"*": "numbers", "by_seed": "text", "policies": "text"}
+ARM: Kind = {"*": "numbers", "by_seed": "text", "policies": "text", "commits": "text"}
 TESTS: Kind = {"*": "numbers", "arms": "text"}
 SCORES: Kind = {
     "level": "text",
@@ -91,12 +91,12 @@ SCORES: Kind = {
 }
 
 
-def allowed(content: Any, kind: Kind) -> Any:
+def keep_listed(content: Any, kind: Kind) -> Any:
     """Return what a list allows of a content read from JSON; NOTHING where that is none of it."""
     if content is None:
         return None
     if isinstance(content, list):
-        kept = [allowed(entry, kind) for entry in content]
+        kept = [keep_listed(entry, kind) for entry in content]
         return NOTHING if NOTHING in kept else kept
     if isinstance(content, dict):
         if kind == "text":
@@ -112,7 +112,7 @@ def _allowed_entries(content: Mapping[str, Any], kinds: Mapping[str, Kind]) -> d
     kept = {}
     for name, value in content.items():
         kind = kinds.get(name, kinds.get("*"))
-        found = NOTHING if kind is None else allowed(value, kind)
+        found = NOTHING if kind is None else keep_listed(value, kind)
         if found is not NOTHING:
             kept[name] = found
     return kept
@@ -159,7 +159,7 @@ def stage_dataset(root: Path, staged: Path) -> list[str]:
 def _write_allowed(source: Path, target: Path, kind: Kind) -> bool:
     """Write the allowed part of a JSON file; write nothing and return False where it is whole."""
     content = read_object(source, DatasetError)
-    kept = allowed(content, kind)
+    kept = keep_listed(content, kind)
     if kept == content:
         return False
     target.write_text(json.dumps(kept, indent=1, ensure_ascii=False) + "\n")

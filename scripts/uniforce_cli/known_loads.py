@@ -106,6 +106,7 @@ def simulated_tool(
     grasp = np.repeat(np.arange(PER_LOAD), 1 + len(loads_N))
     gap_mm = held_tools(rng, PER_LOAD)[grasp]
     grip_N = (TOOL_GRIP_N * rng.uniform(0.8, 1.2, PER_LOAD))[grasp]
+    # y is down: the tool's weight pulls down, the scale pushes up, and each finger bears half
     shear_N = (TOOL_WEIGHT_N - load_N) / 2
     force = np.column_stack([0 * load_N, shear_N, grip_N]).astype(np.float32)
     found = seen(WornView(worn, seed), ContactState(gap_mm, force, 0 * load_N), "left", encode)

@@ -103,9 +103,9 @@ def share(config: ShareConfig) -> Path:
             part.save_pretrained(fresh)
         card.save(fresh / CARD)
         if scores is not None:
-            write_json(fresh / SCORES, allowed.allowed(scores, allowed.SCORES))
+            write_json(fresh / SCORES, allowed.keep_listed(scores, allowed.SCORES))
         if trained is not None:
-            write_json(fresh / PROVENANCE, allowed.allowed(trained, allowed.PROVENANCE))
+            write_json(fresh / PROVENANCE, allowed.keep_listed(trained, allowed.PROVENANCE))
         allowed.refuse_paths(fresh)
         write_hashes(fresh)
         for old in out.iterdir():  # of an earlier share, e.g. its scores

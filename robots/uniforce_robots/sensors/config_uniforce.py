@@ -128,10 +128,9 @@ class CapturedCameraConfig(SampledCameraConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        # within a second
-        Range(2, max(2, min(self.fps or FRAMES_PER_S, FRAMES_PER_S))).check(
-            "frozen_after", self.frozen_after
-        )
+        # a frozen picture must be noticed within a second
+        per_second = min(self.fps or FRAMES_PER_S, FRAMES_PER_S)
+        Range(2, max(2, per_second)).check("frozen_after", self.frozen_after)
 
     @property
     def label(self) -> str:

@@ -84,7 +84,9 @@ class TerminalKeys:
         if self.is_text:
             self._others.append(key)
             self.is_text = key not in TEXT_ENDS
-        elif (key := key.lower()) in self._meanings:
+            return
+        key = key.lower()
+        if key in self._meanings:
             now_s = self.clock()
             if now_s >= self._until_s[key]:
                 self._dead.discard(key)

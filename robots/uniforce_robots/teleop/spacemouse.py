@@ -203,7 +203,8 @@ class SpaceMouseSource(SampleSource):
             is_news = self._take_next()
         else:
             is_news = bool(self._unknown.any()) and time.monotonic() - self._heard_s > SILENT_S
-            self._unknown &= not is_news
+            if is_news:
+                self._unknown[:] = False  # silence means rest
         if not is_news or self._unknown.any():
             return []
         return [Stamped(now_ns(), self.state.copy())]
