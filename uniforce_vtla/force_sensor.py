@@ -246,5 +246,5 @@ def monitor_of(
     """
     is_within_kind = calibration is not None and calibration.anchor.partition(":")[0] == kind
     latent_map = calibration.map if calibration is not None and is_within_kind else None
-    usual = LatentRange.from_pretrained(kind, size)
-    return HealthMonitor(usual, finger, readings, latent_map, free_air)
+    healthy_range = LatentRange.from_pretrained(kind, size)
+    return HealthMonitor(healthy_range, finger, readings, latent_map, free_air)

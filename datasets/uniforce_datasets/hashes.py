@@ -94,21 +94,21 @@ def check_hashes(root: Path, verify: Verify = "full") -> None:
         logger.warning(expected(str(root / HASHES), "hashes of its files", "none", do))
         return
     wanted, files = _saved(root)
-    doubted = set(wanted)
+    to_check = set(wanted)
     for _ in range(LOOKS):
-        wrong = _wrong(wanted, files, verify, doubted)
-        if not wrong:
+        mismatches = _mismatches(wanted, files, verify, to_check)
+        if not mismatches:
             return
-        doubted = set(wrong)
+        to_check = set(mismatches)
         before = (wanted, files)
         wanted, files = _saved(root)
         if (wanted, files) == before:
             break
-    name, came = next(iter(wrong.items()))
+    name, found = next(iter(mismatches.items()))
     where = os.path.join(root, name)
     if name in wanted and "episode" in wanted[name][0]:
         where += f", episode {wanted[name][0]['episode']}"
-    raise DatasetError(expected(where, "the file as it was saved", came, _what_to_do(root)))
+    raise DatasetError(expected(where, "the file as it was saved", found, _what_to_do(root)))
 
 
 def _saved(root: Path) -> tuple[dict[str, list[Entry]], dict[str, Path]]:
@@ -131,17 +131,17 @@ def _is_video(path: Path) -> bool:
     return path.suffix == VIDEO
 
 
-def _wrong(
-    wanted: Mapping[str, list[Entry]], files: Mapping[str, Path], verify: Verify, doubted: set[str]
+def _mismatches(
+    wanted: Mapping[str, list[Entry]], files: Mapping[str, Path], verify: Verify, to_check: set[str]
 ) -> dict[str, str]:
-    """Return how files differ from their entries, by name; of those saved, check ``doubted``."""
-    wrong = {}
+    """Return how files differ from their entries, by name; of those saved, check ``to_check``."""
+    mismatches = {}
     for name in files:
         if name not in wanted:
-            wrong[name] = "one that was never saved here"
-    asked = {name: entries for name, entries in wanted.items() if name in doubted}
+            mismatches[name] = "one that was never saved here"
+    asked = {name: entries for name, entries in wanted.items() if name in to_check}
     by_size = _is_video if verify == "quick" else None
-    return wrong | dict(differences(asked, files, by_size))
+    return mismatches | dict(differences(asked, files, by_size))
 
 
 def _what_to_do(root: Path) -> str:

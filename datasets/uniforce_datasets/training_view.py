@@ -1,7 +1,7 @@
 """A training view in the place of a LeRobotDataset, read from arrays by LeRobot's trainer."""
 
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -59,8 +59,6 @@ class ViewMetadata:
     repo_id: str = "local/view"
     has_language_columns: bool = False
     depth_keys: tuple[str, ...] = ()
-    # takes the feature key of a touch input; see ``TrainingView.touch_episodes``
-    touch_episodes: Callable[[str], Iterator[tuple[np.ndarray, np.ndarray]]] | None = None
 
 
 class TrainingView(Dataset):
@@ -176,7 +174,7 @@ class TrainingView(Dataset):
             fits = array.shape == (len(self),) and array.dtype == np.int64
             fits = fits and bool(((array >= 0) & (array < len(self._tasks))).all())
         else:
-            fits = array.ndim > 1 and len(array) == len(self) and array.dtype.kind in "fu"
+            fits = array.ndim == 2 and len(array) == len(self) and array.dtype.kind == "f"
         if not fits:
             file = str(self.root / f"{name}.npy")
             came = f"{array.shape} {array.dtype}"
@@ -225,8 +223,7 @@ class TrainingView(Dataset):
             sampled.append(self.marker["episodes"][number])
         stats = {}
         for key, name in {keys.STATE: keys.STATE, keys.ACTION: keys.ACTION, **self._touch}.items():
-            if self._arrays[name].ndim == 2:  # no pictures
-                stats[key] = pooled_stats(self._arrays[name][rows])
+            stats[key] = pooled_stats(self._arrays[name][rows])
         tasks = []
         names = np.array(self._tasks, dtype=object)
         for start, end in pairwise(self._starts):
@@ -247,14 +244,7 @@ class TrainingView(Dataset):
             total_frames=len(self),
             used_episodes=self.num_episodes,
             used_frames=self.num_frames,
-            touch_episodes=self.touch_episodes,
         )
-
-    def touch_episodes(self, key: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yield measured state (T, axes) and a touch input (T, numbers) of each sampled episode."""
-        for number in self._sampled:
-            rows = slice(self._starts[number], self._starts[number + 1])
-            yield self._arrays[keys.STATE][rows], self._arrays[self._touch[key]][rows]
 
     def _features(self) -> dict[str, dict]:
         side = self.marker["image_side"]
@@ -266,14 +256,11 @@ class TrainingView(Dataset):
         features[keys.STATE] = vector_column(keys.AXES)
         features[keys.ACTION] = vector_column(keys.AXES)
         for key, name in self._touch.items():
-            shape = self._arrays[name].shape[1:]
-            if len(shape) > 1:
-                names = ["pair", "height", "width"]
-                features[key] = {"dtype": "uint8", "shape": shape, "names": names}
-            elif shape[0] == len(WRENCH_AXES):
+            numbers = self._arrays[name].shape[1]
+            if numbers == len(WRENCH_AXES):
                 features[key] = vector_column(WRENCH_AXES)
             else:
-                features[key] = vector_column([f"z{i}" for i in range(shape[0])])
+                features[key] = vector_column([f"z{i}" for i in range(numbers)])
         return features
 
 

@@ -114,7 +114,7 @@ def in_free_air():
     def make(policy, batch):
         sensor = watched(policy).touch.sensors["touch0"]
         current = marker_images(batch, "right")[1]
-        sensor.monitor._usual.mean = sensor.raw_latent(current, current)[0].flatten()
+        sensor.monitor._healthy_range.mean = sensor.raw_latent(current, current)[0].flatten()
         open_m = batch[MEASURED_STATE][0, 4].item()
         policy.config.action.target_range = [[0.0] * 5, [0.0] * 4 + [open_m]]
         return policy

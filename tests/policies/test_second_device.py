@@ -54,7 +54,8 @@ def make(make_policy, tmp_path):
         alive(policy, OPEN if path == "gate" else None)
         if policy.config.encodes:
             # a map that nothing but the monitor holds
-            watched(policy, 99.0).touch.sensors["touch0"].monitor._worn = LatentMap(16, 6)
+            monitor = watched(policy, 99.0).touch.sensors["touch0"].monitor
+            monitor._calibration_map = LatentMap(16, 6)
         if path == "masked":
             policy.touch.hidden.update(FINGERS)
         return policy

@@ -201,7 +201,7 @@ def test_free_air_is_judged_only_where_looks_come_before_the_grasp(steps, judged
     shipped.right_sensor = "tactip"
     shipped.n_action_steps = steps
     monitor = make_monitor(shipped, "touch0", None)
-    odd = monitor._usual.mean.view(1, shipped.tokens_per_slot, shipped.latent_size) + 50.0
+    odd = monitor._healthy_range.mean.view(1, shipped.tokens_per_slot, shipped.latent_size) + 50.0
     with pytest.raises(FreeAirError if judged else SensorError) as raised:
         for _ in range(FREE_LOOKS):
             monitor.see(odd)
@@ -359,7 +359,7 @@ def test_a_calibrated_sensor_is_watched_as_the_one_that_it_was_calibrated_to(
     # the map turns healthy latents into odd ones
     shipped.right_calibration = calibrate(tmp_path, shipped, shift=50.0, anchor=anchor)
     monitor = make_monitor(shipped, "touch0", load_calibrations(shipped)["right"])
-    healthy = monitor._usual.mean.view(1, shipped.tokens_per_slot, shipped.latent_size)
+    healthy = monitor._healthy_range.mean.view(1, shipped.tokens_per_slot, shipped.latent_size)
     with pytest.raises(FreeAirError) if judged == "after" else nullcontext():
         for _ in range(FREE_LOOKS):
             monitor.see(healthy)

@@ -117,32 +117,32 @@ class HealthMonitor:
     """Watches one finger through an episode.
 
     Args:
-        usual: range of the kind it wears.
+        healthy_range: of the kind of sensor on it.
         finger: name in messages.
-        looks: that make half a second.
-        worn: map of its calibration onto a unit of that kind; what it gives is judged with it.
-        free_air: whether the first ``FREE_LOOKS`` looks come before anything is touched.
+        readings: that make half a second.
+        calibration_map: onto a unit of that kind; latents are judged behind it.
+        free_air: whether the first ``FREE_LOOKS`` readings come before anything is touched.
     """
 
     def __init__(
         self,
-        usual: LatentRange,
+        healthy_range: LatentRange,
         finger: str,
-        looks: int,
-        worn: nn.Module | None = None,
+        readings: int,
+        calibration_map: nn.Module | None = None,
         free_air: bool = True,
     ) -> None:
-        self._usual = usual
+        self._healthy_range = healthy_range
         self._finger = finger
-        self._worn = worn
+        self._calibration_map = calibration_map
         self._free_air = free_air
-        self._recent: deque[float] = deque(maxlen=looks)
+        self._recent: deque[float] = deque(maxlen=readings)
         self.active = True  # False while a policy trains: samples are in no order
         self.reset()
 
     def to(self, device: torch.device) -> None:
         """Follow the policy to its device."""
-        for own in filter(None, (self._usual, self._worn)):
+        for own in filter(None, (self._healthy_range, self._calibration_map)):
             own.to(device)
 
     def reset(self, renewed: bool = False) -> None:
@@ -152,8 +152,8 @@ class HealthMonitor:
         """
         self._recent.clear()
         self._seen = 0
-        self._free_limit = self._usual.free_limit
-        self._run_limit = self._usual.run_limit
+        self._free_limit = self._healthy_range.free_limit
+        self._run_limit = self._healthy_range.run_limit
         if renewed:
             self._free_limit *= RENEWED_FREE
             self._run_limit *= RENEWED_RUN
@@ -168,8 +168,9 @@ class HealthMonitor:
         """
         if not self.active:
             return
-        worn = latents if self._worn is None else self._worn(latents)
-        free, run = self.judge(float(self._usual.distance(worn).max()))
+        if self._calibration_map is not None:
+            latents = self._calibration_map(latents)
+        free, run = self.judge(float(self._healthy_range.distance(latents).max()))
         if free > 1:
             do = (
                 "Let go of everything and take the reference again; "
@@ -206,7 +207,7 @@ class HealthMonitor:
         return free, run
 
     def _message(self, when: str, limit: float, times: float, do: str) -> str:
-        what = f"{self._usual.kind} on the {self._finger} finger {when}"
+        what = f"{self._healthy_range.kind} on the {self._finger} finger {when}"
         return expected(
             what, f"latents within {limit:.2f} of healthy units", f"{times * limit:.2f}", do
         )
