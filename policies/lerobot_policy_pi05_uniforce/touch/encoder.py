@@ -127,8 +127,8 @@ def _build_tokenizer(config: PI05UniforceConfig, empty: bool) -> Tokenizer:
         tokenizer = Tokenizer.from_pretrained(config.touch.tokenizer_path)
         if facts is not None and tokenizer.hash != config.tokenizer_hash:
             do = "Name the tokenizer that these settings were made with."
-            wanted, came = config.tokenizer_hash, tokenizer.hash
-            raise CheckpointError(expected("touch.tokenizer_path", wanted, came, do))
+            wanted = config.tokenizer_hash
+            raise CheckpointError(expected("touch.tokenizer_path", wanted, tokenizer.hash, do))
         config.touch.tokenizer = {**tokenizer.facts(), "hash": tokenizer.hash}
         return tokenizer
     stored = facts.get(STORED_KEY)
