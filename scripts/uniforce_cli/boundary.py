@@ -148,6 +148,12 @@ def refuse_ignored(mode: str, ignored: Sequence[str]) -> None:
         raise ContractError(expected(f"settings with {mode}", "those it uses", came, do))
 
 
+def refuse_unused(config: Any, mode: str, names: Sequence[str]) -> None:
+    """Raise ContractError where one of these settings, without effect in this mode, was changed."""
+    usual = type(config)()
+    refuse_ignored(mode, [n for n in names if getattr(config, n) != getattr(usual, n)])
+
+
 def one_thread() -> None:
     """Let torch, OpenCV and numpy compute on one thread: small work gains nothing from more."""
     import cv2

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Literal, cast
 
-from uniforce_cli.boundary import command, one_thread, refuse_ignored
+from uniforce_cli.boundary import command, one_thread, refuse_unused
 from uniforce_cli.paired_grasps import recorded_grasps, simulated_grasps
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import (
@@ -177,17 +176,11 @@ def _check_sources(config: CalibrateCommand) -> None:
         do = "Give loads_N=3,6,9, or leave rig out: grasps are pairs=."
         raise ContractError(expected("rig", "known loads beside it", "none", do))
     if config.loads_N:
-        refuse_ignored("loads_N=", _changed(config, ("task", "tools", "grasps", "fit")))
+        refuse_unused(config, "loads_N=", ("task", "tools", "grasps", "fit"))
     elif config.pairs:
-        refuse_ignored("pairs=", _changed(config, ("through", "finger", "grasps", "seed")))
+        refuse_unused(config, "pairs=", ("through", "finger", "grasps", "seed"))
     else:
-        refuse_ignored("simulated grasps", _changed(config, ("through", "finger", "tools")))
-
-
-def _changed(config: CalibrateCommand, names: Sequence[str]) -> list[str]:
-    """Return which of these settings differ from their defaults."""
-    usual = CalibrateCommand()
-    return [name for name in names if getattr(config, name) != getattr(usual, name)]
+        refuse_unused(config, "simulated grasps", ("through", "finger", "tools"))
 
 
 def choice_in_words(choice: Choice) -> str:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from uniforce_cli import allowed
-from uniforce_cli.boundary import command, one_thread
+from uniforce_cli.boundary import command, one_thread, refuse_unused
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.file_hashes import HASHES, hashed_names, write_hashes
 from uniforce_vtla.json_file import read_object
@@ -261,6 +261,8 @@ def main(config: ShareConfig) -> int:
         raise ContractError(
             expected("share", "checkpoint=…, dataset=… or scene=true", came, "Name one.")
         )
+    if not config.checkpoint:
+        refuse_unused(config, f"{named[0]}=", ("scores", "half"))
     if config.scene:
         allowed.refuse_others(Path(config.out), SCENE_NAMES)
     if config.checkpoint:

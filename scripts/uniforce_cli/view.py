@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from uniforce_cli.boundary import Verify, by_name, command, one_thread
+from uniforce_cli.boundary import Verify, by_name, command, one_thread, refuse_unused
 from uniforce_vtla.contracts import check_finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import (
@@ -104,9 +104,11 @@ def make_dataset(config: ViewConfig) -> Path:
         do = "Leave it out: the cameras keep their names."
         wanted = "none with touch_in_state or form=dataset"
         raise ContractError(expected("cameras", wanted, config.cameras, do))
+    refuse_unused(config, "an ordinary dataset", ("workers",))
     tokenizer = config.tokenizer or None
     touch: Touch
     if config.touch_in_state:
+        refuse_unused(config, "touch_in_state=true", ("latent_grid", "slots"))
         touch = NewtonsInState(ForceSensor("", "right", tokenizer=tokenizer))
     else:
         slots = {slot: check_finger(finger) for slot, finger in by_name(config.slots).items()}

@@ -113,6 +113,8 @@ def test_stock_act_takes_it(written):
 
 def test_nothing_is_overwritten_and_an_empty_choice_is_refused(demos, written, refuses):
     again = [f"roots={demos}", "touch_in_state=true"]
+    for ignored in ("workers=4", "latent_grid=2", "slots=touch0:left"):
+        refuses(view.main, [*again, f"out={written}2", ignored], f"got {ignored.split('=')[0]}")
     refuses(view.main, [*again, f"out={written}"], "Choose another out")
     refuses(
         view.main, [*again, f"out={written}2", "cameras=front:cam_high"], "cameras keep their names"

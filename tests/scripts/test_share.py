@@ -131,6 +131,10 @@ def test_a_card_does_not_carry_another_policys_scores(trained, share_trained, sc
     assert share_trained([f"scores={scores}"]) == 0
 
 
+def test_settings_that_a_scene_has_no_use_for_are_refused(refuses):
+    refuses(share.main, ["scene=true", "half=true"], "got half")
+
+
 def test_a_second_share_leaves_nothing_of_the_first(trained, share_trained, scores, shared):
     edit_json(
         scores, lambda table: table["arms"]["V+T"].update(policies=[content_of(str(trained))])
