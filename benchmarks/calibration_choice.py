@@ -80,10 +80,12 @@ def compare(case: Case) -> dict[str, Any]:
     for part in range(case.parts.max() + 1):
         judge = np.flatnonzero(case.parts == part)
         fit = np.flatnonzero(case.parts != part)
-        paired = case.new[fit], case.anchor[fit], case.head, case.grasps[fit]
+        new = case.new[fit]
+        anchor = case.anchor[fit]
         for form in FORMS:
-            read[form][judge] = fit_form(form, *paired).newtons(case.head, case.new[judge])
-        choices.append(choose_form(*paired, case.axes))
+            latent_map, _ = fit_form(form, new, anchor, case.grasps[fit])
+            read[form][judge] = newtons(case.head, latent_map(case.new[judge]))
+        choices.append(choose_form(new, anchor, case.head, case.grasps[fit], case.axes))
         read["chosen"][judge] = read[choices[-1].form][judge]
     rows = np.flatnonzero(case.parts >= 0)
     grasps = grasp_numbers(case.grasps[rows], len(rows))

@@ -65,12 +65,11 @@ def calibrate(
     of_grasp = grasp_numbers(grasps, len(names))
     _check(own_new, own_anchor, names, of_grasp, config)
     judge, fit = _split(names, of_grasp, config)
-    paired = (own_new[fit], own_anchor[fit], head, of_grasp[fit])
-    choice = choose_form(*paired)
-    found = fit_form(choice.form, *paired)
+    choice = choose_form(own_new[fit], own_anchor[fit], head, of_grasp[fit])
+    latent_map, ridge = fit_form(choice.form, own_new[fit], own_anchor[fit], of_grasp[fit])
     truth_N = newtons(head, own_anchor[judge])
     before_N = newtons(head, own_new[judge])
-    after_N = found.newtons(head, own_new[judge])
+    after_N = newtons(head, latent_map(own_new[judge]))
     _refuse_other_mount(before_N[:, :2], truth_N[:, :2], new, anchor)
     agreement = {}
     for kind in OBJECT_CLASSES:
@@ -82,12 +81,12 @@ def calibrate(
             r2_before=_r2(truth_N[is_kind], before_N[is_kind]),
         )
     return Calibration(
-        map=found.map,
+        map=latent_map,
         tokenizer_hash=head.tokenizer_hash,
         head_hash=head.hash,
         new=new,
         anchor=anchor,
-        ridge=found.ridge,
+        ridge=ridge,
         turn_deg=math.degrees(in_plane_turn_rad(before_N[:, :2], truth_N[:, :2])),
         agreement=agreement,
         choice=choice,

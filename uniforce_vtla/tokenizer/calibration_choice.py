@@ -6,9 +6,8 @@ objects than those to come.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -42,48 +41,31 @@ class Choice:
     grasps: int
 
 
-@dataclass(frozen=True)
-class Fitted:
-    """One form, fitted."""
-
-    map: LatentMap
-    ridge: float = 0.0
-
-    def newtons(self, head: ForceHead, z: torch.Tensor) -> np.ndarray:
-        """Return (n, 3) N that the head reads of latents (n, P, L) of its own tokenizer."""
-        return newtons(head, self.map(z))
-
-
 def newtons(head: ForceHead, z: torch.Tensor) -> np.ndarray:
     """Return (n, 3) N that the head reads of latents (n, P, L) of its own tokenizer."""
     return head(Latent.of(z, head.tokenizer_hash)).numpy()
 
 
 def fit_form(
-    form: str, z_new: torch.Tensor, z_anchor: torch.Tensor, head: ForceHead, grasps: np.ndarray
-) -> Fitted:
-    """Fit one of ``FORMS`` to paired latents (n, P, L) of the numbered grasps (n,)."""
+    form: str, z_new: torch.Tensor, z_anchor: torch.Tensor, grasps: np.ndarray
+) -> tuple[LatentMap, float]:
+    """Fit one of ``FORMS`` to paired latents (n, P, L) of numbered grasps (n,); also its ridge."""
     if form == "map":
-        return Fitted(*fit_map(z_new, z_anchor, grasps))
-    return Fitted(LatentMap(*z_new.shape[1:]).eval())
+        return fit_map(z_new, z_anchor, grasps)
+    return LatentMap(*z_new.shape[1:]).eval(), 0.0
 
 
-def left_out_error(
-    fit: Callable[[np.ndarray], Fitted],
-    z_new: torch.Tensor,
-    z_anchor: torch.Tensor,
-    head: ForceHead,
-    grasps: np.ndarray,
-    axes: Sequence[int] = AXES,
+def _read_left_out(
+    z_new: torch.Tensor, z_anchor: torch.Tensor, head: ForceHead, grasps: np.ndarray
 ) -> np.ndarray:
-    """Return (grasps,) the error of each grasp (see ``Choice``) after ``fit`` to other folds."""
-    known = newtons(head, z_anchor)
-    read = np.zeros_like(known)
+    """Return (n, 3) N through maps that were fitted without the row's own fold of grasps."""
+    read_N = np.zeros((len(z_new), 3), np.float32)
     fold = folds(grasps)
     for number in np.unique(fold):
         out = fold == number
-        read[out] = fit(np.flatnonzero(~out)).newtons(head, z_new[out])
-    return error_of_grasps(read, known, grasps, axes)
+        latent_map, _ = fit_map(z_new[~out], z_anchor[~out], grasps[~out])
+        read_N[out] = newtons(head, latent_map(z_new[out]))
+    return read_N
 
 
 def error_of_grasps(
@@ -122,19 +104,18 @@ def choose_form(
             expected("grasps to choose a calibration by", "2 or more", count, "Grasp more often.")
         )
 
-    def fit(form: str, rows: np.ndarray) -> Fitted:
-        return fit_form(form, z_new[rows], z_anchor[rows], head, of_grasp[rows])
-
-    error = {
-        form: left_out_error(partial(fit, form), z_new, z_anchor, head, of_grasp, axes)
-        for form in FORMS
-    }
-    gained = error["none"] - error["map"]  # (grasps,)
-    is_better = count >= FEWEST_GRASPS and gained.mean() > SURE * _standard_error(gained)
-    chosen = "map" if is_better else "none"
-    mean = {form: float(values.mean()) for form, values in error.items()}
-    noise = {form: _standard_error(values - error["none"]) for form, values in error.items()}
-    return Choice(chosen, mean, noise, count)
+    known_N = newtons(head, z_anchor)
+    read_N = _read_left_out(z_new, z_anchor, head, of_grasp)
+    before = error_of_grasps(newtons(head, z_new), known_N, of_grasp, axes)  # (grasps,)
+    after = error_of_grasps(read_N, known_N, of_grasp, axes)
+    noise = _standard_error(before - after)
+    is_better = count >= FEWEST_GRASPS and (before - after).mean() > SURE * noise
+    return Choice(
+        form="map" if is_better else "none",
+        error={"none": float(before.mean()), "map": float(after.mean())},
+        standard_error={"none": 0.0, "map": noise},
+        grasps=count,
+    )
 
 
 def read_choice(stored: dict[str, Any]) -> Choice:
