@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from uniforce_vtla.errors import UniForceError, expected
-from uniforce_vtla.json_file import read_object
+from uniforce_vtla.json_file import read_object, replace_json
 
 logger = logging.getLogger(__name__)
 HASHES = "hashes.json"
@@ -50,13 +50,7 @@ def write_hashes(folder: str | Path, names: Iterable[str] = ()) -> Path:
 
 def store_hashes(folder: Path, entries: Mapping[str, Entry]) -> Path:
     """Write ``hashes.json`` in one step."""
-    fresh = folder / f".{HASHES}.new"
-    try:
-        fresh.write_text(json.dumps(entries, indent=1))
-        os.replace(fresh, folder / HASHES)
-    finally:
-        fresh.unlink(missing_ok=True)  # half a file of a full disk
-    return folder / HASHES
+    return replace_json(folder / HASHES, dict(entries))
 
 
 def drop_hashes(folder: str | Path) -> None:

@@ -1,6 +1,7 @@
-"""Reading JSON that somebody else may have written: an object, or an error of ours."""
+"""JSON files: an object, or an error of ours, read from what others wrote; written in one step."""
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -29,3 +30,15 @@ def read_object(path: Path, failure: type[UniForceError]) -> dict[str, Any]:
             expected(str(path), "a JSON object", type(content).__name__, "Restore it from a copy.")
         )
     return content
+
+
+def replace_json(path: Path, content: dict[str, Any]) -> Path:
+    """Write a JSON file in one step; ValueError: NaN or infinity, which JSON doesn't know."""
+    # a temporary file of Python's own could be read by nobody else
+    fresh = path.with_name(f".{path.name}.{os.getpid()}.new")
+    try:
+        fresh.write_text(json.dumps(content, indent=1, allow_nan=False))
+        fresh.replace(path)
+    finally:
+        fresh.unlink(missing_ok=True)  # half a file of a full disk
+    return path

@@ -15,6 +15,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from uniforce_vtla.errors import ContractError, expected, without_credentials
+from uniforce_vtla.json_file import replace_json
 
 DISTRIBUTION = "lerobot_policy_pi05_uniforce"
 PROVENANCE = "provenance.json"  # in every checkpoint
@@ -83,14 +84,7 @@ def _program() -> str:
 def write_json(path: Path, content: dict[str, Any]) -> Path:
     """Write ``content`` atomically; NaN and infinity become null."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    # a temporary file of Python's own could be read by nobody else
-    fresh = path.with_name(f".{path.name}.{os.getpid()}.new")
-    try:
-        fresh.write_text(json.dumps(_strict(content), indent=1, allow_nan=False))
-        fresh.replace(path)
-    finally:
-        fresh.unlink(missing_ok=True)  # half a file of a full disk
-    return path
+    return replace_json(path, _strict(content))
 
 
 def _strict(content: Any) -> Any:

@@ -148,10 +148,15 @@ def refuse_ignored(mode: str, ignored: Sequence[str]) -> None:
         raise ContractError(expected(f"settings with {mode}", "those it uses", came, do))
 
 
+def changed(config: Any, names: Sequence[str]) -> list[str]:
+    """Return which of these settings differ from their defaults."""
+    usual = type(config)()
+    return [name for name in names if getattr(config, name) != getattr(usual, name)]
+
+
 def refuse_unused(config: Any, mode: str, names: Sequence[str]) -> None:
     """Raise ContractError where one of these settings, without effect in this mode, was changed."""
-    usual = type(config)()
-    refuse_ignored(mode, [n for n in names if getattr(config, n) != getattr(usual, n)])
+    refuse_ignored(mode, changed(config, names))
 
 
 def one_thread() -> None:

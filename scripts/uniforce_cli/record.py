@@ -10,7 +10,15 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from uniforce_cli.boundary import Gripper, Level, Worn, command, one_thread, refuse_ignored
+from uniforce_cli.boundary import (
+    Gripper,
+    Level,
+    Worn,
+    changed,
+    command,
+    one_thread,
+    refuse_ignored,
+)
 from uniforce_vtla import options
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.json_file import read_object
@@ -264,11 +272,9 @@ def _refuse_ignored(
     else:
         mode = "robot=sim, steered by hand"
         devices = ("--robot.",)
-    usual = RecordConfig()
-    ignored = []
-    for name in (*IGNORED[mode], *IGNORED.get(operator, ())):
-        if name in given or getattr(config, name) != getattr(usual, name):
-            ignored.append(name)
+    names = (*IGNORED[mode], *IGNORED.get(operator, ()))
+    set_so = {*given, *changed(config, names)}
+    ignored = [name for name in names if name in set_so]
     ignored += [flag for flag in device_flags if flag.startswith(devices)]
     refuse_ignored(f"{mode} {operator}".strip(), ignored)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import itertools
 import logging
 import time
@@ -17,13 +16,7 @@ from uniforce_cli.score_settings import SCRIPTS, ScoreConfig, checkpoint_of
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.file_hashes import loaded_hash
 from uniforce_vtla.json_file import read_object
-from uniforce_vtla.results_file import (
-    DISTRIBUTION,
-    append_line,
-    only_writer,
-    provenance,
-    write_json,
-)
+from uniforce_vtla.results_file import append_line, only_writer, provenance, write_json
 
 if TYPE_CHECKING:
     from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow
@@ -172,7 +165,7 @@ def what_acts(config: ScoreConfig) -> dict[str, Any]:
     from lerobot_env_uniforce_wiping import LEVELS, level_hash
 
     return {
-        "version": importlib.metadata.version(DISTRIBUTION),
+        "version": provenance()["version"],
         "level": level_hash(LEVELS[config.level]),
         "policies": list(map(content_of, config.policies)),
         "first_turn": config.first_seed % len(config.policies),

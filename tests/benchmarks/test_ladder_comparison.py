@@ -1,4 +1,4 @@
-"""Which arm is better, and whether one is shown to be at most a margin worse."""
+"""The ladder's comparison of arms: better, or shown to be at most a margin worse."""
 
 import numpy as np
 import pytest

@@ -145,7 +145,9 @@ def test_episodes_of_another_policy_are_neither_taken_over_nor_lost(settings, tm
 def test_episodes_of_other_code_are_kept_with_a_warning(settings, rolled_out, monkeypatch, caplog):
     rolled_out()
     for commit in ("one", "one", "another"):
-        monkeypatch.setattr(score_module, "provenance", lambda commit=commit: {"commit": commit})
+        monkeypatch.setattr(
+            score_module, "provenance", lambda commit=commit: {"commit": commit, "version": "1"}
+        )
         assert "other code" not in caplog.text
         scored(settings)
     assert "episodes of other code are kept" in caplog.text

@@ -121,7 +121,7 @@ def build_frozen_touch(config: PI05UniforceConfig, empty: bool) -> FrozenTokeniz
 
 def _build_tokenizer(config: PI05UniforceConfig, empty: bool) -> Tokenizer:
     facts = config.touch.tokenizer
-    if facts is not None and is_packaged(config):
+    if is_packaged(config):
         return Tokenizer.from_pretrained(shipped_sizes()[config.tokenizer_hash])
     if facts is None or not empty:
         tokenizer = Tokenizer.from_pretrained(config.touch.tokenizer_path)
