@@ -76,6 +76,7 @@ PATIENT += ("test_checks.py", "test_limits.py", "test_guards.py", "test_hand.py"
 PATIENT += ("test_fci_model.py", "test_fci_protocol.py")
 REALTIME = ("sensors", "recorder", "franka", "standins", "teleop")  # folders of tests/robots
 BENCHMARKS = Path(__file__).parent / "benchmarks"  # they only prove our figures
+PROMPT = ("test_frozen_draws.py",)  # of them: two seconds, and every change of simulation is tried
 
 
 def pytest_configure(config):
@@ -94,7 +95,7 @@ def pytest_collection_modifyitems(config, items):
             and item.path.name not in PATIENT
         ):
             item.add_marker("realtime")
-        if item.path.is_relative_to(BENCHMARKS):
+        if item.path.is_relative_to(BENCHMARKS) and item.path.name not in PROMPT:
             item.add_marker("thorough")
     if hasattr(config, "workerinput"):
         long = {item.path for item in items if item.get_closest_marker("timeout")}

@@ -74,8 +74,6 @@ def share_load(
     direction = np.zeros_like(share)
     old_length = np.ones(len(share), np.float32)
     carry = np.zeros(len(share))
-    # a row stops where it would alone: what it comes to doesn't hang on the rest of its batch
-    going = np.ones(len(share), bool)
     for _ in range(steps):
         touching = share > 0
         error = share @ compliance + above
@@ -97,13 +95,12 @@ def share_load(
         empty = ~stepped.any(axis=1)
         stepped[empty, error[empty].argmin(axis=1)] = 1
         stepped /= stepped.sum(axis=1, keepdims=True)
-        moved = np.abs(stepped - share).sum(axis=1)
-        share = np.where(going[:, None], stepped, share)
-        going &= moved >= _TOLERANCE
-        if not going.any():
-            break
+        moved = np.abs(stepped - share).sum(axis=1).max()
+        share = stepped
         old_length = length
         carry = ~sinks_in.any(axis=1)
+        if moved < _TOLERANCE:
+            break
     return share, ((share @ compliance + above) * share).sum(axis=1)
 
 

@@ -12,7 +12,6 @@ _ARM_mm = 3.0  # at which a lost moment counts as a lost force
 _TINY = np.float32(1e-30)
 # rounds of handing capped cells' excess to sticking ones; the residual is < 1 % after 4
 _PASSES = 6
-_ROUNDING = 1e-5  # of a length; a cell capped before is at friction, by rounding above or below
 
 
 @dataclass(frozen=True)
@@ -137,16 +136,13 @@ def _cap(
     """Return ``ratio`` with every cell's length ≤ friction; sticking cells take the excess."""
     for _ in range(_PASSES):
         length = np.sqrt((ratio**2).sum(axis=1))  # (B, C)
-        beyond = (length > friction * (1 + _ROUNDING)) & (p > 0)
-        # a contact without a slipping cell comes out as it would alone
-        slipping = beyond.any(axis=1)[:, None, None]
-        if not slipping.any():
+        if not np.any(length > friction * (1 + 1e-5)):
             break
-        capped = ratio * np.minimum(1, friction / np.maximum(length, 1e-9))[:, None]
-        q = capped * p[:, None]
+        ratio = ratio * np.minimum(1, friction / np.maximum(length, 1e-9))[:, None]
+        q = ratio * p[:, None]
         missing = shear_N - q.sum(axis=2)  # (B, 2)
-        sticking = p * (length < friction * (1 - _ROUNDING))
+        sticking = p * (length < friction)
         more = _share(sticking, arm, missing, torsion_Nmm - _moment(q, arm))
-        ratio = np.where(slipping, capped + more * (sticking > 0)[:, None], ratio)
+        ratio = ratio + more * (sticking > 0)[:, None]
     length = np.sqrt((ratio**2).sum(axis=1))
     return ratio * np.minimum(1, friction / np.maximum(length, 1e-9))[:, None]

@@ -93,22 +93,6 @@ def test_no_held_out_sensor_is_in_the_pretraining_family():
     assert keen.rest_counts > 1.25 * usual.rest_counts
 
 
-# of BRIEF, by code that draws the whole set to its committed hash. The same code draws a uSkin
-# otherwise on another processor: two are known
-SCORED = {
-    "gelsight_d": ("8e6c838602f5",),
-    "tactip": ("f217d66e3144",),
-    "uskin": ("179b340a7e17", "7652bdea6419"),
-}
-
-
-@pytest.mark.parametrize("name", SCORED)
-def test_a_set_draws_as_it_was_scored(name):
-    one = draw_hard(BRIEF, hetero_sensors()[name], 32)
-    assert one.digest.startswith(SCORED[name])
-    assert one.frames.shape == (2, 4, 32, 32) and one.force_N.shape == (2, 4, 3)
-
-
 def test_every_sensor_of_a_recipe_feels_the_same_forces():
     forces = [draw_hard(BRIEF, s, 16).force_N for s in hetero_sensors().values()]
     assert all(np.array_equal(forces[0], f) for f in forces)
