@@ -96,7 +96,8 @@ class ScoreConfig:
     # seed of the first scene; demos are recorded from seed 0 on, so these scenes weren't trained on
     first_seed: options.Seed = 10_000
     workers: options.Workers = 2  # processes, one torch thread each
-    videos: options.CountOrZero = 1  # how many of the first episodes are filmed
+    # how many of the first episodes are filmed while they are scored, not those already scored
+    videos: options.CountOrZero = 1
     # seeds of further episodes to film; one that was scored unfilmed is rolled out again
     film: options.Seeds = field(default_factory=list)
     resume: bool = True  # keep episodes already scored in `out`
