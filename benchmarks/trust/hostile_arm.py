@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 
+from uniforce_robots.fr3 import DQ_MAX_rad_s, rotation_z
 from uniforce_robots.standins.fci import protocol as p
 from uniforce_robots.standins.fci.__main__ import main
 from uniforce_robots.standins.fci.arm import TICK_s
@@ -35,7 +36,6 @@ from uniforce_robots.standins.fci.link import Journal
 from uniforce_robots.standins.fci.process import StandIn
 from uniforce_robots.standins.fci.protocol import STATE_SLICES, ErrorBit, RobotState
 from uniforce_robots.standins.fci.server import Server, die
-from uniforce_vtla.fr3 import DQ_MAX_rad_s, rotation_z
 
 NONE = "none"
 STATE_BYTES, HAND_STATE_BYTES = p.STATE.size, p.HAND_STATE.size

@@ -15,6 +15,7 @@ from unittest import mock
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from uniforce_robots.fr3 import HAND_TO_FLANGE, HOME_q_rad, posture
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka import robot as robot_module
 from uniforce_robots.franka.arm import ArmSetup, ArmState
@@ -22,7 +23,6 @@ from uniforce_robots.franka.limits import HandSettings, StreamSettings
 from uniforce_robots.franka.stream import ArmStream
 from uniforce_robots.standins.fci.process import StandIn
 from uniforce_vtla.errors import RobotError
-from uniforce_vtla.fr3 import HAND_TO_FLANGE, HOME_q_rad, posture
 from uniforce_vtla.hand import HandCommand, HandReading
 
 TICK_s = 0.01

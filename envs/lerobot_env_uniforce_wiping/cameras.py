@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 
 from lerobot_env_uniforce_wiping.levels import CAMERA_PX
+from lerobot_env_uniforce_wiping.mjcf import TCP_m
 from lerobot_env_uniforce_wiping.scene_params import SceneParams
-from uniforce_vtla.fr3 import TCP_m
 from uniforce_vtla.keys import CAMERAS
 
 FOV_rad = {"front": 0.54, "wrist": 1.35}

@@ -11,10 +11,18 @@ import numpy as np
 from lerobot_env_uniforce_wiping.hidden import BOARD_HALF_m
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ, PadSettings
 from lerobot_env_uniforce_wiping.scene_params import SceneParams
-from uniforce_vtla.fr3 import DH, FLANGE_m, TCP_m
 from uniforce_vtla.sensors import get_sensor
 
-# rad; those of the Panda, a little wider than the FR3's
+# Modified DH of the Franka arm (published): a m, d m, alpha rad of each frame in the one before.
+DH = (
+    (0.0, 0.333, 0.0),
+    (0.0, 0.0, -np.pi / 2),
+    (0.0, 0.316, np.pi / 2),
+    (0.0825, 0.0, np.pi / 2),
+    (-0.0825, 0.384, -np.pi / 2),
+    (0.0, 0.0, np.pi / 2),
+    (0.088, 0.0, np.pi / 2),
+)
 JOINT_LIMITS = (
     (-2.8973, 2.8973),
     (-1.7628, 1.7628),
@@ -36,6 +44,8 @@ LINK_CAPSULES = (  # from, to in the link's frame; radius m
     ((0, 0, 0), (0.088, 0, 0), 0.048),
     ((0, 0, 0), (0, 0, 0.07), 0.045),
 )
+HAND_m = 0.107  # flange to hand
+TCP_m = 0.1034  # hand to the point between the pads
 FELT_m = 0.010  # felt thickness
 
 STIFFNESS_N_m = (2000.0, 2000.0, 800.0)  # nominal Cartesian stiffness, x y z
@@ -131,7 +141,7 @@ def _shear_springs(name: str, pads: PadSettings) -> str:
 
 def _tool(scene: SceneParams, sensors: tuple[str, str]) -> str:
     return (
-        f'<body name="hand" pos="0 0 {FLANGE_m}" euler="0 0 {-np.pi / 4}" gravcomp="1">'
+        f'<body name="hand" pos="0 0 {HAND_m}" euler="0 0 {-np.pi / 4}" gravcomp="1">'
         '<geom name="hand" type="box" size="0.095 0.030 0.030" pos="0 0 0.033" mass="0.6"'
         ' class="visual" rgba=".85 .85 .88 1"/>'
         f'<site name="tcp" pos="0 0 {TCP_m}"/>'

@@ -10,7 +10,7 @@ import pytest
 from benchmarks.trust.stop_mutations import MUTATIONS, notice
 from benchmarks.trust.stop_sessions import explore
 from benchmarks.trust.stop_world import BRAKE_s, SimWorld, StandInWorld, Watch
-from uniforce_vtla.fr3 import rotation_z
+from uniforce_robots.fr3 import rotation_z
 
 
 def test_after_a_stop_nothing_moves_until_a_new_wish(caplog):

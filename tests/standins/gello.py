@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uniforce_robots.fr3 import HOME_q_rad
 from uniforce_robots.standins.control import StandInServer
 from uniforce_robots.standins.plugs import READ_BYTES, PseudoTerminal
 from uniforce_vtla.arguments import parse
-from uniforce_vtla.fr3 import HOME_q_rad
 
 HEADER = b"\xff\xff\xfd\x00"
 COUNTS_PER_TURN = 4096

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from uniforce_robots.fr3 import HAND_TO_FLANGE
 from uniforce_robots.franka.limits import FORCE_N, TORQUE_Nm, require_in_limits
 from uniforce_vtla.errors import ContractError, RobotError, expected
-from uniforce_vtla.fr3 import HAND_TO_FLANGE
 
 # A mode in which nothing may move, and the RobotError.fault it means.
 STOPPED_MODES = {"reflex": "reflex", "user_stopped": "user_stop", "guiding": "guiding"}

@@ -6,11 +6,11 @@ advances. A pose is checked last, whatever computed it.
 
 import numpy as np
 
+from uniforce_robots.fr3 import DQ_MAX_rad_s
 from uniforce_robots.franka.arm import ArmState
 from uniforce_robots.franka.guards import GuardLimits
 from uniforce_robots.franka.poses import ToolPose, shortest_turn
 from uniforce_vtla.errors import RobotError, expected
-from uniforce_vtla.fr3 import DQ_MAX_rad_s
 
 JOINT_SPEED_rad_s = 1.2 * DQ_MAX_rad_s  # a fifth more than a joint can do is no measurement
 HAND_SPEED_m_s = 2.0

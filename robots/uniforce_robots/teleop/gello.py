@@ -14,13 +14,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from lerobot.teleoperators import TeleoperatorConfig
 
+from uniforce_robots.fr3 import HAND_TO_FLANGE, JOINTS, posture
 from uniforce_robots.franka.poses import ToolPose
 from uniforce_robots.sensors.faults import LostSensorError, ProtocolError
 from uniforce_robots.sensors.reader import ReaderLimits, SampleReader, SampleSource, Stamped, now_ns
 from uniforce_robots.teleop.base import UniforceTeleoperator, gap_sizes, require_near
 from uniforce_robots.teleop.integrator import SteeringConfig, TargetLimits
 from uniforce_vtla.errors import ContractError, TeleoperatorError, expected
-from uniforce_vtla.fr3 import HAND_TO_FLANGE, JOINTS, posture
 
 PRESENT_POSITION = 132  # control table of the X series
 POSITION_BYTES = 4

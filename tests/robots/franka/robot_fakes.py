@@ -6,11 +6,11 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
+from uniforce_robots.fr3 import HAND_TO_FLANGE
 from uniforce_robots.franka.arm import ArmSetup, ArmState
 from uniforce_robots.franka.guards import towards
 from uniforce_robots.franka.poses import ToolPose
 from uniforce_vtla.errors import RobotError
-from uniforce_vtla.fr3 import HAND_TO_FLANGE
 
 START = ToolPose(np.array([0.45, 0.0, 0.3]), 0.0)
 SPEED_m_s = 1.5  # of the fake: at once for a test, possible for an arm

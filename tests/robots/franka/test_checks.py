@@ -13,11 +13,11 @@ from robot_fakes import refused
 from benchmarks.trust.guard_cases import drive
 from benchmarks.trust.guard_oracle import axes_of, pose_of, wrong_pose
 from benchmarks.trust.mutations import notice
+from uniforce_robots.fr3 import HAND_TO_FLANGE, HOME_q_rad, posture, rotation_z
 from uniforce_robots.franka.arm import HAND_GUIDED, ArmState
 from uniforce_robots.franka.guards import GuardLimits
 from uniforce_robots.franka.poses import ToolPose, between, shortest_turn
 from uniforce_robots.franka.state_check import SendCheck, StateCheck
-from uniforce_vtla.fr3 import HAND_TO_FLANGE, HOME_q_rad, posture, rotation_z
 
 LIMITS = GuardLimits()
 

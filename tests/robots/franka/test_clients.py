@@ -16,6 +16,7 @@ import pytest
 from fci_client import wait_until
 from robot_fakes import refused
 
+from uniforce_robots.fr3 import HAND_TO_FLANGE, rotation_z
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka.arm import ArmSetup, Gains, advised, require_setup
 from uniforce_robots.franka.children import common
@@ -31,7 +32,6 @@ from uniforce_robots.franka.clients import (
 from uniforce_robots.franka.guards import GuardLimits
 from uniforce_robots.franka.limits import HandSettings
 from uniforce_robots.standins.fci.process import StandIn
-from uniforce_vtla.fr3 import HAND_TO_FLANGE, rotation_z
 from uniforce_vtla.hand import Hand, HandCommand
 
 CHILDREN = Path(common.__file__).parent

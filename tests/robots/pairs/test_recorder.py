@@ -17,6 +17,7 @@ from benchmarks.pairs.training import (
     training_contacts,
 )
 from uniforce_datasets.readers.uniforce_pairs import read_uniforce_pairs
+from uniforce_robots.fr3 import rotation_z
 from uniforce_robots.pairs.finger_force import FingerForce
 from uniforce_robots.pairs.guided_grasp import FAULTS, GraspSettings, draw_grasp
 from uniforce_robots.pairs.recorder import KEPT, PairRecorder, RecordingPlan
@@ -31,7 +32,6 @@ from uniforce_vtla.errors import (
     DiskFullError,
     SensorError,
 )
-from uniforce_vtla.fr3 import rotation_z
 
 NAMES = ("sphere", "line")
 PLAN = RecordingPlan(pairs=12, chunk=6, crowded=1.0)

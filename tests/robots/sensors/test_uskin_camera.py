@@ -8,11 +8,11 @@ from lerobot.cameras.utils import make_cameras_from_configs
 from properties import examples
 from scripted import ScriptedSource
 
+from uniforce_robots.fr3 import rotation_z
 from uniforce_robots.sensors import UniforceUskin, UniforceUskinConfig
 from uniforce_robots.sensors.config_uniforce import Orientation
 from uniforce_robots.standins.scene import Scene, taxel_cycle
 from uniforce_vtla.errors import ContractError, SensorError
-from uniforce_vtla.fr3 import rotation_z
 from uniforce_vtla.markers import Canonicalizer
 from uniforce_vtla.tokenizer.api import Tokenizer
 

@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from uniforce_robots.standins.fci.arm import TORQUE_STEP_Nm, broken_rules
-from uniforce_robots.standins.fci.protocol import ErrorBit
-from uniforce_vtla.fr3 import (
+from uniforce_robots.fr3 import (
     HAND_TO_FLANGE,
     HOME_q_rad,
     Q_MAX_rad,
@@ -13,6 +11,8 @@ from uniforce_vtla.fr3 import (
     TAU_MAX_Nm,
     posture,
 )
+from uniforce_robots.standins.fci.arm import TORQUE_STEP_Nm, broken_rules
+from uniforce_robots.standins.fci.protocol import ErrorBit
 
 
 def test_home_is_where_the_manual_shows_it():

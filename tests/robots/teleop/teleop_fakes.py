@@ -4,8 +4,8 @@ import numpy as np
 from lerobot.teleoperators import make_teleoperator_from_config
 
 import uniforce_robots.teleop as ours
+from uniforce_robots.fr3 import HAND_TO_FLANGE, HOME_q_rad
 from uniforce_robots.teleop.gello import tool_axes
-from uniforce_vtla.fr3 import HAND_TO_FLANGE, HOME_q_rad
 
 
 def next_axes(device):

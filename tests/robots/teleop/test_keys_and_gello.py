@@ -15,13 +15,13 @@ from robot_fakes import refused
 from teleop_fakes import next_axes
 
 import uniforce_robots.teleop as ours
+from uniforce_robots.fr3 import HOME_q_rad
 from uniforce_robots.franka.arm import HAND_GUIDED
 from uniforce_robots.franka.poses import by_axis
 from uniforce_robots.teleop.base import FEEDBACK_AGE_S
 from uniforce_robots.teleop.gello import LIMITS, offsets
 from uniforce_robots.teleop.keyboard import KEYS, PULSE_S
 from uniforce_vtla.errors import ContractError, TeleoperatorError
-from uniforce_vtla.fr3 import HOME_q_rad
 
 
 @pytest.fixture

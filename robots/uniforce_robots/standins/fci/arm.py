@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-import uniforce_vtla.fr3 as fr3
+import uniforce_robots.fr3 as fr3
 from uniforce_robots.standins.fci.protocol import STATE_FLOAT_COUNT, STATE_SLICES, ErrorBit
 
 TICK_s = 0.001

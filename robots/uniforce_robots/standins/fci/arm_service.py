@@ -7,10 +7,10 @@ from math import cos, sin
 
 import numpy as np
 
+from uniforce_robots.fr3 import DH, DQ_MAX_rad_s, FLANGE_m, Q_MAX_rad, Q_MIN_rad, TAU_MAX_Nm
 from uniforce_robots.standins.fci import protocol as p
 from uniforce_robots.standins.fci.arm import Arm, TICK_s, broken_rules
 from uniforce_robots.standins.fci.link import Journal, Link
-from uniforce_vtla.fr3 import DH, DQ_MAX_rad_s, FLANGE_m, Q_MAX_rad, Q_MIN_rad, TAU_MAX_Nm
 
 # of a tick with its client: time passes slower instead of the arm following a stale torque
 PATIENCE_s = 0.02

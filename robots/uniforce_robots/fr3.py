@@ -1,7 +1,5 @@
 """The Franka Research 3: published Denavit–Hartenberg table, joint limits and kinematics.
 
-The robot, its stand-in and the simulated scene share it.
-
 Source: Franka documentation, "Robot and interface specifications" (Craig's modified convention).
 Imports numpy alone, so that the stand-in starts without torch.
 """
@@ -24,7 +22,6 @@ DH = np.array(
     ]
 )
 FLANGE_m = 0.107  # joint 7 to flange
-TCP_m = 0.1034  # flange to the point between the pads (Franka Hand manual)
 Q_MIN_rad = np.array([-2.7501, -1.7918, -2.9065, -3.0481, -2.8101, 0.5409, -3.0196])
 Q_MAX_rad = np.array([2.7501, 1.7918, 2.9065, -0.1458, 2.8101, 4.5205, 3.0196])
 DQ_MAX_rad_s = np.array([2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26])
@@ -46,8 +43,8 @@ def _fixed(a: float, d: float, alpha: float) -> np.ndarray:
     return np.array([[1, 0, 0, a], [0, c, -s, -d * s], [0, s, c, d * c], [0, 0, 0, 1]])
 
 
-# The hand is mounted at −45°.
-HAND_TO_FLANGE = _fixed(0, TCP_m, 0) @ rotation_z(-np.pi / 4)
+# The hand is mounted at −45°; its tool point lies 103.4 mm below the flange (Franka Hand manual).
+HAND_TO_FLANGE = _fixed(0, 0.1034, 0) @ rotation_z(-np.pi / 4)
 _FIXED = np.array([_fixed(*row) for row in DH])
 _FLANGE = _fixed(0, FLANGE_m, 0)
 
