@@ -1,6 +1,6 @@
 """The parts of LeRobot that aren't its public interface: two patches, and the private names in use.
 
-LeRobot has no hook where its trainer makes a dataset and saves a checkpoint, so ``patched_trainer``
+LeRobot has no hook where its trainer makes a dataset and saves a checkpoint, so ``training_views``
 replaces both functions for the length of one training. A third patch is the robot's own:
 ``uniforce_robots.franka.robot`` keeps LeRobot's rollout from leading the arm back to its start.
 
@@ -59,8 +59,8 @@ PRIVATE = {
 
 
 @contextmanager
-def patched_trainer(verify: str = "") -> Iterator[None]:
-    """Let LeRobot's trainer check its dataset, read training views, and hash its checkpoints.
+def training_views(verify: str = "") -> Iterator[None]:
+    """Let LeRobot's trainer read training views, check its dataset, and hash its checkpoints.
 
     ``verify`` says how thoroughly datasets are checked; "" leaves it to their repo id.
     """

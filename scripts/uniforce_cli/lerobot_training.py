@@ -22,7 +22,7 @@ from lerobot.utils.import_utils import register_third_party_plugins
 
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig
 from uniforce_cli.boundary import one_thread
-from uniforce_cli.compat import patched_trainer
+from uniforce_cli.compat import training_views
 from uniforce_vtla.arguments import Option, check, options_of, read_value, reason_of, split_words
 from uniforce_vtla.errors import (
     CheckpointError,
@@ -284,7 +284,7 @@ def train(argv: Sequence[str]) -> None:
             # a second one buys nothing, and beside other programs they wait for each other
             one_thread()
         accelerator = TrainingAccelerator(config.policy) if ours else None
-        with patched_trainer(verify):
+        with training_views(verify):
             # parsed once: another parse would stamp another second into the output's name
             lerobot_train.train(config, accelerator=accelerator)
         if ours:

@@ -20,7 +20,7 @@ from safetensors.torch import load_file, save_file
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import SPAN_FLOOR
 from uniforce_cli import lerobot_training, share
-from uniforce_cli.compat import patched_trainer
+from uniforce_cli.compat import training_views
 from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.keys import ACTION, AXES, STATE, VIEW_MARKER, latent_key
 
@@ -146,7 +146,7 @@ def test_a_training_view_is_read_through_its_own_reader(tmp_path, monkeypatch):
     stock = factory.make_dataset
     cfg = SimpleNamespace(dataset=SimpleNamespace(root=tmp_path, eval_split=0.0))
     (tmp_path / VIEW_MARKER).write_text("{}")
-    with patched_trainer():
+    with training_views():
         assert factory.make_dataset(cfg) == ("view", stock)
         cfg.dataset.eval_split = 0.1
         with pytest.raises(ContractError, match="eval_split"):
@@ -163,13 +163,13 @@ def test_other_datasets_are_checked_and_stay_with_lerobot(dataset, tmp_path, mon
         SimpleNamespace(dataset=SimpleNamespace(root=where, repo_id=repo_id, **plain))
         for where, repo_id in ((root, "local/wipe"), (None, "somebody/wipe"))
     )
-    with patched_trainer():
+    with training_views():
         assert factory.make_dataset(local).root == root
         next((root / "data").rglob("*.parquet")).unlink()
         for given in (local, shared):
             with pytest.raises(DatasetError, match="parquet"):
                 factory.make_dataset(given)
-    with patched_trainer("off"):
+    with training_views("off"):
         assert factory.make_dataset(local).root == root
 
 
