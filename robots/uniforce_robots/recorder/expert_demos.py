@@ -20,7 +20,6 @@ from uniforce_vtla.keys import ACTION, STATE, age_key, time_key, truth_wrench_ke
 
 logger = logging.getLogger(__name__)
 GIVE_UP_FACTOR = 4  # attempts per wanted episode before a run without failures kept stops
-LEFT_OUT = "left out:"  # how an episode ended in which a frame was refused or the tool lost
 
 
 def record_expert(
@@ -44,37 +43,42 @@ def record_expert(
         have = recorder.num_episodes
         first = next_seed(root, have, seed)
         scenes = range(first, first + GIVE_UP_FACTOR * max(episodes - have, 0))
-        do = "Try an easier level."
-        with tqdm(total=episodes, initial=have, desc="record", unit="episode") as bar:
-            for scene in scenes:
-                ended = _record_scene(env, recorder, scene, keep_failures, settings)
-                if ended.startswith(LEFT_OUT):
-                    do = f"The last scene {ended}"
-                bar.update(recorder.num_episodes - bar.n)
-                bar.set_postfix_str(f"seed {scene}: {ended}")
-                if recorder.num_episodes == episodes:
-                    break
+        lost = _record_scenes(env, recorder, episodes, scenes, keep_failures, settings)
         if recorder.num_episodes < episodes:
             wanted = f"{episodes} successes"
+            do = f"The last scene left out: {lost}" if lost else "Try an easier level."
             raise ContractError(expected("expert", wanted, recorder.num_episodes, do))
         return recorder.num_episodes - have
 
 
-def _record_scene(
-    env: WipeEnv, recorder: EpisodeRecorder, seed: int, keep_failures: bool, settings: Settings
+def _record_scenes(
+    env: WipeEnv,
+    recorder: EpisodeRecorder,
+    episodes: int,
+    scenes: range,
+    keep_failures: bool,
+    settings: Settings,
 ) -> str:
-    """Save the expert's episode if it is clean or failures are kept; return how it ended."""
-    try:
-        result = record_episode(env, recorder, seed)
-    except (SensorError, RobotError) as error:
-        recorder.discard()
-        logger.warning("seed %d is %s %s", seed, LEFT_OUT, error)
-        return f"{LEFT_OUT} {error}"
-    if result.clean or keep_failures:
-        recorder.save(result.clean, result.outcome, seed, settings=settings)
-    else:
-        recorder.discard()
-    return f"clean {result.outcome}" if result.clean else result.outcome
+    """Record until the episodes are there; return why a scene was left out last, "" if none was."""
+    lost = ""
+    with tqdm(total=episodes, initial=recorder.num_episodes, desc="record", unit="episode") as bar:
+        for seed in scenes:
+            try:
+                result = record_episode(env, recorder, seed)
+            except (SensorError, RobotError) as error:
+                recorder.discard()
+                lost = str(error)
+                logger.warning("seed %d is left out: %s", seed, error)
+                continue
+            if result.clean or keep_failures:
+                recorder.save(result.clean, result.outcome, seed, settings=settings)
+            else:
+                recorder.discard()
+            bar.update(recorder.num_episodes - bar.n)
+            bar.set_postfix_str(f"seed {seed}: {'clean ' if result.clean else ''}{result.outcome}")
+            if recorder.num_episodes == episodes:
+                break
+    return lost
 
 
 def record_episode(env: WipeEnv, recorder: EpisodeRecorder, seed: int) -> EpisodeResult:
